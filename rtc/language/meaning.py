@@ -29,6 +29,7 @@ from rtc.language.quantities import (
     checked,
     in_one_unit,
     in_si,
+    positions,
     si_numbers,
 )
 from rtc.language.record import Condition, Constraint, Destination, ReflexItem, Report
@@ -158,7 +159,7 @@ def joint_place(parts: Parts) -> Destination:
 
 
 def position_place(parts: Parts) -> Destination:
-    position = si_numbers(parts[1], LENGTH.units, parts[0])
+    position = positions(parts[1], parts[0])
     if len(position) != POSITION_NUMBERS:
         first_too_many = parts[1][::-1][POSITION_NUMBERS:]
         column = first_too_many[0].column if first_too_many else parts[1][0].column + len(parts[1][0].text)

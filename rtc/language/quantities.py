@@ -122,6 +122,14 @@ def si_numbers(last_first: list[WrittenNumber], takes: tuple[str, ...], word: To
     return in_si(in_one_unit(last_first), takes, word.value)
 
 
+def positions(last_first: list[WrittenNumber], word: Token) -> list[float]:
+    """The lengths after POSITION, in m. Raises `SentenceError`, at the last number, if none has a unit."""
+    values = si_numbers(last_first, LENGTH.units, word)
+    if all(given.unit is None for given in last_first):
+        raise SentenceError(last_first[0].column, f"{quoted(last_first[0].text)} has no unit.", [such_as("m")])
+    return values
+
+
 def in_si(numbers: list[tuple[WrittenNumber, str | None]], units: tuple[str, ...], by: str) -> list[float]:
     """The numbers in SI. Raises `SentenceError`, at the number, for a unit that is not among `units`."""
     for given, _ in numbers:

@@ -111,6 +111,7 @@ WRONG = [
     ("MOVE LEFT-ARM TO JOINTS¦", ["a number", AN_ANGLE], [], "needs numbers"),
     ("MOVE LEFT-ARM TO JOINTS 10 DEG 20 DEG ¦30 40", ["a quantity such as 30 DEG"], [], "30 has no unit"),
     ("MOVE LEFT-ARM TO JOINTS 1 2 ¦3 KG", [AN_ANGLE, A_LENGTH], [], "an angle or a length; 3 KG is a mass"),
+    ("MOVE LEFT-ARM TO POSITION 40 -40 ¦90", [A_LENGTH], [], "90 has no unit"),
     ("MOVE LEFT-ARM TO POSITION 1 2 CM¦", ["x y z such as 60 -20 35 CM"], [], "three numbers, not 2"),
     ("MOVE LEFT-ARM TO POSITION 1 2 3 ¦4 CM", ["x y z such as 60 -20 35 CM"], [], "three numbers, not 4"),
     ("SET BOLT-2 FRAME 1 CM ¦2 N", [A_LENGTH, "an angle such as 90 DEG"], [], "2 N is a force"),
