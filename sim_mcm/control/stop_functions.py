@@ -191,7 +191,11 @@ def _speed(when: p.SpeedAbove, traits: Traits) -> Check:
     def check(now: Moment) -> Finding | None:
         for n, speed in enumerate(now.velocities):
             if not -limits[n] <= speed <= limits[n]:
-                return abs(speed), limits[n], f"{names[n]} turns at {speed:.2f} rad/s"
+                return (
+                    abs(speed),
+                    limits[n],
+                    f"{names[n]} turns at {speed:.2f} rad/s; {limits[n]:.3g} rad/s is the limit",
+                )
         return None
 
     return check
@@ -288,10 +292,11 @@ def _distance(when: p.TcpNear | p.TcpFar) -> Callable[[Moment], float]:
 
 def _tcp_speed(when: p.TcpSpeedAbove, traits: Traits) -> Check:
     limit = when.limit_m_s
+    most = f"{1e3 * limit:.3g} mm/s is the limit"
 
     def check(now: Moment) -> Finding | None:
         speed = now.tcp_speed_m_s()
-        return (speed, limit, f"the tool moves at {1e3 * speed:.0f} mm/s") if speed > limit else None
+        return (speed, limit, f"the tool moves at {1e3 * speed:.3g} mm/s; {most}") if speed > limit else None
 
     return check
 
