@@ -21,6 +21,7 @@ from rtc.protocol.outcomes import Measured
 
 read_step = wire.decoder(StepHead)
 PLANNERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # they plan beside the motions of other arms
+START = " (starts when "  # in the words of a step: the condition of its start
 
 
 class DecisionContext:

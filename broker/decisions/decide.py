@@ -17,7 +17,7 @@ from typing import Any
 from broker.decisions import deferred_analysis, faults, halt_request, journal_loss, program_rollout, subsystem_link
 from broker.decisions.command import control, limits, pacing, stopping, termination
 from broker.decisions.command.table import stimulate
-from broker.decisions.context import DecisionContext, step_in_words
+from broker.decisions.context import START, DecisionContext
 from broker.decisions.effects import AcknowledgeReport, Effect, TellClient
 from broker.decisions.events import (
     BrokerRestarted,
@@ -220,8 +220,7 @@ def on_started(context: DecisionContext, event: PrimitiveStarted) -> None:
     awaited = command is not None and (command.primitive, command.subsystem) == (event.primitive, event.subsystem)
     if awaited and command is not None and command.phase is Phase.EXECUTING:
         context.node = event.subsystem
-        if command.actions is not None:
-            command.step_words = step_in_words(command.actions)  # without the condition of the start
+        command.step_words = command.step_words.partition(START)[0]  # without the condition of the start
         for motion in context.state.motions.values():
             if motion.primitive == event.primitive:
                 motion.started_s = context.now

@@ -90,6 +90,7 @@ class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep", gc=F
     limit_s: float = 0.0
     predicted_s: float = 0.0
     note: str = ""
+    remark: str = ""
 
 
 class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment", gc=False):

@@ -182,7 +182,6 @@ class StopClass(ProgramPart, frozen=True, kw_only=True):
     touches: bool = False  # its purpose is contact with the active object, which may have moved then
     away: bool = False  # it moves away from contact: an object with a suspect frame does not forbid it
     seated: bool = False  # the held object may be in a seat or move into one
-    slow_for_force: bool = False  # a force limit of the command limits its speed, even below a stated one
     rigid: bool = False  # it searches by touch, which a soft arm would not feel: STIFFNESS does not apply to it
     stops: list[StopRow]
     values: dict[str, Expression] = {}  # speed_m_s, force_n, contact_n ..., over the numbers of the cell

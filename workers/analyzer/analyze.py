@@ -166,7 +166,7 @@ def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -
         message="; ".join(
             filter(
                 None,
-                (step.label, data.evaluation.slowed, sighting.in_words(query, data) if data.evaluation.body else ""),
+                (step.label, data.evaluation.remark, sighting.in_words(query, data) if data.evaluation.body else ""),
             )
         ),
         keep={name: _kept(source, data.report) for name, source in step.keep.items()},
@@ -216,8 +216,8 @@ def _failure(
         words = f"{words}; {done}"
     if reason is StopReason.OUT_OF_RANGE and _seen_as_believed(query, data):
         words = f"{words}; it is where it is believed to be"
-    if evaluation.slowed and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
-        words = f"{words}; {evaluation.slowed}"
+    if evaluation.remark and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
+        words = f"{words}; {evaluation.remark}"
     cures = _ways_to_clear(program, query, changes, failure.misplaced)
     blocked = BLOCKED if not failure.clears and _pressing_n(program, data) else ""
     advice = (*_feel(query, data, reason), failure.clears or blocked, *_higher_limit(data))

@@ -7,6 +7,7 @@ The program defines the meaning of a script's words; this module knows no skill.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +18,7 @@ from rtc.language.units import in_words
 from rtc.programs import expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, StopClass
-from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
+from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     HandMotion,
@@ -38,6 +39,7 @@ from workers.binder.stop_conditions import Values
 from workers.planning import advice, certainty, in_seat, segments, suggestions
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
+from workers.planning.motion.plan import Motion
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import Pace
 from workers.planning.robot_models import CellModel
@@ -51,6 +53,8 @@ SUBSYSTEM = "MCM"
 PERFORMERS = ("active_arm", look.CAMERA)
 TELLER = "OPERATOR"  # performer in the report of facts that a command states
 LEAST_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
+DETOUR = 3.0  # a relative step in joint space is reported if the hand travels this many times its distance
+DETOUR_KNOTS = 20  # at which the way of the hand is measured
 
 
 def compile(program: bytes) -> BinderProgram:
@@ -99,21 +103,25 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         return sideways
     values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
     held = query.holding(task.arm)
-    hit = impact.impact_of(task, target, values, held)
     expected = step.space != "move_joint" or stop_class.touches
-    speed_m_s, slowed = impact.pace_of(task, values, hit, touches=expected, firmly=stop_class.slow_for_force)
-    request = planning_request(task, stop_class, values, held, speed_m_s)
+    keep = impact.keeping(task, target, values, held, touches=expected)
+    if isinstance(keep, Refusal):
+        return keep
+    request = planning_request(task, stop_class, values, held, keep.speed_m_s)
     motion = segments.plan_segment(request, step.space, target, step.way)
+    if not isinstance(motion, Refusal):
+        motion = impact.kept(task, motion, values, keep)
     if not isinstance(motion, Refusal) and "takes_s" in step.args:
         motion = plans.lasting(motion, float(step.args["takes_s"]))
     if isinstance(motion, Refusal):
         return advice.advise_on_collision(motion, query, task.arm, clears, context.limits)
+    remarks = [*filter(None, (keep.remark, speed_not_kept(context.limits, values), detour(task, motion)))]
     evaluation = EvaluationContext(
         context=context,
         step=msgspec.structs.replace(step, way=None),
         arm=task.arm,
         goal_pose=motion.goal_pose.tolist(),
-        slowed=slowed[0] if speed_m_s < values["speed_m_s"] else "",
+        remark="; ".join(remarks),
         held=held,
         predicted_s=motion.timed.duration_s,
         no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
@@ -121,16 +129,40 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     )
     against = targets.against_motion(query.tcp(task.arm).tolist(), motion) if step.space == "move_task" else None
     trajectory = motion.timed.trajectory()
-    note = "; ".join((*slowed, *motion.notes))
+    note = "; ".join((*remarks, *motion.notes))
     bound = primitive(task, stop_class, values, trajectory, evaluation, against, note)
     if isinstance(bound, Refusal):
         return bound
+    if remarks:
+        bound = msgspec.structs.replace(bound, remark="; ".join(remark.partition(": ")[0] for remark in remarks))
     if motion.partner is not None:
         line = targets.turn_line(task)
         kept = stop_conditions.maintained(task.data, query, values)
         both = (bound, motion.partner, stop_class, values, line, kept)
         bound = together.with_partner(task.program, query, task.data, *both)
     return beside_others(task, request, bound)
+
+
+def speed_not_kept(limits: Limits, values: Values) -> str:
+    """The remark that the SPEED of the sentence is looser than that of the step, which is not changed; else empty."""
+    if limits.speed_m_s is None or limits.speed_m_s <= values["speed_m_s"]:
+        return ""
+    asked, own = in_words(limits.speed_m_s, "m/s"), in_words(values["speed_m_s"], "m/s")
+    return f"SPEED {asked} changes nothing: this step moves at {own} at most"
+
+
+def detour(task: BindTask, motion: Motion) -> str:
+    """The remark that a relative step takes the hand a much longer way through joint space; else empty."""
+    step = task.data.step
+    if step.space != "move_joint" or "by_m" not in step.args:
+        return ""
+    knots = motion.timed.positions[:: max(1, len(motion.timed.positions) // DETOUR_KNOTS)]
+    places = [task.query.model.arms[task.arm].fk(joints)[:3] for joints in (*knots, motion.goal_joints)]
+    way_m = sum(math.dist(here, there) for here, there in itertools.pairwise(places))
+    step_m = math.dist(places[0], places[-1])
+    if way_m <= DETOUR * step_m:
+        return ""
+    return f"the hand travels {way_m:.2f} m to be {in_words(round(step_m, 3), 'm')} away"
 
 
 def planning_request(

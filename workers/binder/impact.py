@@ -1,38 +1,71 @@
-"""Impact force of a hand on a rigid body, and the speed at which a force limit can be kept. Pure.
+"""Impact force of a hand on a rigid body, and the speed at which a promised force is kept. Pure.
 
 An arm stops in the servo tick that measures a contact, but within that tick the contact absorbs the hand's momentum:
-effective mass times speed. A lower threshold cannot reduce this force; a lower speed can.
+effective mass times speed. Neither a lower threshold nor a softer arm can reduce this force; a lower speed can.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from rtc.protocol.messages import ScriptContext
-from rtc.robot.geometry import Floats
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
 from workers.binder.bind_task import BindTask
 from workers.binder.stop_conditions import Values
+from workers.planning.motion.plan import Motion
+from workers.planning.motion.timing import Timed, slower
 from workers.planning.segments import Target
+
+CHECKED = 9  # knots of a motion at which its impact is computed, evenly spaced
 
 
 class Impact(NamedTuple):
-    """Impact of a motion with a force limit."""
+    """Impact of a motion with a promised force."""
 
     limit_n: float
     felt_n: float  # force (N) on a rigid body at the motion's speed
     safe_speed_m_s: float  # maximum speed that keeps the force within `limit_n`
 
 
-def asked_force_n(context: ScriptContext) -> float | None:
-    """The lowest force limit of the command (N), from FORCE-LIMIT and UNLESS FORCE EXCEEDS; None without one."""
+class Promise(NamedTuple):
+    """A force that a command promises for a contact."""
+
+    limit_n: float
+    faster: str  # what would allow more speed
+
+
+class Keeping(NamedTuple):
+    """How a motion keeps a promised force."""
+
+    speed_m_s: float
+    limit_n: float = math.inf  # what it keeps
+    carried_kg: float = 0.0
+    remark: str = ""  # for the result, if the force has reduced the speed, or is not kept
+
+
+def promise_of(context: ScriptContext, values: Values) -> Promise | None:
+    """The lowest force that the command promises for a contact; None without one.
+
+    FORCE-LIMIT and UNLESS FORCE EXCEEDS name it. GUARDED promises the force limit of the step, which it has tightened.
+    STIFFNESS expects a contact, and without a named force promises the same.
+    """
     conditions = [reflex.condition for reflex in context.reflexes]
-    limits_n = [c.quantity.value for c in conditions if c.measure == "FORCE" and c.bound == "above" and c.quantity]
+    named_n = [c.quantity.value for c in conditions if c.measure == "FORCE" and c.bound == "above" and c.quantity]
     if context.limits.force_n is not None:
-        limits_n.append(context.limits.force_n)
-    return min(limits_n, default=None)
+        named_n.append(context.limits.force_n)
+    promises = [Promise(limit_n, "a higher force allows more speed") for limit_n in named_n]
+    step_n = values.get("force_n")
+    if step_n is not None and context.guarded:
+        promises.append(Promise(step_n, "without GUARDED it is faster"))
+    if step_n is not None and context.limits.stiffness_n_m is not None and not promises:
+        promises.append(Promise(step_n, "a FORCE-LIMIT above it allows more speed"))
+    return min(promises, key=lambda promise: promise.limit_n, default=None)
 
 
 def impact(
@@ -47,38 +80,71 @@ def impact(
     return Impact(limit_n, force_per_speed * speed_m_s, limit_n / force_per_speed)
 
 
-def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impact | None:
-    """Expected impact of this motion on a rigid body; None if the command sets no force limit."""
-    limit_n = asked_force_n(task.data.context)
-    if limit_n is None:
-        return None
-    arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
-    goal: Floats = arm.fk(target.joints or joints) if target.pose is None else target.pose
-    if target.poses is not None:
-        goal = target.poses[1]  # the direction in which it begins
-    way = [there - here for there, here in zip(goal[:3], task.query.tcp(task.arm)[:3], strict=True)]
+def keeping(task: BindTask, target: Target, values: Values, held: str, *, touches: bool) -> Keeping | Refusal:
+    """The speed at which this motion keeps what the command promises: the lower one of it and of the speed in force.
+
+    A path without expected contact (not `touches`) is not slowed: there a force limit is a collision stop.
+    """
+    speed_m_s, promise = values["speed_m_s"], promise_of(task.data.context, values)
+    if promise is None:
+        return Keeping(speed_m_s)
+    limit_n = promise.limit_n
     load = task.query.load(task.arm) if held else None
     carried_kg = load.mass_kg if load else 0.0
-    return impact(arm, joints, way, carried_kg, values["impact_s"], values["speed_m_s"], limit_n)
+    arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
+    way = _way_m(task, arm, target)
+    hit = impact(arm, joints, way, carried_kg, values["impact_s"], speed_m_s, limit_n)
+    if hit is None or hit.felt_n <= limit_n:
+        return Keeping(speed_m_s, limit_n if touches else math.inf, carried_kg)
+    felt = f"at {speed_m_s * 1e3:.3g} mm/s the first millisecond on a rigid body is felt with {hit.felt_n:.0f} N"
+    if not touches:
+        return Keeping(speed_m_s, remark=f"{limit_n:g} N is a collision stop on this free way: {felt}")
+    slowest_m_s = values["slowest_m_s"]
+    if hit.safe_speed_m_s * values["kept_factor"] < slowest_m_s:
+        return _refuse(task, limit_n, slowest_m_s, limit_n * slowest_m_s / hit.safe_speed_m_s)
+    slow_m_s = max(hit.safe_speed_m_s, slowest_m_s)
+    most = f"{limit_n:g} N is kept up to {hit.safe_speed_m_s * 1e3:.3g} mm/s; {promise.faster}"
+    return Keeping(slow_m_s, limit_n, carried_kg, f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; {most}")
 
 
-def pace_of(
-    task: BindTask, values: Values, hit: Impact | None, *, touches: bool, firmly: bool
-) -> tuple[float, list[str]]:
-    """The speed (m/s), with a note if the force limit has reduced it or cannot be kept at it.
+def kept(task: BindTask, motion: Motion, values: Values, keep: Keeping) -> Motion:
+    """The motion, slowed further if the effective mass grows along it."""
+    if keep.limit_n == math.inf:
+        return motion
+    momenta = _momenta(task.query.model.arms[task.arm], motion.timed, keep.carried_kg)
+    if motion.partner is not None:
+        momenta = momenta + _momenta(task.query.model.arms[task.data.context.partner], motion.partner, 0.0)
+    excess = float(momenta.max()) / values["impact_s"] / keep.limit_n
+    if excess <= 1.0:
+        return motion
+    partner = slower(motion.partner, excess) if motion.partner is not None else None
+    return replace(motion, timed=slower(motion.timed, excess), partner=partner)
 
-    A path without expected contact (`touches`) is not slowed. `firmly`: a speed stated in the command is reduced too.
-    """
-    speed_m_s, limits = values["speed_m_s"], task.data.context.limits
-    if hit is None or hit.felt_n <= hit.limit_n:
-        return speed_m_s, []
-    felt = (
-        f"at {speed_m_s * 1e3:.3g} mm/s the first millisecond on a rigid body is felt with {hit.felt_n:.0f} N; "
-        f"{hit.limit_n:g} N is kept up to {hit.safe_speed_m_s * 1e3:.3g} mm/s"
+
+def _way_m(task: BindTask, arm: ArmModel, target: Target) -> list[float]:
+    """The displacement of the tcp (world frame, m); of a curve the direction in which it begins."""
+    goal: Floats = arm.fk(target.joints or task.query.joints(task.arm)) if target.pose is None else target.pose
+    if target.poses is not None:
+        goal = target.poses[1]
+    return [there - here for there, here in zip(goal[:3], task.query.tcp(task.arm)[:3], strict=True)]
+
+
+def _momenta(arm: ArmModel, timed: Timed, carried_kg: float) -> Array:
+    """Momentum (N.s) of the tcp and of what it carries, at `CHECKED` knots."""
+    found = []
+    for n in np.linspace(0, len(timed.time_s) - 1, CHECKED).round().astype(int):
+        rate = arm.jacobian(timed.positions[n])[:3] @ timed.velocities[n]
+        speed = float(np.linalg.norm(rate))
+        mass_kg = arm.effective_mass_kg(timed.positions[n], rate / speed) + carried_kg if speed > 0.0 else 0.0
+        found.append(mass_kg * speed)
+    return np.array(found)
+
+
+def _refuse(task: BindTask, limit_n: float, slowest_m_s: float, felt_n: float) -> Refusal:
+    least_n = math.ceil(felt_n)
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{limit_n:g} N cannot be kept: a rigid body is felt with {felt_n:.2g} N at {1e3 * slowest_m_s:g} mm/s",
+        clears=f"a force of at least {least_n} N",
+        detail={"cause": "force", "limit_n": limit_n, "value_n": felt_n, "arm": task.arm},
     )
-    stated = limits.speed_m_s is not None or limits.speed_ratio is not None
-    if not touches or (stated and not firmly):
-        return speed_m_s, [f"not slowed: {felt}"]
-    slow_m_s = max(hit.safe_speed_m_s, values["slowest_m_s"])
-    faster = "a higher force allows more speed" if firmly else "MAINTAIN SPEED keeps another speed"
-    return slow_m_s, [f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; {faster}"]

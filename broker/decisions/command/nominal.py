@@ -13,7 +13,7 @@ from broker.decisions.command.closing import close
 from broker.decisions.command.limits import await_report
 from broker.decisions.command.pacing import send_pace
 from broker.decisions.command.termination import end, end_given_up, refuse
-from broker.decisions.context import DecisionContext, step_in_words
+from broker.decisions.context import START, DecisionContext, step_in_words
 from broker.decisions.effects import AcknowledgeReport, SendPrimitive
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import Claim
@@ -135,9 +135,11 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
     command.limit_s = result.limit_s
     for arm in primitive.paths:
         context.begin_motion(command, arm, result.primitive)
+    if result.remark:
+        command.step_words += f" ({result.remark})"
     if primitive.start_after:
         awaited = ", ".join(dict.fromkeys(command_of(condition.primitive) for condition in primitive.start_after))
-        command.step_words += f" (starts when {awaited} has left the space)"
+        command.step_words += f"{START}{awaited} has left the space)"
     send(context, command)
     context.enter(command, Phase.EXECUTING, result.note, expected_s=result.predicted_s * context.state.timeout_scale)
     if command.primitives == 1:

@@ -129,7 +129,7 @@ class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults
     predicted_s: float = 0.0
     width_m: list[float] | None = None  # for a grip: [least, most] that count as success
     no_contact_is_failure: bool = False
-    slowed: str = ""  # why the motion is slower than the command allows, in words
+    remark: str = ""  # on speed and force of the motion, for the result
     start_joints: list[float] | None = None
     body: str = ""  # what a camera looks for
     body_pose: list[float] | None = None  # where it should be, for a check
@@ -183,6 +183,7 @@ class BoundStep(Message, frozen=True, kw_only=True):
     limit_s: float = 0.0  # time limit of the end report, above the time limit of the primitive itself
     predicted_s: float = 0.0  # planned duration of the primitive
     note: str = ""
+    remark: str = ""  # shown with the step: why it is slow, or what it does not keep
 
 
 class Assessment(Message, frozen=True, kw_only=True):

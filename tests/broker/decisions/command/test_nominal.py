@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from broker.decisions import events
 from broker.decisions.resources import WORLD
 from rtc.protocol import wire
 from rtc.protocol.messages import AnalyzerInput, BinderInput, BoundStep, ElaboratorInput
@@ -36,6 +37,14 @@ def test_each_step_is_bound_after_the_one_before_was_analysed():
     s.analyzing(script(steps=2))
     assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "job C-1/5 binder #1", "note C-1 binding"]
     assert s.answers("C-1", bound("C-1.2"))[0] == "primitive C-1.2 to MCM"
+
+
+def test_the_remark_of_a_step_is_shown_with_it_also_after_its_start():
+    s = Harness()
+    s.elaborated(script())
+    s.answers("C-1", msgspec.structs.replace(bound("C-1.1"), remark="slowed to 2 mm/s"))
+    s.handle(events.PrimitiveStarted, subsystem="MCM", primitive="C-1.1")
+    assert s.state.commands["C-1"].step_words == "1 of 1: step 1 (slowed to 2 mm/s)"
 
 
 def test_a_step_without_a_primitive_is_passed_through():
