@@ -26,6 +26,7 @@ from rtc.cli.offers import CellNames
 from rtc.cli.output import console, errors
 from rtc.cli.progress import Board, print_result
 from rtc.cli.sentences import LeftRunning, Signalled, asked_on_interrupt, gone_away, show_silence
+from rtc.cli.teach import with_taught
 from rtc.client.client import Client
 from rtc.language.completion import Names, complete
 from rtc.language.fastpath import halt_scope
@@ -190,7 +191,8 @@ def _log(rtc: Client, _: list[str]) -> None:
 
 
 def _names_of(rtc: Client, words: list[str]) -> None:
-    names.print_names(_cell(rtc), names.kind_of(" ".join(words)))
+    known = with_taught(Cell.load(_cell(rtc)), rtc.run_dir)
+    names.print_names(_cell(rtc), known, names.kind_of(" ".join(words)))
 
 
 def _help(_: Client, __: list[str]) -> None:
@@ -220,7 +222,7 @@ def _names(rtc: Client, far: bool) -> Names:
     """The names of the cell; over tcp, those in the world. None if it does not answer: the shell starts anyway."""
     try:
         if not far:
-            return CellNames(Cell.load(_cell(rtc)))
+            return CellNames(with_taught(Cell.load(_cell(rtc)), rtc.run_dir))
         return sorted({fact.key.partition(".")[0] for fact in rtc.world.view().facts})
     except RtcError:
         return []

@@ -38,6 +38,7 @@ COMMANDS = {
     "why": "trace",
     "cell": "cell",
     "names": "names",
+    "teach": "teach",
     "world": "world",
     "load": "programs",
     "outcomes": "programs",

@@ -13,6 +13,7 @@ from rtc.cells.cell import Cell
 from rtc.cells.parts import Camera, Object, Place, Region, Seat
 from rtc.cli.cluster_cell import cell_of
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
+from rtc.cli.teach import with_taught
 from rtc.language.alike import nearest_words
 from rtc.language.record import hand_in_words
 from rtc.robot.axis_names import AXES
@@ -48,23 +49,22 @@ def names(
     """
     wanted = kind_of(kind)
     what = cell or cell_of(run_dir)
+    known = Cell.load(what) if cell else with_taught(Cell.load(what), run_dir)
     if json:
-        found = _found(what, wanted)
+        found = _found(known, wanted)
         emit_json({"cell": what, "names": {kind: [row._asdict() for row in rows] for kind, rows in found.items()}})
         return
-    print_names(what, wanted)
+    print_names(what, known, wanted)
 
 
-def _found(cell: str, kind: str) -> dict[str, list[NameEntry]]:
-    known = Cell.load(cell)
-    return {name: rows(known) for name, (rows, _) in KINDS.items() if kind in ("", name)}
+def _found(cell: Cell, kind: str) -> dict[str, list[NameEntry]]:
+    return {name: rows(cell) for name, (rows, _) in KINDS.items() if kind in ("", name)}
 
 
-def print_names(cell: str, kind: str) -> None:
+def print_names(title: str, known: Cell, kind: str) -> None:
     """`kind`: a row of KINDS; empty: all."""
-    console.print(Text(f"cell {cell}"))
-    known = Cell.load(cell)
-    for name, rows in _found(cell, kind).items():
+    console.print(Text(f"cell {title}"))
+    for name, rows in _found(known, kind).items():
         console.print()
         console.print(Text(name, style="bold") + Text(f"   such as: {KINDS[name][1](known)}", style="dim"))
         out = table("", "", "")

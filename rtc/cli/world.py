@@ -1,4 +1,4 @@
-"""rtc world: shows the facts of the world database with age, source and validity. Reads only."""
+"""rtc world: shows the facts of the world database with age, source and validity; `reset` alone changes some."""
 
 from __future__ import annotations
 
@@ -12,17 +12,23 @@ import msgspec
 import typer
 from rich.text import Text
 
+from rtc.cells.cell import Cell
 from rtc.cells.scene import centimetres, degrees
-from rtc.cli.output import AsJson, RunDir, With, console, emit_json, seconds, table, trouble
+from rtc.cells.taught import arm_of
+from rtc.cli.cluster_cell import cell_of
+from rtc.cli.output import AsJson, RunDir, With, console, emit_json, exit_code, seconds, table, trouble
+from rtc.cli.progress import print_result
 from rtc.client.client import Client
 from rtc.protocol.messages import Fact, Validity, View
-from rtc.protocol.outcomes import RtcError
+from rtc.protocol.outcomes import OutcomeKind, RtcError
 from rtc.world.client import WorldClient
 from rtc.world.spread import in_words
 
 BROKER_S = 1.0  # maximum wait for what the arms are doing; the facts are shown without a broker too
 HISTORY = 1000  # maximum number of facts of one key that `at` searches
 COLOUR = {Validity.VALID: "green", Validity.SUSPECT: "bold yellow", Validity.INVALID: "red", Validity.CHANGING: "cyan"}
+
+RESET = "SET WORLD FACTS INITIAL"
 
 Key = Annotated[str, typer.Argument(help="A fact (MACS-NEW.frame) or all of a location (MACS-NEW).")]
 
@@ -135,6 +141,33 @@ def at(
     _show(newest.values(), json, version)
 
 
+@app.command()
+def reset(json: AsJson = False, run_dir: RunDir = None) -> None:
+    """Put the facts of all objects and seats back to those of the cell. No body is moved, neither simulated nor real.
+
+    It is the sentence SET WORLD FACTS INITIAL: an analyzer writes the facts. Joints and hands keep theirs, because they
+    are measured; taught places stay. Refused while a command is in progress or a hand holds something.
+
+    Example:  rtc world reset
+    """
+    with Client(run_dir) as client:
+        if live := client.status()["commands"]:
+            running = ", ".join(row["command"] for row in live)
+            raise trouble(f"in progress: {running}; wait for the end, or halt: rtc halt", 2)
+        ended = client.run(RESET)
+        seen = sorted({tag.body for tag in Cell.load(cell_of(run_dir)).tags})
+    if ended.outcome.kind is not OutcomeKind.SUCCEEDED:
+        print_result(ended, RESET, console)
+        raise typer.Exit(exit_code([ended.outcome.kind]))
+    hint = f"a body that was moved is not where the facts say: first LOCATE it ({', '.join(seen)})"
+    hint = hint if seen else "a body that was moved is not where the facts say: state where it is by SET, or VERIFY it"
+    if json:
+        emit_json({"command": ended.command, "moved": [], "hint": hint})
+    else:
+        console.print(Text(f"the facts are those of the cell again ({ended.command}); no body was moved"))
+        console.print(Text(hint))
+
+
 def _motions(rtc: Client) -> list[dict[str, Any]]:
     """What the arms are doing, as the broker knows it; empty without a broker that answers."""
     try:
@@ -192,7 +225,8 @@ def shown(value: Any) -> str:
 def stated(fact: Fact) -> str:
     """The value; for a pose also its spread."""
     words = in_words(fact.spread)
-    value = UNITS.get(fact.key.rpartition(".")[2], shown)(fact.value)
+    attribute = fact.key.rpartition(".")[2]
+    value = UNITS.get("joints" if arm_of(attribute) else attribute, shown)(fact.value)
     return f"{value} +- {words}" if words else value
 
 

@@ -148,6 +148,12 @@ def default_run_dir() -> Path:
     return Path(base) / "rtc" if base else Path(f"/tmp/rtc-{os.getuid()}")
 
 
+def data_dir() -> Path:
+    """Directory of this user's data that outlive a run: XDG_DATA_HOME from the environment, or ~/.local/share."""
+    base = os.environ.get("XDG_DATA_HOME")
+    return (Path(base) if base else Path.home() / ".local" / "share") / "rtc"
+
+
 def systemd_socket() -> str:
     """NOTIFY_SOCKET from the environment: the address for `sd_notify`; empty if systemd expects no notification."""
     return os.environ.get("NOTIFY_SOCKET", "")

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import msgspec
 import zmq
 
 from rtc.protocol import wire
-from rtc.protocol.messages import Dropped, ToWorld
+from rtc.protocol.messages import Dropped, ToWorld, WorldChange
 from rtc.protocol.outcomes import WireError
 from rtc.runtime import damaged_database, fork_server, handover, process
 from rtc.runtime.memory_guard import MemoryGuard
@@ -23,6 +24,9 @@ from rtc.world import lease
 from rtc.world.model import initial_facts
 from rtc.world.server import Packer, Server, make_suspect
 from rtc.world.store import Store
+
+if TYPE_CHECKING:
+    from rtc.cells.cell import Cell
 
 FILE = "world.db"
 BORN = b"world"  # marker in the role's handover data: the database has begun in this run
@@ -75,12 +79,31 @@ def _begin(me: Process, given: handover.Handover, store: Store) -> None:
     if new:
         from rtc.cells.cell import Cell
 
-        store.write("cell", initial_facts(Cell.load(given.settings.cell)), source="cell", at_s=now_s())
+        cell = Cell.load(given.settings.cell)
+        store.write("cell", initial_facts(cell), source="cell", at_s=now_s())
+        if places := _taught(me, cell):
+            store.write("taught", places, source="taught", at_s=now_s())
     if version:
         make_suspect(store, f"{lease.DOUBT}{store.version + 1}", why, _fixed(given.settings), now_s())
         me.note(f"{why}; facts of arms and things are suspect")
     store.save()
     given.remember("world", BORN, store.version)
+
+
+def _taught(me: Process, cell: Cell) -> list[WorldChange]:
+    """The places taught in earlier runs. A file that cannot be read is reported."""
+    from rtc.cells import taught, taught_file
+
+    try:
+        known = taught_file.load(cell)
+    except (OSError, msgspec.MsgspecError) as error:
+        me.note(f"the taught places in {taught_file.file_of(cell)} cannot be read: {error}")
+        return []
+    return [
+        WorldChange(key=taught.key_of(place, arm), value=joints)
+        for place, by_arm in known.items()
+        for arm, joints in by_arm.items()
+    ]
 
 
 def _fixed(settings: Settings) -> list[str]:

@@ -312,3 +312,28 @@ def test_what_is_deleted_in_the_directory_comes_back_and_without_the_directory_t
         assert second.returncode == 0 or "was renamed or removed" in second.stdout + second.stderr
         gone(pids)
         assert last_speed_rad_s(telemetry) < 0.001  # it was braked before the cluster ended
+
+
+def test_a_taught_place_is_known_in_the_next_run_and_a_reset_keeps_it(run_dir):
+    assert up(run_dir).returncode == 0
+    assert "P1" in deploy("teach", "P1", "RIGHT-ARM", run_dir=run_dir).stdout
+    assert deploy("teach", "RACK-1", "RIGHT-ARM", run_dir=run_dir).returncode == 2  # the name of a seat
+    with Client(run_dir) as client:
+        hold = client.submit("HOLD LEFT-ARM")
+        busy = deploy("world", "reset", run_dir=run_dir)
+        assert (busy.returncode, hold.number in busy.stderr) == (2, True)
+        hold.halt()
+        hold.wait(LIMIT_S)
+    assert deploy("do", "SET MACS-NEW FRAME 80 -70 60 CM", run_dir=run_dir).returncode == 0
+    assert deploy("world", "reset", run_dir=run_dir).returncode == 0
+    with Client(run_dir) as client:
+        (frame,) = client.world.view(keys=["MACS-NEW.frame"]).facts
+    assert frame.value[:3] == pytest.approx([0.8, -0.8, 0.6])
+    deploy("down", run_dir=run_dir)
+    assert up(run_dir).returncode == 0
+    assert "P1" in deploy("names", "places", run_dir=run_dir).stdout
+    assert deploy("do", "STOW RIGHT-ARM", "MOVE RIGHT-ARM TO P1", run_dir=run_dir).returncode == 0
+    assert deploy("teach", "P1", "--forget", run_dir=run_dir).returncode == 0
+    assert deploy("do", "MOVE RIGHT-ARM TO P1", run_dir=run_dir).returncode == 2
+    deploy("down", run_dir=run_dir)
+    assert json.loads(deploy("teach", "--json", run_dir=run_dir).stdout)["places"] == {}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from rtc.cells import taught_file
+from rtc.cells.cell import Cell
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     Commit,
@@ -191,6 +193,20 @@ def test_a_new_run_begins_with_the_cell_and_trusts_it(given):
     store, notes = begun(given)
     assert notes == []
     assert validity(store, "MACS-NEW.frame") is Validity.VALID
+
+
+def test_a_new_run_knows_the_places_that_were_taught_before(given, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    file = taught_file.save(Cell.load("swapout"), {"P1": {"RIGHT-ARM": [0.1] * 6}})
+    store, notes = begun(given)
+    assert store.facts["P1.posture_of_right_arm"].value == [0.1] * 6
+    assert notes == []
+    store.close()
+    (given.settings.path / "world.db").unlink()
+    file.write_bytes(b"no json")
+    store, notes = begun(given)
+    assert any(str(file) in note for note in notes)  # reported, and the cluster starts
+    assert validity(store, "MACS-NEW.mass") is Validity.VALID
 
 
 def test_a_restart_believes_what_it_knew(given):

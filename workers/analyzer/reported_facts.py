@@ -10,10 +10,11 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from rtc.cells import taught
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry, hinges
-from rtc.world.model import problem
+from rtc.world.model import initial_facts, location, problem
 from rtc.world.spread import even
 from workers.planning.world_query import WorldQuery
 
@@ -33,6 +34,8 @@ def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) ->
         wrong = problem(change) or PLAUSIBLE.get(attribute, _anything)(key, value, values)
         if wrong:
             return _refused(wrong, key, "repeat it with the correct value and unit")
+        if value and (arm := taught.arm_of(attribute)) and (beyond := _beyond_limits(arm, value, query)):
+            return beyond
         following = FOLLOWS[attribute](thing, value, query, values) if attribute in FOLLOWS else []
         if isinstance(following, Refusal):
             return following
@@ -58,6 +61,11 @@ def _near(key: str, value: Any, values: Values) -> str:
 
 def _heavy(key: str, value: Any, values: Values) -> str:
     return "" if value > 0 else f"{key} must be more than 0 kg"
+
+
+def _beyond_limits(arm: str, joints: list[float], query: WorldQuery) -> Refusal | None:
+    margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
+    return query.model.arms[arm].why_not_within(joints, margin_rad)
 
 
 PLAUSIBLE: dict[str, Callable[[str, Any, Values], str]] = {"frame": _near, "mass": _heavy}
@@ -167,4 +175,19 @@ def seat_at(frame: Any, query: WorldQuery, within_m: float, within_rad: float = 
     return min(near, key=lambda name: away_m[name], default="")
 
 
-FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes | Refusal]] = {"frame": _placed}
+def _initial(_: str, __: Any, query: WorldQuery, ___: Values) -> Changes:
+    """The facts of all objects and seats as in the cell; those that it does not have lose their value."""
+    arms, seats = ({part.name for part in group} for group in (query.cell.arms, query.cell.seats))
+    begin = {change.key: change for change in initial_facts(query.cell) if location(change.key) not in arms}
+    things = {thing.name for thing in query.cell.objects} | seats
+    begin |= {
+        key: WorldChange(key=key, value=query.cell.seat(location(key)).frame.pose.tolist())
+        if key.endswith(".frame") and location(key) in seats
+        else WorldChange(key=key, value=None)
+        for key in query.world.facts
+        if location(key) in things and key not in begin
+    }
+    return list(begin.values())
+
+
+FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes | Refusal]] = {"frame": _placed, "facts": _initial}

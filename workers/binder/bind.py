@@ -11,14 +11,16 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 
+from rtc.language.record import hand_in_words
 from rtc.language.units import in_words
 from rtc.programs import expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, StopClass
-from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Limits
+from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     HandMotion,
@@ -416,18 +418,37 @@ def bind_assignment(task: BindTask) -> BoundStep | Refusal:
     return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
 
 
+def _now(task: BindTask, stated: Any) -> Any:
+    """A stated value; {"now": KEY} stands for the value of that fact now, refused if it is not valid."""
+    if not isinstance(stated, dict):
+        return stated
+    fact = task.query.world.get(stated["now"])
+    if fact is not None and fact.validity is Validity.VALID:
+        return fact.value
+    arm = stated["now"].partition(".")[0]
+    return Refusal(
+        reason=RefusalReason.SUSPECT,
+        message=f"{stated['now']} is {fact.validity.value if fact else 'unknown'}: where {arm} stands is not sure",
+        where=stated["now"],
+        clears=f"the next motion reads the joints first, such as HOLD {hand_in_words(arm)} FOR 1 SEC",
+    )
+
+
 def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
     """The facts stated by the command, as a report (A24); the analyzer judges and writes them."""
     context = task.data.context
     if not context.stated:
         return refused_program("the command states no facts", "a script for a command that states facts")
+    facts = {key: _now(task, value) for key, value in context.stated.items()}
+    if unsure := next((value for value in facts.values() if isinstance(value, Refusal)), None):
+        return unsure
     report = EndReport(
         primitive=task.data.primitive_id,
         performer=TELLER,
         reason=StopReason.GOAL,
         at_s=0.0,  # no motion, so there is no arm time
         duration_s=0.0,
-        facts=context.stated,
+        facts=facts,
     )
     return BoundStep(report=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="stated")
 

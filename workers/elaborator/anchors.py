@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry, hinges
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
+from workers.planning.world_query import WorldQuery
 
 ALONG_BAR = (1.0, 0.0, 0.0)  # tool x
 
@@ -112,22 +112,21 @@ def _wrong_units(candidate: TaskCandidate, slides: list[int], lengths: list[int]
     return f"{arm.joints[wrong]} of {arm.name} {'slides: its value is a length' if wrong in slides else 'turns'}"
 
 
-def refuse_unknown_place(cell: Cell, name: str) -> Refusal | None:
-    """The refusal for a name that is not a place of the cell; None if it is one."""
-    if any(place.name == name for place in cell.places):
+def refuse_unknown_place(query: WorldQuery, name: str) -> Refusal | None:
+    """The refusal for a name that is not a place of the cell or a taught one; None if it is one."""
+    if any(place.name == name for place in query.places):
         return None
-    if any(thing.name == name for thing in cell.objects):
+    if any(thing.name == name for thing in query.cell.objects):
         message = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
         return Refusal(reason=RefusalReason.NAME, message=message, nearest=[name], clears="use one of the two forms")
-    return suggestions.unknown("place", name, [place.name for place in cell.places])
+    return suggestions.unknown("place", name, [place.name for place in query.places])
 
 
 def named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
-    """The pose or the joint values of a named place of the cell, for this arm."""
-    cell = candidate.query.cell
-    if (unknown := refuse_unknown_place(cell, name)) is not None:
+    """The pose or the joint values of a named place, for this arm."""
+    if (unknown := refuse_unknown_place(candidate.query, name)) is not None:
         return unknown
-    place = cell.place(name)
+    place = next(place for place in candidate.query.places if place.name == name)
     joints = place.joints_rad(candidate.arm.name)
     if joints is not None:
         return Anchor(joints=joints)

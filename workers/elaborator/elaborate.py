@@ -244,7 +244,7 @@ def _script(
     for need in script.needs:
         problem = problem or preconditions.refuse_if_unmet(need, candidate)
     if problem is None and (place := candidate.parsed.place) is not None and place.name:
-        problem = anchors.refuse_unknown_place(candidate.query.cell, place.name)  # a wrong name before doubtful facts
+        problem = anchors.refuse_unknown_place(candidate.query, place.name)  # a wrong name before doubtful facts
     unsure = _unsure_grasp(script, candidate) if candidate.hand else None
     if unsure is not None and not can_be_seen(unsure.where, candidate):
         problem = problem or unsure

@@ -49,7 +49,7 @@ def _leaves(query: WorldQuery, arm: str) -> Iterator[tuple[str, str, Floats]]:
     """Rows of the advice, with a named place if there is one, and the joint values (rad) of the arm there."""
     spec, model = query.cell.arm(arm), query.model.arms[arm]
     yield "way_stow", "", spec.stow_rad
-    for place in query.cell.places:
+    for place in query.places:
         joints: Floats | None = place.joints_rad(arm)
         if joints is None and (frame := place.poses.get(arm)) is not None:
             joints = next(iter(model.ik(frame.pose.tolist(), query.joints(arm), _margin_rad(query))), None)

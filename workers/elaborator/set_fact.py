@@ -17,7 +17,7 @@ from rtc.protocol.messages import Script, ScriptContext, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry, hinges
 from rtc.robot.geometry import Array
-from workers.elaborator import command_fields, preconditions
+from workers.elaborator import command_fields, preconditions, teach
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 
@@ -29,6 +29,10 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
     misplaced = command_fields.refuse_unused_field(parsed, file.script, file.uses)
     if misplaced is not None:
         return misplaced
+    if teach.is_posture(parsed):
+        return _script(file, parsed, parsed.object or "", teach.posture(parsed, query))
+    if teach.is_world(parsed, query):
+        return _script(file, parsed, parsed.object or "", teach.world(program, parsed, query))
     things: dict[str, Thing] = {thing.name: thing for thing in query.cell.objects}
     things |= {seat.name: seat for seat in query.cell.seats}
     thing = things.get(parsed.object or "")
@@ -37,26 +41,34 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
     facts = _facts(program, parsed, thing, query)
     if isinstance(facts, Refusal):
         return facts
-    texts = {
-        "object": thing.name,
-        "attribute": parsed.attribute or "",
-        "value": _shown(parsed),
-    }
     inside = [key.rpartition(".")[0] for key in facts]
     inside += _seated(thing.name, query) if isinstance(thing, parts.Seat) else []
     if f"{thing.name}.frame" in facts and (holder := query.held_by(thing.name)):
         inside.append(holder)  # the hand's `holding` and the grasp follow from the frame
+    return _script(file, parsed, thing.name, (facts, [thing.name, *inside]))
+
+
+def _script(file: ScriptFile, parsed: ParsedCommand, name: str, stated: teach.Stated | Refusal) -> Script | Refusal:
+    """The script that states these facts, or the refusal of them."""
+    if isinstance(stated, Refusal):
+        return stated
+    facts, concerned = stated
+    texts = {
+        "object": name,
+        "attribute": parsed.attribute or "",
+        "value": _shown(parsed),
+    }
     return Script(
         context=ScriptContext(
             verb=parsed.verb,
             script=file.script,
-            object=thing.name,
+            object=name,
             stated=facts,
         ),
         case=file.case,
         steps=[Step(do=step.do, label=_fill_in(step.label, texts), expect=step.expect) for step in file.steps],
-        resources=_names(file.resources, [thing.name, *inside]),
-        writes=_names(file.writes, [thing.name, *inside]),
+        resources=_names(file.resources, concerned),
+        writes=_names(file.writes, concerned),
     )
 
 

@@ -38,7 +38,7 @@ def advise_on_collision(
         or _at_goal(refusal, query, body)
         or ("way_shared" if query.sharers(arm) else "way")
     )
-    known = [place for place in query.cell.places if arm in place.poses or arm in place.joints_deg]
+    known = [place for place in query.places if arm in place.poses or arm in place.joints_deg]
     places = [place.name for place in known if place.name != goal]
     texts = {
         "arm": hand_in_words(arm),

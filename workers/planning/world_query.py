@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtc.cells import cell as cells
-from rtc.cells import parts
+from rtc.cells import parts, taught
 from rtc.language.record import hand_in_words
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -54,6 +54,17 @@ class WorldQuery:
     @property
     def cell(self) -> cells.Cell:
         return self.model.cell
+
+    @property
+    def taught_places(self) -> list[parts.Place]:
+        """Those that the cell does not have: see `rtc.cells.taught`."""
+        values = ((key, fact.value) for key, fact in self.world.facts.items())
+        return taught.as_places(self.cell, taught.postures(values))
+
+    @property
+    def places(self) -> list[parts.Place]:
+        """The places of the cell, and the taught ones."""
+        return [*self.cell.places, *self.taught_places]
 
     # --- facts ---------------------------------------------------------------------------------------------
 
