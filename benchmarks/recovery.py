@@ -278,7 +278,7 @@ def run(stack: ExitStack, kills: int, kinds: list[str], hosts: TwoHosts | None) 
                     f"{kind}_known_p99_ms": percentile(bench.loss_known_s, 99) * 1e3,
                 }
                 rows.append(("  of which until the broker knows", spread(bench.loss_known_s, 1e3, "ms")))
-    bench.journal.read()
+    bench.journal.close()
     verdict = judge(errands.done, bench.journal, run_dir, bench.chaos.strikes)
     verdict.print_faults()
     metrics |= {

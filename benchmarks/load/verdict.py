@@ -57,6 +57,8 @@ class JournalReader:
         return new
 
     def close(self) -> None:
+        """Read the rest and close the journal; the events stay."""
+        self.read()
         self._over.set()
         if self._follower is not None:
             self._follower.join()

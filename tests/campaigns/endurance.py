@@ -70,7 +70,7 @@ def main() -> None:
         while chaos.missing and time.monotonic() - began_s - took_s < BACK_LIMIT_S:
             chaos.returned()
             time.sleep(LOOK_S)
-        journal.read()
+        journal.close()
         verdict = judge(errands.done, journal, run_dir, chaos.strikes)
         with Client(run_dir) as rtc:
             verdict.wrong += _false_beliefs(rtc)

@@ -76,7 +76,7 @@ class Campaign:
             self._wait_until(lambda: not self._workers() & self._far)
 
     def verdict(self) -> Verdict:
-        self.journal.read()
+        self.journal.close()
         return judge(self.errands, self.journal, self._run_dir, [])
 
     def stale(self) -> int:

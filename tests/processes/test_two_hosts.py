@@ -87,7 +87,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 
 def judged(errands: Errands, journal: JournalReader, run_dir: Path) -> Verdict:
-    journal.read()
+    journal.close()
     return judge(errands.done, journal, run_dir, [])
 
 
