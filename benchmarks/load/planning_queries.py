@@ -21,6 +21,7 @@ from workers.planning.motion import path as paths
 from workers.planning.motion.constraints import FREE, PathConstraints
 from workers.planning.motion.request import PlanningRequest, fault, free_posture
 from workers.planning.robot_models import CellModel
+from workers.planning.world_query import CLEARANCE_M
 
 TRIES = 2000  # maximum number of samples for one free posture
 OFF_M, OFF_RAD = (0.45, 0.30, 0.25), 0.5  # range of a goal near a seat: along and across its way in, and attitude
@@ -67,7 +68,7 @@ class Queries:
     def _block(self) -> tuple[PlanningRequest, str]:
         """A scene in which all arms are free, and what this arm holds."""
         holds = self._things[self._rng.integers(len(self._things))] if self._rng.random() < 0.5 else None
-        scene = Scene(moving=self._arm.name)
+        scene = Scene(moving=self._arm.name, clearance_m=CLEARANCE_M)
         rules = FREE if self._attitude is None else PathConstraints(attitude=self._attitude, attitude_name="kept")
         if holds is not None:
             point = holds.grasp_points[self._rng.integers(len(holds.grasp_points))]

@@ -1,13 +1,11 @@
 """Peer of `benchmarks.planning`: the direct ways alone, as before the sampling planner.
 
-A line in joint space, a straight line of the hand, and up to 24 splines with the hand raised or drawn back. All are
-tried with the clearance of freely chosen ways, then without.
+A line in joint space, a straight line of the hand, and up to 24 splines with the hand raised or drawn back.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 from toppra import SplineInterpolator
@@ -25,9 +23,7 @@ RAISE_M, BACK_M = (0.0, 0.15, 0.30), (0.0, 0.10, 0.20)
 
 def find(request: PlanningRequest, goal: Array) -> Path | None:
     """The first direct way that is free."""
-    roomy = replace(request, scene=plan.roomy_scene(request, goal))
-    requests = [roomy] if roomy.scene is request.scene else [roomy, request]
-    return next((way for asked in requests for way in _ways(asked, goal) if fault(asked, way) is None), None)
+    return next((way for way in _ways(request, goal) if fault(request, way) is None), None)
 
 
 def _ways(request: PlanningRequest, goal: Array) -> Iterator[Path]:

@@ -8,7 +8,7 @@ which contacts are intended.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -34,12 +34,15 @@ class Collision:
     body_b: str
     distance_m: float
     point: tuple[float, float, float]  # world frame, midway between the nearest points
+    margin_m: float = 0.0  # the clearance of this pair
 
     def refusal(self, where: str = "") -> Refusal:
-        verb = "collides with" if self.distance_m <= 0 else f"comes within {self.distance_m * 1000:.0f} mm of"
+        verb, needed = "collides with", ""
+        if self.distance_m > 0:
+            verb, needed = f"comes within {_mm(self.distance_m)} of", f" ({_mm(self.margin_m)} needed)"
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
-            message=f"{self.body_a} {verb} {self.body_b}" + (f" {where}" if where else ""),
+            message=f"{self.body_a} {verb} {self.body_b}{needed}" + (f" {where}" if where else ""),
             where=where,
             clears=f"another goal: {self.body_b.split()[0]} is in the way",
             detail={
@@ -47,11 +50,16 @@ class Collision:
                 "body_a": self.body_a,
                 "body_b": self.body_b,
                 "distance_m": self.distance_m,
+                "margin_m": self.margin_m,
                 "x_m": self.point[0],
                 "y_m": self.point[1],
                 "z_m": self.point[2],
             },
         )
+
+
+def _mm(metres: float) -> str:
+    return f"{math.floor(1e4 * metres + 1e-6) / 10:g} mm"  # never more than there is
 
 
 @dataclass(frozen=True)
@@ -62,10 +70,34 @@ class PathCollision:
 
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
 GROUP = 3  # configurations of a path that one check may prove free
+FINER = 4  # parts of a step that is checked more finely
 LEAST_GROUPED = 7  # a shorter path is checked one by one
+STRIDE = 4  # configurations between two measurements of the room along a path
 WIDER_M = 1e-4  # tolerance of distances in the check of a group
 KEPT_SCENES = 64  # maximum number of scenes whose active pairs and margins are kept
 DEEPER_M = 0.0002  # tolerance for noise of joint values and of penetration depths
+
+
+class _WiderMargins:
+    """A second set of margins for the pairs of a scene."""
+
+    def __init__(self, made: bodies.Bodies) -> None:
+        self._bodies = made
+        self._data = made.geometry.createData()
+        self._manager = pin.BroadPhaseManager_NaiveCollisionManager(made.model, made.geometry, self._data)
+        self._callback = pin.CollisionCallBackDefault(made.geometry, self._data, True)
+        self._active = np.ones(len(made.pairs), dtype=bool)
+
+    def put_in_force(self, pairs: Pairs, margins: np.ndarray) -> None:
+        """The active pairs of a scene, with these margins (m) [piece][piece]."""
+        if not np.array_equal(self._active, pairs.active):
+            self._data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
+            self._active = pairs.active
+        self._data.setSecurityMargins(self._bodies.geometry, margins)
+
+    def touch(self, data: pin.Data, q: Array) -> bool:
+        """Whether any pair is nearer than its margin."""
+        return bool(pin.computeCollisions(self._bodies.model, data, self._manager, self._callback, q))
 
 
 class CollisionWorld:
@@ -82,13 +114,9 @@ class CollisionWorld:
             self._bodies.model, self._bodies.geometry, self._geometry_data
         )
         self._callback = pin.CollisionCallBackDefault(self._bodies.geometry, self._geometry_data, True)
-        # A second set of margins, wide enough to prove that neighbouring configurations are free too.
-        self._wide_data = self._bodies.geometry.createData()
-        self._wide_manager = pin.BroadPhaseManager_NaiveCollisionManager(
-            self._bodies.model, self._bodies.geometry, self._wide_data
-        )
-        self._wide_callback = pin.CollisionCallBackDefault(self._bodies.geometry, self._wide_data, True)
-        self._active = self._wide_active = np.ones(len(self._bodies.pairs), dtype=bool)
+        self._active = np.ones(len(self._bodies.pairs), dtype=bool)
+        # Further sets of margins, wide enough to prove that a group of configurations is free, or the way between two.
+        self._large, self._group, self._step = (_WiderMargins(self._bodies) for _ in range(3))
         self._q = pin.neutral(self._bodies.model)
         self._scene: Scene | None = None
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
@@ -122,8 +150,8 @@ class CollisionWorld:
         start a path in contact, but a path never moves deeper into contact.
 
         Groups of neighbouring configurations are checked at once, with a margin as wide as any pair can come nearer
-        within the group (`rtc.robot.levers`). Only a group that is not free at that margin is checked one by one, so
-        the result is that of checking every configuration.
+        within the group (`rtc.robot.levers`). Only a group that is not free at that margin is checked one by one, and
+        between its configurations too. So the whole path is free, not only the configurations.
         """
         if not len(configurations):
             return None
@@ -132,26 +160,24 @@ class CollisionWorld:
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
         leaving: dict[int, float] = {}  # pair -> greatest distance so far
-        grouped, free_until = len(configurations) >= LEAST_GROUPED, 0
-        if grouped:
-            self._widen(slots, np.asarray(configurations), group)
+        grouped, proven = len(configurations) >= LEAST_GROUPED, False
+        self._widen(slots, np.asarray(configurations), group)
+        index, large_from = 0, 1
         try:
-            for index, configuration in enumerate(configurations):
-                if grouped and index % group == 1 and not leaving:
-                    some = configurations[index : index + group]
-                    free_until = index + len(some) if self._all_free(slots, some) else index
-                if index < free_until and not leaving:
-                    continue
-                self._q[slots] = configuration
-                hit = self._ask()
-                if hit is not None and index == 0:
-                    leaving, hit = self._let_leave(), None
-                while hit is not None and self._touched_at(slots, configurations[0], configuration, hit, leaving):
-                    hit = self._ask()
-                if hit is None and leaving and index > 0:
-                    hit = self._left(slots, configurations[index - 1], configuration, leaving)
-                if hit is not None:
-                    return PathCollision(index, hit)
+            while index < len(configurations):
+                count, free = 1 if index == 0 else GROUP, False
+                if grouped and index > 0 and not leaving:
+                    if group > GROUP and index >= large_from:
+                        large_from = index + group
+                        free = self._all_free(slots, configurations[index : index + group], self._large)
+                        count = group if free else GROUP
+                    free = free or self._all_free(slots, configurations[index : index + GROUP], self._group)
+                last = min(index + count, len(configurations))
+                for n in range(index, last) if not free else [] if proven else [index]:
+                    hit = self._at(slots, configurations, n, leaving)
+                    if hit is not None:
+                        return PathCollision(n, hit)
+                index, proven = last, free
         finally:
             for pair in leaving:
                 self._geometry_data.activateCollisionPair(pair)
@@ -191,7 +217,7 @@ class CollisionWorld:
     def _first_hit(self, slots: list[int], configurations: Array, first: int, grouped: bool) -> int | None:
         """The first configuration in collision of the group that begins at `first`; None if all of it are free."""
         group = configurations[first : first + GROUP]
-        if grouped and self._all_free(slots, group):
+        if grouped and self._all_free(slots, group, self._group):
             return None
         for n, configuration in enumerate(group, first):
             self._q[slots] = configuration
@@ -218,6 +244,10 @@ class CollisionWorld:
         found = [self._describe(pair) for pair in pairs]
         return min(found, key=lambda collision: collision.distance_m, default=None)
 
+    def radius_m(self, name: str) -> float:
+        """Radius of a ball around the origin of a seat, object or region that contains it; 0 without shapes."""
+        return self._radius_m.get(name, 0.0)
+
     def load_levers(self, arm: str, scene: Scene) -> Array:
         """How far a point of what this arm holds moves at most (m per rad of each joint); zeros for an empty hand."""
         if scene is not self._scene:
@@ -231,15 +261,46 @@ class CollisionWorld:
         """All pairs of a link of this arm and another body that are nearer than the clearance of the scene. The link is
         first; what the arm holds is left out."""
         self._set(joints, scene)
-        data = self._geometry_data
-        pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
         mine = self._table.matching(arm) & self._table.arm_piece
         others = self._table.carriers(scene) != self._table.number[arm]
-        wanted = self._pairs.active & self._table.between(mine, others)
-        hits = [self._describe(n) for n in np.flatnonzero(wanted).tolist() if data.collisionResults[n].isCollision()]
+        wanted = self._table.between(mine, others)
+        hits = [self._describe(n) for n in self._hits() if wanted[n]]
         return [
             hit if hit.body_a.split()[0] == arm else replace(hit, body_a=hit.body_b, body_b=hit.body_a) for hit in hits
         ]
+
+    def too_near(self, joints: Mapping[str, Floats], scene: Scene) -> list[Collision]:
+        """All pairs that are nearer than their clearance in the scene."""
+        self._set(joints, scene)
+        if not self._touches_any():
+            return []
+        return [self._describe(pair) for pair in self._hits()]
+
+    def least_room(
+        self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene, hit: PathCollision
+    ) -> PathCollision:
+        """Where along a path the two bodies of a hit are nearest to each other; the hit itself if they collide there.
+
+        Every `STRIDE`-th configuration is measured, and those around the nearest of them.
+        """
+        self._set({**others, arm: configurations[0]}, scene)
+        table, slots = self._table, self._bodies.arms[arm].joints
+        bodies_of = (table.matching(name) for name in (hit.collision.body_a, hit.collision.body_b))
+        pairs = np.flatnonzero(table.between(*bodies_of) & self._pairs.active).tolist()
+        found: dict[int, Collision] = {}
+
+        def measure(rows: Iterable[int]) -> int:
+            for n in rows:
+                if n not in found:
+                    self._q[slots] = configurations[n]
+                    self._turn_hung(scene)
+                    self._place()
+                    found[n] = min(map(self._describe, pairs), key=lambda one: one.distance_m)
+            return min(found, key=lambda n: found[n].distance_m)
+
+        near = measure([*range(hit.index, len(configurations), STRIDE), len(configurations) - 1])
+        near = measure(range(max(hit.index, near - STRIDE + 1), min(len(configurations), near + STRIDE)))
+        return PathCollision(near, found[near]) if found[near].distance_m > 0 else hit
 
     # --- inside ------------------------------------------------------------------------------------------
 
@@ -266,6 +327,43 @@ class CollisionWorld:
             self._placed.pop(name, None)  # elsewhere than in the scene
             self._place_body(name, "", hinges.at_hand(hung.home, hung.axis, hung.range_rad, hung.point, tcp))
 
+    def _at(
+        self, slots: list[int], configurations: Sequence[Floats] | Array, index: int, leaving: dict[int, float]
+    ) -> Collision | None:
+        """What is wrong with one configuration of a path and with the way to it; `leaving` is brought up to date."""
+        configuration = configurations[index]
+        if index == 0:
+            self._q[slots] = configuration
+            leaving.update(self._let_leave() if self._touches_any() else {})
+            return None
+        before = configurations[index - 1]
+        if not leaving and self._is_proven(slots, before, configuration):
+            return None
+        hit = None if leaving else self._between(slots, before, configuration)
+        if hit is not None and not self._touched_at(slots, configurations[0], configuration, hit, leaving):
+            return hit
+        self._q[slots] = configuration
+        hit = self._ask()
+        while hit is not None and self._touched_at(slots, configurations[0], configuration, hit, leaving):
+            hit = self._ask()
+        if hit is None and leaving:
+            hit = self._left(slots, before, configuration, leaving)
+        return hit
+
+    def _is_proven(self, slots: list[int], before: Floats, after: Floats) -> bool:
+        """True if one check in the middle of two neighbouring configurations proves that the way is free, ends too."""
+        self._q[slots] = 0.5 * (np.asarray(before, dtype=float) + after)
+        return not self._step.touch(self._data, self._q)
+
+    def _between(self, slots: list[int], before: Floats, after: Floats) -> Collision | None:
+        """What is too near between two neighbouring configurations, in finer steps."""
+        way = np.asarray(after, dtype=float) - before
+        for n in range(1, FINER):
+            self._q[slots] = before + n / FINER * way
+            if (hit := self._ask()) is not None:
+                return hit
+        return None
+
     def _touches_any(self) -> bool:
         model = self._bodies.model
         return bool(pin.computeCollisions(model, self._data, self._manager, self._callback, self._q))
@@ -274,15 +372,16 @@ class CollisionWorld:
         return self._describe(self._callback.collisionPairIndex) if self._touches_any() else None
 
     def _widen(self, slots: list[int], configurations: Array, group: int = GROUP) -> None:
-        """Sets the wide margins: by as much as each pair can come nearer within half a group of a path."""
-        pairs = self._pairs
-        steps = group // 2 * np.abs(configurations[1:] - configurations[:-1]).max(axis=0)
+        """Sets the wider margins: by as much as each pair can come nearer within half a group, or half a step.
+
+        Half a step before and after the group belongs to it."""
+        steps = np.abs(configurations[1:] - configurations[:-1]).max(axis=0, initial=0.0)
         nearer = self._levers_of_pairs(slots) @ steps
-        if not np.array_equal(self._wide_active, pairs.active):
-            self._wide_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
-            self._wide_active = pairs.active
-        margins = self._table.as_matrix(pairs.margin + nearer + WIDER_M)
-        self._wide_data.setSecurityMargins(self._bodies.geometry, margins)
+        sets = [(self._group, GROUP), (self._step, 1)]
+        for margins, count in sets if group == GROUP else [(self._large, group), *sets]:
+            margins.put_in_force(
+                self._pairs, self._table.as_matrix(self._pairs.margin + 0.5 * count * nearer + WIDER_M)
+            )
 
     def _levers_of_pairs(self, slots: list[int]) -> Array:
         """The levers of an arm's joints on the distance of each pair, [pairs][joints]."""
@@ -292,21 +391,24 @@ class CollisionWorld:
             known = self._pair_levers[slots[0]] = of_pairs(levers[self._table.first], levers[self._table.second])
         return known
 
-    def _all_free(self, slots: list[int], group: Sequence[Floats] | Array) -> bool:
+    def _all_free(self, slots: list[int], group: Sequence[Floats] | Array, margins: _WiderMargins) -> bool:
         """True if one check in the middle of neighbouring configurations proves that all of them are free."""
         self._q[slots] = group[len(group) // 2]
-        model = self._bodies.model
-        return not pin.computeCollisions(model, self._data, self._wide_manager, self._wide_callback, self._q)
+        return not margins.touch(self._data, self._q)
 
     def _let_leave(self) -> dict[int, float]:
         """The pairs that are too near at the present configuration, with distances (m); `_ask` skips them."""
+        leaving = {n: self._describe(n).distance_m for n in self._hits()}
+        for pair in leaving:
+            self._geometry_data.deactivateCollisionPair(pair)
+        return leaving
+
+    def _hits(self) -> list[int]:
+        """All pairs that are too near at the present configuration."""
         data = self._geometry_data
         pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
         active = np.flatnonzero(self._pairs.active).tolist()
-        leaving = {n: self._describe(n).distance_m for n in active if data.collisionResults[n].isCollision()}
-        for pair in leaving:
-            data.deactivateCollisionPair(pair)
-        return leaving
+        return [n for n in active if data.collisionResults[n].isCollision()]
 
     def _touched_at(
         self, slots: list[int], start: Floats, here: Floats, hit: Collision, leaving: dict[int, float]
@@ -366,7 +468,7 @@ class CollisionWorld:
         first, second = self._bodies.pieces[i], self._bodies.pieces[j]
         if first.kind == "movable" and second.kind in ("arm", "base"):
             first, second = second, first
-        return Collision(first.label, second.label, float(distance), (x, y, z))
+        return Collision(first.label, second.label, float(distance), (x, y, z), float(self._pairs.margin[pair]))
 
     def _set(self, joints: Mapping[str, Floats], scene: Scene) -> None:
         if scene is not self._scene:
@@ -421,9 +523,9 @@ class CollisionWorld:
     def _switch(self, scene: Scene) -> None:
         """Sets the active pairs and the margins of a scene."""
         held = in_hands(scene)
-        unsure = tuple(scene.unsure_m.items()) if scene.keeps_unsure else ()
+        unsure, close = tuple(scene.unsure_m.items()), tuple(scene.close.items())
         lists = map(tuple, (scene.ignore, scene.near, scene.keep_out))
-        rules = (scene.moving, held, unsure, *lists, scene.clearance_m, scene.arms_apart_m)
+        rules = (scene.moving, held, unsure, close, *lists, scene.clearance_m, scene.arms_apart_m)
         pairs = self._pairs_of_scene.get(rules)
         if pairs is None:
             if len(self._pairs_of_scene) >= KEPT_SCENES:

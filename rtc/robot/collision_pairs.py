@@ -33,6 +33,7 @@ class PairTable:
         self.owner = np.array([self.number[p.owner] for p in pieces])
         self.arm_piece = np.array([p.kind == "arm" for p in pieces])
         self._part = np.array([p.part for p in pieces])
+        self._joint = np.array([item.parentJoint for item in bodies.geometry.geometryObjects])  # as the cell begins
         pairs = np.array(bodies.pairs, dtype=int).reshape(-1, 2)
         self.first, self.second = pairs[:, 0], pairs[:, 1]
         region_piece = np.array([p.kind == "region" for p in pieces])
@@ -54,16 +55,35 @@ class PairTable:
             active &= ~self.between(hand, self.owner == self.number[name])
         for a, b in scene.ignore:
             active &= ~self.between(self.matching(a), self.matching(b))
-        margin = np.where(carrier[first] == carrier[second], 0.0, scene.clearance_m)
+        margin = np.where(self._keeps_distance(scene, carrier), self._least_m(scene), 0.0)
         margin[self.touches(scene.near)] = 0.0
+        for (a, b), most_m in scene.close.items():
+            pair = self.between(self.matching(a), self.matching(b))
+            margin[pair] = np.minimum(margin[pair], most_m)
         if scene.arms_apart_m > 0.0:
             by_arm = np.isin(carrier, [self.number[arm] for arm in self._bodies.arms])
             two_arms = by_arm[first] & by_arm[second] & (carrier[first] != carrier[second])
             margin = np.where(two_arms, np.maximum(margin, scene.arms_apart_m), margin)
-        if scene.keeps_unsure:
-            for name, most_m in scene.unsure_m.items():
-                margin = np.where(self.touches([name]), np.maximum(margin, most_m), margin)
         return Pairs(active, margin, self.as_matrix(active), self.as_matrix(margin))
+
+    def _keeps_distance(self, scene: Scene, carrier: np.ndarray) -> np.ndarray:
+        """Mask of the pairs that a clearance applies to: two bodies that move apart, or a held one and its own arm.
+
+        The links behind the last joint of that arm keep their distance from what the hand holds.
+        """
+        apart: np.ndarray = carrier[self.first] != carrier[self.second]
+        for name, by in scene.held.items():
+            links = (self.owner == self.number[by.arm]) & (self._joint != self._bodies.arms[by.arm].hand_joint)
+            apart |= self.between(links, self.owner == self.number[name])
+        return apart
+
+    def _least_m(self, scene: Scene) -> np.ndarray:
+        """The clearance of each pair: that of the scene, but not less than both bodies may be off together."""
+        unsure_m = np.zeros(len(self.owner))
+        for name, most_m in scene.unsure_m.items():
+            unsure_m[self.matching(name)] = most_m
+        least: np.ndarray = np.maximum(scene.clearance_m, unsure_m[self.first] + unsure_m[self.second])
+        return least
 
     def carriers(self, scene: Scene) -> np.ndarray:
         """Number of the owner that moves each piece."""

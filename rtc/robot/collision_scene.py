@@ -36,11 +36,11 @@ class Scene:
     hung: Mapping[str, Hung] = field(default_factory=dict)  # by object
     openings_m: Mapping[str, float] = field(default_factory=dict)  # of the hands, by arm; default: fully open
     ignore: Iterable[tuple[str, str]] = ()  # pairs that may touch
-    clearance_m: float = 0.0  # minimum distance of arms and held objects
-    near: Iterable[str] = ()  # bodies exempt from the clearance, but not from contact
-    arms_apart_m: float = 0.0  # minimum distance of two arms from each other, with what they hold; without exemption
+    clearance_m: float = 0.0  # minimum distance of arms and held objects from others; of a held object from its arm too
     unsure_m: Mapping[str, float] = field(default_factory=dict)  # bodies that may be this far from their pose here
-    keeps_unsure: bool = False  # count these distances as clearance from those bodies
+    near: Iterable[str] = ()  # bodies exempt from both, but not from contact
+    close: Mapping[tuple[str, str], float] = field(default_factory=dict)  # pairs of pieces with a smaller clearance
+    arms_apart_m: float = 0.0  # minimum distance of two arms from each other, with what they hold; without exemption
     keep_out: Iterable[str] = ()  # regions that count as solid
     moving: str = ""  # the arm to check, pairs without it are ignored; empty: all arms
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import pybullet
 
@@ -16,11 +16,14 @@ AT_REST_RAD_S = 0.02
 class HeldModule:
     """The cell after these sentences; the last one moves the arm with the module."""
 
-    def __init__(self, arm: str, module: str, sentences: Iterable[str]) -> None:
+    def __init__(self, arm: str, module: str, sentences: Iterable[str], offset: Sequence[float] = ()) -> None:
+        """`offset`: of the module before them, which nothing knows (m, rad)."""
         self.arm, self.module = arm, module
         self.subsystem = Physical()
         self.bench = Bench(self.subsystem)
         self.sim = self.subsystem.sim
+        if any(offset):
+            self.subsystem.displace_and_turn(module, list(offset))
         for sentence in sentences:
             run = self.bench.do(sentence)
             assert run.succeeded, (sentence, run.refusal, run.assessments)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -213,7 +214,7 @@ def test_every_arm_must_be_somewhere(world, home):
         world.check({"RIGHT-ARM": home["RIGHT-ARM"]})
 
 
-def test_a_search_finds_the_same_first_contact_as_a_path_check(world, right, home):
+def test_a_search_finds_no_contact_that_a_path_check_does_not_find(world, right, home):
     random = np.random.default_rng(8)
     counted = 0
     for _ in range(60):
@@ -222,7 +223,50 @@ def test_a_search_finds_the_same_first_contact_as_a_path_check(world, right, hom
         if world.check({**home, "RIGHT-ARM": rows[0]}) is not None:
             continue
         hit = world.check_path("RIGHT-ARM", rows, home)
-        assert world.free_until("RIGHT-ARM", rows, home) == (len(rows) if hit is None else hit.index)
-        assert world.is_free("RIGHT-ARM", rows, home) is (hit is None)
+        until = world.free_until("RIGHT-ARM", rows, home)
+        assert until == len(rows) if hit is None else until >= hit.index  # a path check looks between the rows too
+        assert world.is_free("RIGHT-ARM", rows, home) is (until == len(rows))
         counted += hit is not None
     assert counted > 5
+
+
+def test_a_path_that_is_free_is_free_between_its_configurations_too(world, right, home):
+    """Random lines past everything, in steps of centimetres: the clearance holds at ten times as many."""
+    scene, random = Scene(clearance_m=0.02), np.random.default_rng(5)
+    near = 0
+    for _ in range(150):
+        ends = random.uniform(right.limits.lower, right.limits.upper, (2, 6))
+        rows = ends[0] + np.linspace(0.0, 0.1, random.integers(25, 40))[:, None] * (ends[1] - ends[0])
+        if world.check({**home, "RIGHT-ARM": rows[0]}, scene) or world.check_path("RIGHT-ARM", rows, home, scene):
+            continue
+        fine = ends[0] + np.linspace(0.0, 0.1, 10 * len(rows))[:, None] * (ends[1] - ends[0])
+        assert all(world.check({**home, "RIGHT-ARM": q}, replace(scene, clearance_m=0.0195)) is None for q in fine)
+        near += any(world.check({**home, "RIGHT-ARM": q}, replace(scene, clearance_m=0.05)) for q in fine)
+    assert near
+
+
+def test_a_held_object_keeps_the_clearance_from_its_own_arm(world, right, home):
+    """Also from the pedestal, but not from the links at the hand, which move with it."""
+    grasp = geometry.inverse((-0.15, -0.085, 0, 0, 0.5**0.5, 0, 0.5**0.5))
+    held = Scene(held={"MACS-NEW": Held("RIGHT-ARM", grasp)}, clearance_m=0.0)
+    random, found = np.random.default_rng(3), []
+    for q in random.uniform(right.limits.lower, right.limits.upper, (400, 6)):
+        joints = {**home, "RIGHT-ARM": q}
+        if world.check(joints, held) is None:
+            found += world.too_near(joints, replace(held, clearance_m=0.03, ignore=[("MACS-NEW", "MACS-OLD")]))
+    own = {hit.body_b for hit in found if hit.body_a.startswith("MACS-NEW") and hit.body_b.startswith("RIGHT-ARM")}
+    own |= {hit.body_a for hit in found if hit.body_b.startswith("MACS-NEW") and hit.body_a.startswith("RIGHT-ARM")}
+    assert "RIGHT-ARM pedestal" in own
+    assert not own & {"RIGHT-ARM palm", "RIGHT-ARM sensor", "RIGHT-ARM flange"}
+
+
+def test_the_spreads_of_two_bodies_add_up(world, home):
+    scene = Scene(moving="RIGHT-ARM", clearance_m=0.005, unsure_m={"RACK-1": 0.02, "MACS-NEW": 0.03})
+    held = replace(scene, held={"MACS-NEW": Held("RIGHT-ARM", (0.0, 0.0, 0.35, 0.0, 0.0, 0.0, 1.0))})
+    for one in world.too_near(home, replace(held, clearance_m=2.0)):
+        assert one.margin_m >= 0.005
+    margins = {
+        frozenset((hit.body_a.split()[0], hit.body_b.split()[0])): hit.margin_m
+        for hit in world.too_near(home, replace(held, unsure_m={"RACK-1": 1.2, "MACS-NEW": 1.3}))
+    }
+    assert margins[frozenset(("RACK-1", "MACS-NEW"))] == pytest.approx(2.5)

@@ -72,7 +72,7 @@ def test_on_physics_ways_found_by_sampling_are_followed(physical):
     for sentence in (
         seated.refusal.clears.partition(" first")[0],
         "LIFT MACS-NEW BY 5 CM",
-        "MOVE RIGHT-ARM TO POSITION 57 -61 52 CM",
+        "MOVE RIGHT-ARM TO POSITION 57 -62 52 CM",
         "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN POSE-DURING-MOTION LEVEL",
         "PLACE MACS-NEW ON BAY-2",
     ):

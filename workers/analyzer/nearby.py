@@ -34,7 +34,7 @@ def _near(query: WorldQuery, arm: str, joints: dict[str, Floats]) -> Iterator[st
     unsure_m = {name: NEAR_M + scene.unsure_m.get(name, 0.0) for name in free}
     ignore = list(scene.ignore)
     for _ in range(len(query.cell.objects) * (len(query.cell.objects) + 1)):
-        here = replace(scene, unsure_m=unsure_m, keeps_unsure=True, ignore=ignore)
+        here = replace(scene, unsure_m=unsure_m, clearance_m=0.0, near=(), ignore=ignore)
         hit = query.model.collision.check(joints, here)
         if hit is None:
             return

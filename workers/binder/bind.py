@@ -172,6 +172,7 @@ def planning_request(
 ) -> PlanningRequest:
     """The planning problem of this motion, except its target. `held`: the object in the hand; empty: none."""
     query, context = task.query, task.data.context
+    touches = stop_class.touches or bool(context.object or context.target)
     scene = query.scene(
         task.arm,
         context.limits,
@@ -179,6 +180,7 @@ def planning_request(
         seated=stop_class.seated,
         ignore_suspect=stop_class.away,
         exempt=[name for name in (context.object, context.target) if name],
+        unsure=task.data.step.space not in segments.STRAIGHT or not touches,
     )
     pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])

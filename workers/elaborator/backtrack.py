@@ -11,7 +11,7 @@ current hand pose, a measured pose) are tested with their planned values.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -51,8 +51,11 @@ class Planned:
         return Planned({}, [], [], False, {}, [])
 
 
-def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
-    """The tested bindings of the script for this candidate, or the refusal with the obstacle."""
+def plan(script: ScriptFile, candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned | Refusal:
+    """The tested bindings of the script for this candidate, or the refusal with the obstacle.
+
+    `sensed`: held objects that a camera looks for before the script begins.
+    """
     lines = _lines(script, candidate)
     if isinstance(lines, Refusal):
         return lines
@@ -65,7 +68,7 @@ def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
             return distrusted
         if distrusted is not None:
             doubtful.append(location(key))
-    solved = _search(script, candidate, lines)
+    solved = _search(script, candidate, lines, {*sensed, *doubtful})
     if isinstance(solved, Refusal):
         return solved
     joints, notes, ways = solved
@@ -150,8 +153,11 @@ def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[
 Solved = tuple[dict[str, list[float]], list[str], dict[int, Way]]
 
 
-def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor]) -> Solved | Refusal:
-    request = _request(script, candidate)
+def _search(
+    script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], sensed: set[str]
+) -> Solved | Refusal:
+    """`sensed`: bodies whose poses are measured before the script begins, so that their spread does not count."""
+    request = _request(script, candidate, sensed)
     ways = list(_ways(script, candidate, lines, request))
     if not ways:
         return _unreachable(script, candidate, lines, request)
@@ -198,7 +204,7 @@ def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, 
     yield from ((n, way, True) for n, way in numbered[1:])
 
 
-def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
+def _request(script: ScriptFile, candidate: TaskCandidate, sensed: set[str]) -> PlanningRequest:
     query = candidate.query
     if two_hands.lets_go_first(script) and query.sharers(candidate.arm.name):
         query = shared_hold.after_letting_go(query, candidate.arm.name)
@@ -206,11 +212,12 @@ def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
     scene = query.scene(
         candidate.arm.name,
         candidate.limits,
-        touching=candidate.thing.name if candidate.thing and not holds else "",
         ignore_suspect=script.despite_grasp,
         opening_m=None if holds else candidate.figures.get("pre_grasp_m"),
-        exempt=[body.name for body in (candidate.thing if holds else None, candidate.target) if body],
+        exempt=[body.name for body in (candidate.thing, candidate.target) if body],
     )
+    if sensed:
+        scene = replace(scene, unsure_m={name: m for name, m in scene.unsure_m.items() if name not in sensed})
     margin_rad = math.radians(candidate.figures["joint_margin_deg"])
     request = query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)
     if candidate.partner is None:
@@ -278,13 +285,13 @@ def _try(
     """Test the segments in order; returns the refusal of the first blocked one, or the way of the first segment by
     index of its step. The later segments start where the arm will come to rest, which is not known yet."""
     here = start = request.start
-    entering = _entering(candidate, request)
+    straight = _straight(script, candidate, request)
     ways: dict[int, Way] = {}
     last: _Test | None = None
     for n, step in enumerate(script.steps, 1):
         if not step.to:
             continue
-        asked = request if step.space == "move_joint" else entering
+        asked = request if step.space == "move_joint" else straight
         now = replace(asked, joints={**request.joints, candidate.arm.name: here})
         target = _target(step, candidate, lines, joints, now)
         if isinstance(target, Refusal):
@@ -308,13 +315,20 @@ def _try(
     return ways
 
 
-def _entering(candidate: TaskCandidate, request: PlanningRequest) -> PlanningRequest:
-    """The request for lines and curves of a script about a held object: they may be in its seat or in the target."""
-    held = candidate.query.holding(candidate.arm.name)
-    if not held or (candidate.thing is None and candidate.partner is None):
-        return request
-    pairs = candidate.query.seat_contacts(held, [candidate.target.name] if candidate.target else [])
-    return replace(request, scene=replace(request.scene, ignore=[*request.scene.ignore, *pairs]))
+def _straight(script: ScriptFile, candidate: TaskCandidate, request: PlanningRequest) -> PlanningRequest:
+    """The request for lines and curves. Those of a script about an object touch it, or a held one its seat or the
+    target; and those that only back off. They need no more distance than the clearance from other bodies."""
+    query, arm, thing, target = candidate.query, candidate.arm.name, candidate.thing, candidate.target
+    held = query.holding(arm)
+    contacts: list[tuple[str, str]] = []
+    if held and (thing is not None or candidate.partner is not None):
+        contacts = query.seat_contacts(held, [target.name] if target else [])
+    elif thing is not None and not held:
+        contacts = query.hand_contacts(arm, thing.name)
+    scene = request.scene
+    if (thing is not None or target is not None or script.despite_grasp) and candidate.partner is None:
+        scene = replace(scene, unsure_m={})
+    return replace(request, scene=replace(scene, ignore=[*scene.ignore, *contacts]))
 
 
 class _Test(NamedTuple):

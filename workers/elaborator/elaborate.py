@@ -253,22 +253,22 @@ def _script(
     problem = problem or (two_hands.refuse_moving_alone(script, candidate) if candidate.hand else None)
     if problem is not None:
         return problem
-    planned = plan(script, candidate) if candidate.hand else Planned.nothing()
-    if isinstance(planned, Refusal):
-        return planned
     try:
         trims = _trims(compiled, script, candidate)
         if isinstance(trims, Refusal):
             return trims
         entries, left_out = trims
         nominal = [_step(step, candidate, entries, nominal=True) for step in script.steps]
-        for index, way in planned.ways.items():
-            nominal[index] = msgspec.structs.replace(nominal[index], way=way)
         lacks = _refuse_if_uncertain(nominal, candidate) if candidate.hand else None
         if lacks is not None and not can_be_seen(lacks.where, candidate):
             return lacks
         held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
         in_hand = [held] if lacks is not None or unsure is not None else []
+        planned = plan(script, candidate, in_hand) if candidate.hand else Planned.nothing()
+        if isinstance(planned, Refusal):
+            return planned
+        for index, way in planned.ways.items():
+            nominal[index] = msgspec.structs.replace(nominal[index], way=way)
         doubtful = list(dict.fromkeys([*in_hand, *planned.doubtful]))
         others = _lost_arms(script, candidate)
         steps = [*_sensed_first(compiled, candidate, doubtful, others), *nominal]

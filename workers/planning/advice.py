@@ -9,9 +9,9 @@ import msgspec
 
 from rtc.language.record import hand_in_words
 from rtc.protocol.messages import Limits
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal
+from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal
 from workers.planning import in_seat
-from workers.planning.world_query import WorldQuery
+from workers.planning.world_query import CLEARANCE_M, WorldQuery
 
 UNLIMITED = Limits()
 SHARE_OF_RANGE = 0.9  # of a hinge, that advised sentences use
@@ -29,9 +29,12 @@ def advise_on_collision(
     seat = query.seat(held) or query.seat_around(held) if held else ""
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
     other = str(refusal.detail.get(IN_THE_WAY, ""))
+    seated = bool(seat) and held in bodies
+    if not (seated or other or LEAVING in refusal.detail) and (unsure := _unsure(refusal, query, bodies, limits)):
+        return msgspec.structs.replace(refusal, clears=query.narrows(unsure, clears))
     row = (
-        ("way_seated" if seat and held in bodies else "")
-        or ("way_unsure" if not other and _far(refusal, limits) else "")
+        ("way_seated" if seated else "")
+        or ("way_unsure" if not other and LEAVING in refusal.detail else "")
         or _kept_out(refusal, body, limits)
         or ("way_other" if other else "")
         or _hinged(refusal, query, arm, body)
@@ -57,9 +60,13 @@ def advise_on_collision(
     return msgspec.structs.replace(refusal, clears=words)
 
 
-def _far(refusal: Refusal, limits: Limits) -> bool:
-    """Whether the bodies are farther apart than any clearance: the place of one is not known well."""
-    return float(refusal.detail.get("distance_m", 0.0)) > (limits.clearance_m or 0.0)
+def _unsure(refusal: Refusal, query: WorldQuery, bodies: list[str], limits: Limits) -> str:
+    """The key of the fact whose spread alone asks for more room than there is; empty if there is none."""
+    clearance_m = max(CLEARANCE_M, limits.clearance_m or 0.0)
+    if float(refusal.detail.get("distance_m", 0.0)) < clearance_m:
+        return ""
+    keys = [key for body in bodies if (key := query.unsure_key(body))]
+    return max(keys, key=lambda key: math.hypot(*query.spread(key)[:3]), default="")
 
 
 def _kept_out(refusal: Refusal, body: str, limits: Limits) -> str:
@@ -67,7 +74,7 @@ def _kept_out(refusal: Refusal, body: str, limits: Limits) -> str:
     if body in limits.keep_out:
         return "way_region"
     near = float(refusal.detail.get("distance_m", 0.0)) > 0.0
-    return "way_neighbors" if near and limits.clearance_m else ""
+    return "way_neighbors" if near and (limits.clearance_m or 0.0) > CLEARANCE_M else ""
 
 
 def _hinged(refusal: Refusal, query: WorldQuery, arm: str, body: str) -> str:

@@ -48,14 +48,9 @@ def refuse_if_uncertain(
         reason=RefusalReason.SUSPECT,
         message=f"the grasp of {held} by {arm} is too uncertain for this: {', '.join(axes)}",
         where=key,
-        clears=clears.get(_row(query, held, clears), "sense {location} again").replace("{location}", held),
+        clears=query.narrows(key, clears),
         detail={"cause": "spread", "axes": ", ".join(axes)},
     )
-
-
-def _row(query: WorldQuery, held: str, clears: Mapping[str, str]) -> str:
-    """A camera measures how a held object lies in the hand, if it can see it."""
-    return "spread_seen" if "spread_seen" in clears and query.cameras(held) else "spread"
 
 
 def needed(query: WorldQuery, args: Args) -> Spread | None:

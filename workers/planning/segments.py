@@ -227,6 +227,7 @@ SPACES: dict[str, Callable[[PlanningRequest, Target, Way | None], Motion | Refus
     **dict.fromkeys(curves.CURVES, _timed_curve),
     "move_both": _timed_both,
 }
+STRAIGHT = frozenset(("move_task", *curves.CURVES))  # lines and curves of one hand
 _TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], Segment | Refusal]] = {
     "move_joint": _tested_joint,
     "move_task": _tested_task,

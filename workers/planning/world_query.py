@@ -31,9 +31,13 @@ from workers.planning.motion.timing import Pace
 from workers.planning.robot_models import CellModel
 
 UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ball of this radius
-ARMS_APART_M = 0.005  # least distance of a planned path from another arm: paths are checked at every 2 cm of the hand
+# Least distance of arms and held objects from all that a command does not mean to touch. The hand tracks a path to
+# tenths of a millimetre.
+CLEARANCE_M = 0.005
+ARMS_APART_M = 0.005  # least distance of a planned path from another arm
 BESIDE_M = 0.04  # maximum distance from the axis of a seat's way out at which an object is in its slot
-SURE_M = 0.005  # bodies that are known better need no clearance for that
+UNSURE_STEP_M = 0.001  # spreads are rounded up to a multiple of this: a way stays valid while a grasp creeps a little
+AHEAD_S = 15.0  # the creep of a held object during this time counts: a carry across the default cell takes 9 s
 TRUSTED = (Validity.VALID, Validity.CHANGING)
 
 
@@ -279,6 +283,18 @@ class WorldQuery:
         hand = hand_in_words(holder) or "the hand that holds it"
         return words.replace("{location}", location).replace("{holder}", hand)
 
+    def unsure_key(self, body: str) -> str:
+        """The fact whose spread makes the place of a body uncertain; empty if it is exact."""
+        inside = (thing.name for thing in self.cell.objects if self.seat(thing.name) == body)
+        keys = [f"{body}.grasp" if self.held_by(body) else f"{body}.frame", *(f"{name}.frame" for name in inside)]
+        return max((key for key in keys if any(self.spread(key))), key=lambda key: max(self.spread(key)), default="")
+
+    def narrows(self, key: str, clears: Mapping[str, str]) -> str:
+        """The remedy that makes the spread of the pose of an object or seat smaller."""
+        location, _, _ = key.rpartition(".")
+        row = "spread_seen" if "spread_seen" in clears and self.cameras(location) else "spread"
+        return clears.get(row, "sense {location} again").replace("{location}", location)
+
     # --- for motions ---------------------------------------------------------------------------------------
 
     def scene(
@@ -291,13 +307,15 @@ class WorldQuery:
         ignore_suspect: bool = False,
         opening_m: float | None = None,
         exempt: Iterable[str] = (),
+        unsure: bool = True,
     ) -> Scene:
         """The collision scene from the current facts.
 
         `touching`: the object that this arm's hand may touch. `seated`: the held object may be in the seat that it is
         in now, or enter a seat of `exempt`.
         `ignore_suspect`: objects with suspect frames are not obstacles. `opening_m`: opening of this arm's hand, if it
-        differs from the current one. `exempt`: bodies exempt from the clearance.
+        differs from the current one. `exempt`: bodies that the command means to touch. `unsure`: keep as much distance
+        as poses are uncertain.
         """
         held: dict[str, Held] = {}
         hung: dict[str, Hung] = {}
@@ -319,11 +337,9 @@ class WorldQuery:
             openings[arm] = opening_m
         ignore: list[tuple[str, str]] = []
         carried = self.holding(arm)
-        close = [name for name in dict.fromkeys((touching, *exempt)) if name]
-        if touching:  # the hand may touch its seat too: both poses share an error
-            hand = self.cell.arm(arm).gripper
-            met = filter(None, (touching, self.seat(touching)))
-            ignore += [(f"{arm} {link}", name) for name in met for link in (*hand.finger_links, hand.palm_link)]
+        close = [name for name in dict.fromkeys((touching, *exempt)) if name and name not in held]
+        if touching:
+            ignore += self.hand_contacts(arm, touching)
         doubtful = [
             name for name in poses if ignore_suspect and name not in moved_seats and not self.trusts(f"{name}.frame")
         ]
@@ -338,9 +354,9 @@ class WorldQuery:
             hung=hung,
             openings_m=openings,
             ignore=ignore,
-            clearance_m=limits.clearance_m or 0.0,
-            near=[*close, *(seat for seat in map(self.seat, filter(None, (*close, carried))) if seat)],
-            unsure_m=self._unsure_m(poses),
+            clearance_m=max(CLEARANCE_M, limits.clearance_m or 0.0),
+            near=[*close, *(seat for seat in map(self.seat, filter(None, (*close, carried))) if seat), *hung],
+            unsure_m=self._unsure_m(poses, held) if unsure else {},
             keep_out=limits.keep_out,
             arms_apart_m=ARMS_APART_M,
             moving=arm,
@@ -351,16 +367,26 @@ class WorldQuery:
         seats = {self.seat(carried), self.seat_around(carried), *entered}
         return [(carried, seat.name) for seat in self.cell.seats if seat.name in seats]
 
-    def _unsure_m(self, names: Iterable[str]) -> dict[str, float]:
-        """How far objects, and the seats that hold them, may be from their believed places."""
-        found: dict[str, float] = {}
-        for name in names:
-            unsure_m = math.hypot(*self.spread(f"{name}.frame")[:3])
-            if unsure_m > SURE_M:
-                found[name] = unsure_m
-                if seat := self.seat(name):
-                    found[seat] = max(unsure_m, found.get(seat, 0.0))
-        return found
+    def hand_contacts(self, arm: str, thing: str) -> list[tuple[str, str]]:
+        """The pairs of this arm's hand and an object that may touch; its seat too: both poses share an error."""
+        hand = self.cell.arm(arm).gripper
+        met = [name for name in (thing, self.seat(thing)) if name]
+        return [(f"{arm} {link}", name) for name in met for link in (*hand.finger_links, hand.palm_link)]
+
+    def _unsure_m(self, poses: Iterable[str], held: Iterable[str]) -> dict[str, float]:
+        """How far any point of a body may be from its believed place: of objects, of the seats that hold them, and of
+        held objects."""
+        found = {name: self._off_m(name, self.spread(f"{name}.frame")) for name in poses}
+        found |= {name: self._off_m(name, self.grasp_spread(name, AHEAD_S)) for name in held}
+        for name in list(found):
+            if (seat := self.seat(name)) and name not in held:
+                found[seat] = max(found[name], found.get(seat, 0.0))
+        return {name: off_m for name, off_m in found.items() if off_m > 0.0}
+
+    def _off_m(self, body: str, spread: Spread) -> float:
+        """How far a point of a body is from its place at most, if its pose has this spread."""
+        off_m = math.hypot(*spread[:3]) + math.hypot(*spread[3:]) * self.model.collision.radius_m(body)
+        return UNSURE_STEP_M * math.ceil(off_m / UNSURE_STEP_M - 1e-9)
 
     def path_constraints(self, limits: Limits) -> PathConstraints:
         return PathConstraints(

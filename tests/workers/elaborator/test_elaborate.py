@@ -163,7 +163,7 @@ def test_a_blocked_way_is_modified_before_the_arm_is_turned_inside_out(bench):
     script = script_of(bench, "MOVE RIGHT-ARM TO CLEAR-POINT-1")
 
     assert "generated way 1" in script.notes[0]
-    assert "MACS-NEW case collides with SATELLITE" in script.notes[0]
+    assert re.search("MACS-NEW case (collides with|comes within .* of) SATELLITE", script.notes[0])
     assert script.notes[-1].endswith("generated way 1 of 11 with detours; tested: free")
 
 

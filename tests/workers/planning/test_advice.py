@@ -94,7 +94,7 @@ def test_a_closed_door_is_named_and_following_the_advice_leads_to_the_aim(aim):
 
 def test_a_module_beside_the_satellite_finds_its_way_into_the_bay(bench):
     """None of the direct ways is free from there."""
-    in_hand(bench, "LIFT MACS-NEW BY 20 CM", "MOVE RIGHT-ARM TO POSITION 57 -61 52 CM")
+    in_hand(bench, "LIFT MACS-NEW BY 20 CM", "MOVE RIGHT-ARM TO POSITION 57 -62 52 CM")
 
     assert bench.do("PLACE MACS-NEW ON BAY-2").succeeded
 

@@ -27,7 +27,7 @@ def known_within(bench, spread, at_s=0.0):
 
 
 @pytest.mark.parametrize(
-    ("sentence", "most_m"), [("PLACE MACS-NEW ON RACK-1", 0.010), ("MOVE RIGHT-ARM TO CLEAR-POINT-1", 0.030)]
+    ("sentence", "most_m"), [("PLACE MACS-NEW ON RACK-1", 0.010), ("MOVE RIGHT-ARM TO POSITION 40 -60 95 CM", 0.030)]
 )
 def test_what_is_held_must_be_known_as_well_as_the_step_needs(holding, sentence, most_m):
     known_within(holding, even(most_m - 0.001, 0.01))

@@ -20,6 +20,7 @@ import numpy as np
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.primitive import LONGEST_S, JointTrajectory, Primitive, StartAfter
 from rtc.protocol.primitive_id import command_of
+from rtc.robot.collision_scene import in_hands
 from rtc.robot.geometry import Array
 from rtc.robot.separation import SeparationCheck
 from rtc.robot.swept import Boxes, Swept
@@ -81,7 +82,14 @@ def _clear_from(request: PlanningRequest, motion: Primitive, arm: str, other: Pr
     check = request.world.compare_arms(arm, their, request.scene)
     paths = (motion.paths[arm], other.paths[their])
     mine, theirs = (course(*pair) for pair in zip(paths, check.reaches, strict=True))
-    return clear_from(check, mine, theirs, SPACE_M + _softness_m(motion) + _softness_m(other))
+    space_m = max(SPACE_M, _off_m(request, arm) + _off_m(request, their))
+    return clear_from(check, mine, theirs, space_m + _softness_m(motion) + _softness_m(other))
+
+
+def _off_m(request: PlanningRequest, arm: str) -> float:
+    """How far what an arm holds may be from its believed place."""
+    held = [name for name, by in in_hands(request.scene) if by == arm]
+    return max((request.scene.unsure_m.get(name, 0.0) for name in held), default=0.0)
 
 
 def _softness_m(motion: Primitive) -> float:

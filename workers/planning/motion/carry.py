@@ -22,6 +22,8 @@ from workers.planning.motion.plan import Motion
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import Timed, slower, time_path
 
+SLACK_M = 0.0003  # tolerance of the distance of bodies that are near at the start
+
 
 def plan_carry(request: PlanningRequest, goal_pose: Floats) -> Motion | Refusal:
     """A straight line of the hand to `goal_pose` (world), with the partner of the request."""
@@ -50,6 +52,9 @@ def _fault(request: PlanningRequest, partner: ArmModel, leads: Timed, follows: T
     touched = [(f"{partner.name} {link}", thing) for link in (hand.palm_link, *hand.finger_links) for thing in held]
     within = replace(request.path_constraints, attitude=None)  # an attitude is that of the first hand
     scene = replace(scene, moving="", ignore=[*scene.ignore, *touched])
+    # What is nearer than the clearance already comes no nearer.
+    near = sorted(request.world.too_near(request.joints, scene), key=lambda hit: -hit.distance_m)
+    scene = replace(scene, close={(hit.body_a, hit.body_b): hit.distance_m - SLACK_M for hit in near})
     for n, (q, theirs) in enumerate(zip(leads.positions, follows.positions, strict=True)):
         hit = request.world.check({**request.joints, request.arm.name: q, partner.name: theirs}, scene)
         problem = hit.refusal() if hit is not None else request.path_constraints.violation(request.arm, q)

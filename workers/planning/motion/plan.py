@@ -7,27 +7,23 @@ The first that passes is taken; `notes` record the attempts. Deterministic: the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 
 import msgspec
 import numpy as np
 
-from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot.collision_scene import Scene
+from rtc.protocol.outcomes import LEAVING, Refusal, RefusalReason
+from rtc.robot.collision_scene import in_hands
 from rtc.robot.geometry import Array, Floats
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
-from workers.planning.motion.request import FreeWay, PlanningRequest, fault, free_posture
-from workers.planning.motion.sampled_way import find_sampled_way
+from workers.planning.motion.request import FreeWay, PlanningRequest, blocked, fault, free_posture
+from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside
 from workers.planning.motion.timing import Timed, slower, time_path
 
-# Clearance of a freely chosen path from all bodies that it need not approach. The hand tracks a path to tenths of a
-# millimetre, and the pose of a held object is known to a few millimetres: a path without clearance may collide.
-CLEARANCE_M = 0.005
-NEAR_AT_MOST = 12  # maximum number of bodies closer than the clearance at either end of a path
-NOTHING: Mapping[str, float] = MappingProxyType({})
+MORE_M = (0.020, 0.008)  # clearance of a freely chosen way beyond that of the request, where there is room
+CLOSER = 0.5  # share of the distance at the goal that is kept on the way there from a body that a later step touches
 SAME_RAD = 1e-6  # tolerance of the joint values at the end of a straight line
 DIRECT = "generated a line in joint space; tested: free"
 
@@ -53,7 +49,9 @@ def find_task_way(request: PlanningRequest, goal_pose: Floats, margin_rad: float
     line = paths.task_line(request.arm, request.start, goal_pose, margin_rad)
     if isinstance(line, Refusal):
         return line
-    return fault(request, line) or FreeWay(line, ["generated a straight line of the hand; tested: free"])
+    return fault(steered(request), line, least_room=True) or FreeWay(
+        line, ["generated a straight line of the hand; tested: free"]
+    )
 
 
 def find_curve(request: PlanningRequest, poses: Array, margin_rad: float) -> FreeWay | Refusal:
@@ -61,7 +59,9 @@ def find_curve(request: PlanningRequest, poses: Array, margin_rad: float) -> Fre
     line = paths.task_curve(request.arm, request.start, poses, margin_rad)
     if isinstance(line, Refusal):
         return line
-    return fault(request, line) or FreeWay(line, ["generated a curve of the hand; tested: free"])
+    return fault(steered(request), line, least_room=True) or FreeWay(
+        line, ["generated a curve of the hand; tested: free"]
+    )
 
 
 def find_spline(request: PlanningRequest, postures: Sequence[Floats]) -> FreeWay | Refusal:
@@ -70,11 +70,11 @@ def find_spline(request: PlanningRequest, postures: Sequence[Floats]) -> FreeWay
         if (problem := request.arm.why_not_within(posture, request.way_margin_rad)) is not None:
             return problem
     way = paths.spline_through(postures)
-    return fault(request, way) or FreeWay(way, ["generated a spline through the places; tested: free"])
+    return fault(request, way, least_room=True) or FreeWay(way, ["generated a spline through the places; tested: free"])
 
 
 def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusal:
-    """Plan a motion to the joint values `goal` (rad) on any path, with `CLEARANCE_M` if such a path exists."""
+    """Plan a motion to the joint values `goal` (rad) on any path, with more clearance than asked for where possible."""
     found = find_joint_way(request, goal)
     return found if isinstance(found, Refusal) else in_time(request, found)
 
@@ -82,83 +82,130 @@ def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusa
 def find_joint_way(request: PlanningRequest, goal: Floats) -> FreeWay | Refusal:
     """The path of `plan_joint_motion`, without its timing."""
     goal = np.asarray(goal, dtype=float)
-    problem = request.arm.why_not_within(goal, request.margin_rad) or free_posture(request)(goal)
-    if problem is not None:
-        return problem
-    around = _around_hand(request, goal)
-    roomy = replace(request, scene=roomy_scene(request, goal, around))
-    found = _generate_and_test(roomy, goal, sample=not around)
-    if isinstance(found, Refusal) and roomy.scene is not request.scene:
-        found = _generate_and_test(_leaving(request, around), goal, sample=not around)
-    return found
+    request = before_contact(request, goal)
+    problem = request.arm.why_not_within(goal, request.margin_rad) or _occupied(request, goal)
+    return _generate_and_test(request, goal) if problem is None else problem
 
 
 def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> FreeWay | Refusal | None:
     """Test the line in joint space to `goal`. A Refusal: the line is not free.
 
-    `with_room`: test also with `CLEARANCE_M` to spare, and return the line if `plan_joint_motion` would take it.
+    `with_room`: test also with `MORE_M` to spare, and return the line if `plan_joint_motion` would take it.
     None: the line is free, but `plan_joint_motion` would try other ways first, or that was not tested.
     """
     goal = np.asarray(goal, dtype=float)
     problem = request.arm.why_not_within(goal, request.margin_rad)
     if problem is not None:
         return problem
-    line = paths.joint_line(request.start, goal)
-    if not with_room:
-        return fault(request, line)
-    occupied = free_posture(request)(goal)
-    around = _around_hand(request, goal)
-    if occupied is None and fault(replace(request, scene=roomy_scene(request, goal, around)), line) is None:
-        return FreeWay(line, [DIRECT])
-    return occupied or fault(_leaving(request, around), line)  # a goal that is taken tells more than the line to it
+    line, request = paths.joint_line(request.start, goal), before_contact(request, goal)
+    roomy = with_more_room(request, goal, MORE_M) if with_room else request
+    if fault(roomy, line) is None:
+        return FreeWay(line, [DIRECT]) if with_room else None
+    problem = fault(request, line)
+    # A goal that is taken tells more than the line to it.
+    return problem if problem is None else _occupied(request, goal) or _leaving(request, problem)
 
 
-def _around_hand(request: PlanningRequest, goal: Array) -> dict[str, float]:
-    """The bodies that the hand may touch where it is, because their place is not known well, with that uncertainty (m).
-
-    The hand is at a handle, for example. Bodies that it may touch at the goal too are left out: it stays there."""
-    scene = request.scene
-    if not scene.unsure_m:
-        return {}
-    unsure = replace(scene, keeps_unsure=True, clearance_m=0.0)
-    here, there = (_within_hand(request, joints, unsure) for joints in (request.start, goal))
-    return {name: scene.unsure_m[name] for name in sorted(here - there)}
+def _occupied(request: PlanningRequest, goal: Array) -> Refusal | None:
+    """The problem with a posture; of several bodies that are too near, the nearest."""
+    problem = free_posture(request)(goal)
+    if problem is None or float(problem.detail.get("distance_m", 0.0)) <= 0.0:
+        return problem
+    hits = request.world.too_near({**request.joints, request.arm.name: goal}, request.scene)
+    return blocked(request, min(hits, key=lambda hit: hit.distance_m)) if hits else problem
 
 
-def _within_hand(request: PlanningRequest, joints: Array, scene: Scene) -> set[str]:
-    """The uncertain bodies that links of the hand may touch at these joint values (rad)."""
-    arm = request.arm.name
-    gripper = request.world.cell.arm(arm).gripper
-    links = {f"{arm} {link}" for link in (gripper.palm_link, *gripper.finger_links)}
-    near = request.world.near(arm, {**request.joints, arm: joints}, scene)
-    return {hit.body_b.split()[0] for hit in near if hit.body_a in links} & scene.unsure_m.keys()
+def before_contact(request: PlanningRequest, goal: Array) -> PlanningRequest:
+    """The request for a way to where contact may begin: the bodies that a later step touches are obstacles like others.
 
-
-def _leaving(request: PlanningRequest, around: dict[str, float]) -> PlanningRequest:
-    """The request for a motion that may only move away from these bodies, until it is farther than their uncertainty.
-
-    `CollisionWorld.check_path` has the rule for pairs that are too near at the start."""
-    if not around:
+    The goal may be nearer to them than they are uncertain, but not nearer than the clearance. Then the way keeps
+    `CLOSER` of the distance at the goal."""
+    scene, ours = replace(request.scene, near=()), _ours(request)
+    near = set(request.scene.near) - ours
+    if not near:
         return request
-    return replace(request, scene=replace(request.scene, unsure_m=around, keeps_unsure=True))
+    close: dict[tuple[str, str], float] = {}
+    for hit in request.world.too_near({**request.joints, request.arm.name: goal}, scene):
+        for body in near & {hit.body_a.split()[0], hit.body_b.split()[0]}:
+            least_m = max(scene.clearance_m, CLOSER * hit.distance_m)
+            close |= {(mine, body): min(least_m, close.get((mine, body), least_m)) for mine in ours}
+    return replace(request, scene=replace(scene, close=close))
 
 
-def _generate_and_test(request: PlanningRequest, goal: Array, sample: bool = True) -> FreeWay | Refusal:
+def steered(request: PlanningRequest) -> PlanningRequest:
+    """The request for a line: a body that is nearer at the start than it is uncertain needs the clearance only."""
+    scene, ours = request.scene, _ours(request)
+    if not scene.unsure_m:
+        return request
+    hits = request.world.too_near(request.joints, scene)
+    near = {body.split()[0] for hit in hits for body in (hit.body_a, hit.body_b) if hit.margin_m > scene.clearance_m}
+    if not near - ours:
+        return request
+    close = {(mine, body): scene.clearance_m for mine in ours for body in near - ours}
+    return replace(request, scene=replace(scene, close=close))
+
+
+def _ours(request: PlanningRequest) -> set[str]:
+    """The arm and what it holds."""
+    held = (name for name, by in in_hands(request.scene) if by == request.arm.name)
+    return {request.arm.name, *held}
+
+
+def _leaving(request: PlanningRequest, refusal: Refusal) -> Refusal:
+    """The refusal, with a remark if the arm may touch something already."""
+    if not may_touch_at_start(request):
+        return refusal
+    return msgspec.structs.replace(refusal, detail={**refusal.detail, LEAVING: 1.0})
+
+
+def may_touch_at_start(request: PlanningRequest) -> bool:
+    """Whether the arm is nearer to a body than that is uncertain, so that they may touch.
+
+    Then it leaves on a line, which moves away from that body (`CollisionWorld.check_path`). A search would not know
+    which way out is free, a hand at a handle for example."""
+    if not request.scene.unsure_m:
+        return False
+    hits = request.world.too_near(request.joints, request.scene)
+    return any(hit.margin_m > request.scene.clearance_m for hit in hits)
+
+
+def with_more_room(request: PlanningRequest, goal: Array, more_m: Sequence[float]) -> PlanningRequest:
+    """The request with the first of these additions to its clearance that start and goal allow; else unchanged."""
+    ends = [{**request.joints, request.arm.name: end} for end in (goal, request.start)]
+    for by_m in more_m:
+        wider = replace(request, scene=replace(request.scene, clearance_m=request.scene.clearance_m + by_m))
+        if all(request.world.check(joints, wider.scene) is None for joints in ends):
+            return wider
+    return request
+
+
+def _generate_and_test(request: PlanningRequest, goal: Array) -> FreeWay | Refusal:
+    """Ways with more room come first, as far as they cost little: those that need no search."""
+    leaves = may_touch_at_start(request)
+    roomy = request if leaves else with_more_room(request, goal, MORE_M)
     direct = paths.joint_line(request.start, goal)
-    first = fault(request, direct)
+    first = fault(roomy, direct)
     if first is None:
         return FreeWay(direct, [DIRECT])
     notes = [f"generated a line in joint space; tested: {first.message}"]
     straight = _straight(request, goal)
-    problem = straight if isinstance(straight, Refusal) else fault(request, straight)
+    problem = straight if isinstance(straight, Refusal) else fault(roomy, straight)
     notes.append(f"modified: a straight line of the hand; tested: {problem.message if problem else 'free'}")
     if isinstance(straight, Path) and problem is None:
         return FreeWay(straight, notes)
-    if not sample:
-        return first
-    sampled = find_sampled_way(request, [goal])
+    if leaves:
+        return _leaving(request, fault(request, direct, least_room=True) or first)
+    aside = find_way_aside(roomy, goal)
+    if aside is not None:
+        return FreeWay(aside.path, [*notes, *aside.notes])
+    if roomy is not request:
+        for way in (direct, straight):
+            if isinstance(way, Path) and fault(request, way) is None:
+                return FreeWay(way, [*notes, "with less room: free"])
+    sampled = find_sampled_way(request, roomy, [goal])
     if isinstance(sampled, FreeWay):
         return FreeWay(sampled.path, [*notes, *sampled.notes])
+    first = fault(request, direct, least_room=True) or first
     return msgspec.structs.replace(
         first,
         message=f"{first.message}; no way round it was found in {sampled} samples",
@@ -172,40 +219,6 @@ def _straight(request: PlanningRequest, goal: Array) -> Path | Refusal:
     if isinstance(line, Refusal) or np.abs(line.knots[-1] - goal).max() < SAME_RAD:
         return line
     return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{request.arm.name} would end with other joint values")
-
-
-def roomy_scene(request: PlanningRequest, goal: Array, around: Mapping[str, float] = NOTHING) -> Scene:
-    """The scene with `CLEARANCE_M`, except for bodies that are closer at either end of the path. A body whose place is
-    not known well needs that much more; also at the start if it is `around` the hand.
-
-    Returns the scene unchanged (but for `around`) if the command states a clearance, or if more than NEAR_AT_MOST
-    bodies are close.
-    """
-    unchanged = _leaving(request, dict(around)).scene
-    if request.scene.clearance_m > 0.0:
-        return unchanged
-    carried = {name for name, held in request.scene.held.items() if held.arm == request.arm.name}
-    ours = {request.arm.name, *carried}
-    # A seat need not be approached before the motion into it begins. The walls that are close at either end follow.
-    seats = {seat.name for seat in request.world.cell.seats} if carried else set()
-    near = [name for name in request.scene.near if name not in seats]
-    allowed = len(near) + NEAR_AT_MOST
-    scene = replace(request.scene, clearance_m=CLEARANCE_M, near=near, keeps_unsure=True)
-    start = request.start
-    for end in (start, goal):
-        while hit := request.world.check({**request.joints, request.arm.name: end}, scene):
-            name = hit.body_a if hit.body_b.split()[0] in ours else hit.body_b
-            if name.split()[0] in scene.unsure_m:
-                others = {body: most_m for body, most_m in scene.unsure_m.items() if body != name.split()[0]}
-                scene = replace(scene, unsure_m=others)
-                continue
-            if name in near and end is start:
-                break  # in contact, not only close: `check_path` decides how to leave it
-            if len(near) >= allowed:
-                return unchanged
-            near.append(name)
-            scene = replace(scene, near=list(near))
-    return replace(scene, unsure_m={**scene.unsure_m, **around}) if around else scene
 
 
 def lasting(motion: Motion, takes_s: float) -> Motion | Refusal:

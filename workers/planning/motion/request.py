@@ -75,8 +75,13 @@ def blocked(request: PlanningRequest, hit: Collision) -> Refusal:
     return refusal
 
 
-def fault(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> Refusal | None:
-    """The first problem along a path, with its position; None if the path is free. `step_rad`: as of `Path.dense`."""
+def fault(
+    request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD, *, least_room: bool = False
+) -> Refusal | None:
+    """The first problem along a path, with its position; None if the path is free. `step_rad`: as of `Path.dense`.
+
+    `least_room`: of two bodies that come too near, state where they are nearest.
+    """
     levers = request.world.load_levers(request.arm.name, request.scene) if request.scene.held else None
     s, configurations = way.dense(step_rad, request.arm.step_weights, levers)
     group = GROUP if levers is None else LADEN_GROUP
@@ -89,6 +94,8 @@ def fault(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> R
         problem = problem or request.path_constraints.violation(request.arm, joints)
         if problem is not None:
             return _at(problem, float(s[n]) / way.length)
+    if hit is not None and least_room and hit.collision.distance_m > 0.0:
+        hit = request.world.least_room(request.arm.name, configurations, request.joints, request.scene, hit)
     return None if hit is None else _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)
 
 

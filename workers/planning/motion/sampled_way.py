@@ -22,6 +22,7 @@ from workers.planning.motion.request import FreeWay, PlanningRequest, fault, fre
 from workers.planning.motion.sampling import Found, search, shorten
 
 SAMPLES = 600  # budget of one search; of 400 seeded problems of the default cell all but one took fewer than 500
+ROOMY_SAMPLES = 80  # budget of the search with more room, before that
 ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects all but the last
 MORE_M = 0.002  # clearance of the search beyond that of the request
 JUDGED_RAD = 0.012  # step of the final check: shortened ways pass obstacles closely, so it is finer than `CHECK_RAD`
@@ -34,19 +35,27 @@ NARROWER = 8  # maximum number of halvings of a corner's radius, in the mean of 
 LEAST_RADIUS = 0.002  # rad; a corner as narrow as this follows the lines within a millimetre
 
 
-def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeWay | int:
-    """A rounded way to one of `goals` (rad), which are free; or the number of samples without a result."""
-    ends = [np.asarray(goal, dtype=float) for goal in goals]
-    space = _Space(_with_more_room(request, ends))
-    lower, upper = space.limits
-    guides = space.guides(ends[0])
-    for by_m, guided in _aside(request, ends[0], guides):
-        if fault(request, guided, JUDGED_RAD) is None:
+def find_way_aside(request: PlanningRequest, goal: Array) -> FreeWay | None:
+    """A way by both ends moved aside, if one is free."""
+    for by_m, guided in _aside(request, goal, _Space(request).guides(goal)):
+        if fault(request, guided) is None:
             words = "by way of both ends, raised by {:g} m and drawn back by {:g} m".format(*by_m)
             return FreeWay(guided, [f"modified: {words}; tested: free"])
+    return None
+
+
+def find_sampled_way(request: PlanningRequest, roomy: PlanningRequest, goals: Sequence[Floats]) -> FreeWay | int:
+    """A rounded way to one of `goals` (rad), which are free; or the number of samples without a result.
+
+    `roomy`: the request with more clearance, or the same. The search keeps that at first, and then less."""
+    ends = [np.asarray(goal, dtype=float) for goal in goals]
     drawn = 0
-    for attempt in range(ATTEMPTS):
-        seed = ATTEMPTS * request.seed + attempt
+    for attempt, asked in enumerate([roomy, *[_with_some_room(request, ends)] * ATTEMPTS]):
+        if attempt == 0 and roomy is request:
+            continue
+        space = _Space(asked)
+        lower, upper = space.limits
+        seed = ATTEMPTS * request.seed + max(0, attempt - 1)
         found = search(
             request.start,
             ends,
@@ -55,12 +64,15 @@ def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeW
             upper,
             space.weights,
             seed=seed,
-            samples=SAMPLES - drawn,
-            guides=guides if attempt == 0 else (),
+            samples=ROOMY_SAMPLES if attempt == 0 else SAMPLES - drawn,
+            guides=space.guides(ends[0]) if attempt < 2 else (),
             onto=space.onto,
         )
         if not isinstance(found, Found):
-            return drawn + found
+            drawn += found
+            if attempt == 0:
+                continue
+            return drawn
         drawn += found.samples
         corners = shorten(found.waypoints, space.join, space.weights, seed=seed)
         way = rounded(request, corners) or rounded(request, found.waypoints)
@@ -82,10 +94,8 @@ def _moved(pose: Array, up_m: float, back_m: float) -> Array:
     return geometry.rotate(pose, (0.0, 0.0, -back_m)) + np.array((0.0, 0.0, up_m))
 
 
-def _with_more_room(request: PlanningRequest, goals: Sequence[Array]) -> PlanningRequest:
+def _with_some_room(request: PlanningRequest, goals: Sequence[Array]) -> PlanningRequest:
     """The request with `MORE_M` of clearance to spare for the checks between those of the search, if the ends allow."""
-    if request.scene.clearance_m == 0.0:
-        return request
     wider = replace(request, scene=replace(request.scene, clearance_m=request.scene.clearance_m + MORE_M))
     test = free_posture(wider)
     return wider if all(test(q) is None for q in (request.start, *goals)) else request

@@ -18,7 +18,13 @@ from rtc.robot.collision_scene import Held, Scene
 from workers.planning.motion import sampled_way
 from workers.planning.motion.constraints import PathConstraints
 from workers.planning.motion.ik import choose
-from workers.planning.motion.plan import CLEARANCE_M, PlanningRequest, free_posture, plan_joint_motion, plan_task_motion
+from workers.planning.motion.plan import (
+    PlanningRequest,
+    before_contact,
+    free_posture,
+    plan_joint_motion,
+    plan_task_motion,
+)
 from workers.planning.motion.timing import Pace
 
 FRONT, HANDLE = (0.45, -0.885, 0.60), (0.65, -0.885, 0.60)
@@ -83,16 +89,34 @@ def test_a_way_of_our_own_choice_has_room_on_both_sides(setting, cell, right, wo
     scene = holding(cell, right, with_joints(setting, 0.65, -0.715, 0.60))
     lifted = PlanningRequest(right, world, with_joints(setting, 0.65, -0.715, 0.85), scene)
     motion = plan_joint_motion(lifted, goal_at(lifted, 0.48, -0.085, 0.70))
-    wide = replace(scene, clearance_m=0.9 * CLEARANCE_M)
-    assert world.check_path("RIGHT-ARM", motion.path.dense(0.002)[1], home, wide) is None
+    for asked_m, kept_m in ((0.0, 0.008), (0.010, 0.018)):
+        asked = replace(scene, clearance_m=asked_m)
+        motion = plan_joint_motion(replace(lifted, scene=asked), goal_at(lifted, 0.48, -0.085, 0.70))
+        wide = replace(scene, clearance_m=0.99 * kept_m)
+        assert world.check_path("RIGHT-ARM", motion.path.dense(0.002)[1], home, wide) is None
 
 
-def test_where_there_is_no_room_at_an_end_the_way_there_is_found_all_the_same(setting, cell, right, world, home):
-    """The open hand, its back to the satellite, nearer than that at its goal."""
-    scene = Scene(openings_m={"RIGHT-ARM": 0.08})
+def test_where_there_is_no_room_at_the_goal_the_refusal_states_how_much_there_is(setting, cell, right, world, home):
+    """The open hand before the satellite."""
+    scene = Scene(openings_m={"RIGHT-ARM": 0.08}, clearance_m=0.005)
     at = PlanningRequest(right, world, with_joints(setting, 0.55, -0.085, 0.90), scene)
     goal = right.ik(level(0.732, -0.085, 0.90), at.start)[0]
-    assert world.check({**home, "RIGHT-ARM": goal}, replace(scene, clearance_m=CLEARANCE_M)) is not None
+    refusal = plan_joint_motion(at, goal)
+    assert isinstance(refusal, Refusal)
+    assert 0.0 < refusal.detail["distance_m"] < refusal.detail["margin_m"] == 0.005
+    assert f"within {1e3 * refusal.detail['distance_m']:.3g} mm of" in refusal.message
+    assert not isinstance(plan_joint_motion(replace(at, scene=replace(scene, clearance_m=0.001)), goal), Refusal)
+
+
+def test_a_body_that_a_later_step_touches_is_an_obstacle_on_the_way_before(setting, right, world):
+    """The hand may come near a handle at the end of its way, but does not pass it nearer than that."""
+    scene = Scene(openings_m={"RIGHT-ARM": 0.08}, clearance_m=0.005, unsure_m={"MACS-NEW": 0.12}, near=["MACS-NEW"])
+    at = PlanningRequest(right, world, with_joints(setting, *FRONT), scene)
+    goal = right.ik(level(0.55, -0.885, 0.60), at.start)[0]
+    asked = before_contact(at, goal)
+    assert not asked.scene.near
+    (least_m,) = set(asked.scene.close.values())
+    assert 0.005 < least_m < 0.12
     assert not isinstance(plan_joint_motion(at, goal), Refusal)
 
 

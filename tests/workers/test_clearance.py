@@ -1,0 +1,88 @@
+"""Arm, hand and held module keep their distance on every way; a refusal states how much room there is."""
+
+from __future__ import annotations
+
+import itertools
+
+import pybullet
+import pytest
+
+from rtc.protocol.messages import WorldChange
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.world.spread import even
+from tests.campaigns import laden_ways
+
+ARM, MODULE = "LEFT-ARM", "MACS-OLD"
+TAKEN = (f"GRASP LEFT-END-EFF {MODULE} HANDLE-B", f"LIFT {MODULE} BY 15 CM WITH {ARM}")
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize("verb", ["PLACE MACS-OLD ON BAY-2", "INSERT MACS-OLD INTO BAY-2"])
+def test_four_plain_sentences_bring_the_module_into_the_bay_without_a_touch_before(physical, verb):
+    """Nothing is displaced. The module was 1 mm from the satellite on its way, and its place is known to 3 mm."""
+    physical.unsurveyed()
+    for sentence in (*TAKEN, f"MOVE {ARM} TO CLEAR-POINT-1"):
+        run = physical.do(sentence)
+        assert run.succeeded, (sentence, run.refusal, run.assessments)
+    world, touched = physical.subsystem.sim.world, set()
+    others = {body: name for body, name in world.names.items() if name.split()[0] in ("SATELLITE", "RACK-2")}
+
+    def watch(tick):
+        for body, name in others.items() if tick % 5 == 0 else ():
+            near = pybullet.getClosestPoints(world.objects[MODULE].id, body, 0.004, physicsClientId=world.client)
+            touched.update((name, round(1e3 * point[8], 1)) for point in near)
+
+    physical.subsystem.disturb = watch
+    run = physical.do(verb)
+    assert run.succeeded, (run.refusal, run.assessments)
+    assert not touched  # nearer than 4 mm in truth
+    assert physical.world.value(f"{MODULE}.seat") == "BAY-2"
+
+
+def test_every_laden_way_keeps_five_millimetres():
+    """The campaign `laden_ways`, in short."""
+    for case in itertools.islice(laden_ways.shuffled(laden_ways.SEED), 24):
+        way = laden_ways.run(case)
+        assert not laden_ways.too_near(way), (case, way)
+
+
+def known_within(bench, key, spread):
+    bench.world = bench.world.overlay([WorldChange(key=key, keep_value=True, spread=spread)])
+
+
+def test_a_held_object_keeps_as_much_distance_as_its_place_is_uncertain_and_a_look_makes_room(bench):
+    for sentence in TAKEN:
+        assert bench.do(sentence).succeeded
+    known_within(bench, f"{MODULE}.grasp", even(0.012, 0.02))
+    sentence = f"MOVE {ARM} TO CLEAR-POINT-1"  # 20 mm before the satellite
+
+    refusal = bench.do(sentence).refusal
+
+    assert refusal.reason is RefusalReason.INFEASIBLE
+    assert 0.015 < refusal.detail["distance_m"] < refusal.detail["margin_m"]
+    assert {refusal.detail["body_a"].split()[0], refusal.detail["body_b"].split()[0]} == {MODULE, "SATELLITE"}
+    look = refusal.clears.partition(",")[0]
+    assert look == f"LOCATE {MODULE}"
+    for advised in (look, sentence):
+        run = bench.do(advised)
+        assert run.succeeded, (advised, run.refusal, run.assessments)
+
+
+def test_near_an_object_whose_place_is_not_known_well_the_refusal_says_so(bench):
+    bench.unsurveyed()
+    sentence = "MOVE RIGHT-ARM TO POSITION 60 -80 60 CM"  # 3 cm before the handles
+
+    refusal = bench.do(sentence).refusal
+
+    assert 0.005 < refusal.detail["distance_m"] < refusal.detail["margin_m"]
+    assert refusal.clears.startswith("LOCATE MACS-NEW")
+    for advised in ("LOCATE MACS-NEW", sentence):
+        run = bench.do(advised)
+        assert run.succeeded, (advised, run.refusal, run.assessments)
+
+
+def test_without_room_for_the_clearance_a_look_is_not_advised(bench):
+    bench.unsurveyed()
+    refusal = bench.elaborate("MOVE RIGHT-ARM TO POSITION 68.3 -80 60 CM")
+    assert isinstance(refusal, Refusal)
+    assert "LOCATE" not in refusal.clears
