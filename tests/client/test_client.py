@@ -597,7 +597,9 @@ def test_what_people_print_is_short(broker: SmallBroker, run_dir: Path) -> None:
         end = handle.wait(5)
     fact = m.Fact(key="A.frame", value=[0.1] * 7, validity=m.Validity.VALID, version=3, source="C-1/4", at_s=0.0)
     long = msgspec.structs.replace(fact, value={"covariance": [0.1] * 500})
-    for shown in map(repr, (handle, end, end.outcome, fact, long)):
+    note = m.ProgressNote(seq=1, at_s=0.0, command="C-1", phase=m.Phase.BINDING, step="1 of 2: go", node="binder@2")
+    assert "1 of 2: go" in repr(note)
+    for shown in map(repr, (handle, end, end.outcome, fact, long, note)):
         assert len(shown) < 200, shown
     assert "A.frame" in repr(long)
 

@@ -116,6 +116,10 @@ class ProgressNote(Message, frozen=True, kw_only=True):
     measured: Measured | None = None  # what REPORT requests
     warning: bool = False  # needs a person's attention although the command continues
 
+    def __repr__(self) -> str:
+        words = " ".join(filter(None, (self.command, self.phase.value, self.step, self.note and f"({self.note})")))
+        return f"<ProgressNote {words}>"
+
 
 class CommandEnded(Message, frozen=True, kw_only=True):
     seq: int
