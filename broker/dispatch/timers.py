@@ -16,7 +16,7 @@ MOST_SLOWED = 60.0  # a subsystem slower than this, as a factor, is late neverth
 LOOK_AGAIN_S = 0.1  # least time between two looks at the same timer; signs of life arrive every 0.25 s
 
 
-@dataclass
+@dataclass(slots=True)
 class Count:
     """What a timer counts beyond our clock."""
 
@@ -42,14 +42,18 @@ class Timers:
     def start(self, name: str, at_s: float, now: float = 0.0, subsystems: Sequence[str] = ()) -> None:
         """`subsystems`: count their own time since `now` too; those that report none count our time only."""
         self._put(name, at_s)
-        self._counts.pop(name, None)
         if subsystems:
-            own_s = {subsystem: self._own_s.get(subsystem) for subsystem in subsystems}
-            self._counts[name] = Count(at_s - now, own_s, now + MOST_SLOWED * (at_s - now))
+            limit_s, own_s = at_s - now, self._own_s
+            self._counts[name] = Count(
+                limit_s, {one: own_s.get(one) for one in subsystems}, now + MOST_SLOWED * limit_s
+            )
+        elif name in self._counts:
+            del self._counts[name]
 
     def stop(self, name: str) -> None:
         self._at.pop(name, None)
-        self._counts.pop(name, None)
+        if name in self._counts:
+            del self._counts[name]
 
     def next_at_s(self) -> float | None:
         while self._heap and self._at.get(self._heap[0][1]) != self._heap[0][0]:

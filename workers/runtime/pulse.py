@@ -15,6 +15,7 @@ BEAT_S = 0.5
 
 class Pulse:
     """`beat(worked_s)` is called every BEAT_S within `with pulse:`, a part of a job that does not use what `beat` uses.
+    `worked_s`: processor time since the first of these calls, because a quick job should not pay for a measurement.
 
     The two threads never run in such a part at once: its end waits for a beat that is under way. Made by the thread
     that works.
@@ -23,25 +24,31 @@ class Pulse:
     def __init__(self, beat: Callable[[float], None]) -> None:
         self._beat = beat
         self._clock = time.pthread_getcpuclockid(threading.get_ident())
-        self._began_s: float | None = None  # processor time of the working thread at the start; None: it is outside
+        self._part = 0  # number of such parts so far
+        self._inside = False
         self._lock = threading.Lock()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pulse", daemon=True)
         self._thread.start()
 
     def __enter__(self) -> None:
-        self._began_s = time.thread_time()
+        self._part += 1
+        self._inside = True
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
-            self._began_s = None
+            self._inside = False
 
     def close(self) -> None:
         self._over.set()
         self._thread.join()
 
     def _run(self) -> None:
+        part, began_s = 0, 0.0
         while not self._over.wait(BEAT_S):
             with self._lock:
-                if self._began_s is not None:
-                    self._beat(time.clock_gettime(self._clock) - self._began_s)
+                if self._inside:
+                    now_s = time.clock_gettime(self._clock)
+                    if part != self._part:
+                        part, began_s = self._part, now_s
+                    self._beat(now_s - began_s)
