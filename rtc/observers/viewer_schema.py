@@ -1,7 +1,8 @@
 """JSON schemas of messages in the form that robot viewers understand. Pure.
 
 Viewers of the Foxglove family read neither `$ref` nor `anyOf`, and want a `type` everywhere. So references are
-replaced by what they name, an optional value has the schema of its value, and a map has no listed properties.
+replaced by what they name, an optional value has the schema of its value, and a map has no listed properties. A type
+within itself is a map.
 """
 
 from __future__ import annotations
@@ -20,8 +21,12 @@ def viewer_schema(kind: Any) -> dict[str, Any]:
 
 
 def _plain(part: dict[str, Any], named: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """`named`: the types that a reference may name, without those that contain this part."""
     if "$ref" in part:
-        return _plain(named[part["$ref"].rpartition("/")[2]], named)
+        name = part["$ref"].rpartition("/")[2]
+        if name not in named:
+            return dict(ANY)
+        return _plain(named[name], {other: inner for other, inner in named.items() if other != name})
     if "anyOf" in part:
         kinds = [kind for kind in part["anyOf"] if kind.get("type") != "null"]
         return _plain(kinds[0], named) if len(kinds) == 1 else dict(ANY)
