@@ -35,7 +35,7 @@ class Timers:
         self._counts: dict[str, Count] = {}
         self._own_s: dict[str, float] = {}  # subsystem -> its own time, as it last reported it
 
-    def hear(self, subsystem: str, own_s: float) -> None:
+    def set_own_time(self, subsystem: str, own_s: float) -> None:
         """A subsystem reports its own time (s)."""
         self._own_s[subsystem] = own_s * self._scale
 

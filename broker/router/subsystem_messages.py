@@ -74,7 +74,7 @@ class SubsystemMessages:
     def _mark_alive(self, name: str, peer: bytes, message: m.Heartbeat, now: float) -> None:
         known = self._core.state.subsystems.get(name)
         if message.own_s and known is not None:  # the number of known ones is bounded
-            self._core.timers.hear(name, message.own_s)
+            self._core.timers.set_own_time(name, message.own_s)
         if known is None or known.link is not LinkState.CONNECTED:  # an empty acknowledgement requests a hello message
             send(self._core.sockets["subsystems"], m.ReportAck(primitive=""), peer)
 

@@ -36,7 +36,7 @@ def slowed(t: Timers, share: float, until_s: float) -> float | None:
     """The MCM reports its own time four times a second; returns when the timer rings."""
     for quarter in range(int(4 * until_s)):
         now = quarter / 4
-        t.hear("MCM", 100.0 + share * now)
+        t.set_own_time("MCM", 100.0 + share * now)
         if quarter == 0:
             t.start("C-1", 10.0, 0.0, ["MCM", "S&P"])  # S&P reports no time of its own
         if t.due(now):
@@ -63,17 +63,17 @@ def test_a_subsystem_that_reports_no_time_is_judged_by_ours():
 
 def test_the_time_of_another_process_does_not_count():
     t = Timers()
-    t.hear("MCM", 1000.0)
+    t.set_own_time("MCM", 1000.0)
     t.start("C-1", 10.0, 0.0, ["MCM"])
-    t.hear("MCM", 2.0)  # it was restarted
+    t.set_own_time("MCM", 2.0)  # it was restarted
     assert t.due(10.0) == []
-    t.hear("MCM", 12.0)
+    t.set_own_time("MCM", 12.0)
     assert t.due(20.0) == ["C-1"]
 
 
 def test_a_timer_without_subsystems_replaces_one_with_them():
     t = Timers()
-    t.hear("MCM", 0.0)
+    t.set_own_time("MCM", 0.0)
     t.start("C-1", 10.0, 0.0, ["MCM"])
     t.start("C-1", 10.0)
     assert t.due(10.0) == ["C-1"]
