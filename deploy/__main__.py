@@ -82,8 +82,9 @@ def _cell(text: str) -> str:
             f"{text} is not a cell: a cell is a .yaml file, a directory with a cell.yaml in it, or a name"
         )
     from rtc.cells.cell import Cell
+    from rtc.robot.finger_mass import require_stable
 
-    Cell.load(text)
+    require_stable(Cell.load(text))
     return str(path.absolute()) if is_yaml else text
 
 

@@ -64,6 +64,7 @@ def adapt(path: Path, folder: str, tip: str = "") -> AdaptedArm:
     robot = RobotFile(path)
     _refuse_wrong_values(robot)
     notes: list[str] = []
+    _separate_names(robot, notes)
     fingers = None if tip else _fingers(robot, notes)
     if fingers is None:
         _cut(robot, tip or _deepest(robot), notes)
@@ -88,6 +89,19 @@ def _refuse_wrong_values(robot: RobotFile) -> None:
         where, problem, expected = wrong[0]
         others = f". All {len(wrong)} faults: rtc cell check {robot.path}" if wrong[1:] else ""
         raise ProgramError(f"{robot.path}: {where}: {problem}; expected: {expected}{others}")
+
+
+def _separate_names(robot: RobotFile, notes: list[str]) -> None:
+    """Rename joints that have the name of a link: pinocchio cannot tell their frames apart."""
+    for name in [name for name in robot.joints if name in robot.links]:
+        other = f"{name}_joint"
+        while other in robot.joints or other in robot.links:
+            other += "_"
+        robot.joints[name].set("name", other)
+        for mimic in robot.robot.iterfind(f"joint/mimic[@joint='{name}']"):
+            mimic.set("joint", other)
+        robot.index()
+        notes.append(f"the joint {name} has the name of a link: it is {other} here")
 
 
 # --- the hand ------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from rtc.cells.cell import Cell
 from rtc.cells.urdf_values import MOVING
 from rtc.programs.yaml_location import line_of_key, path_of
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot import geometry
+from rtc.robot import finger_mass, geometry
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.collision_scene import Scene
 from rtc.robot.kinematics import ArmModel
@@ -384,6 +384,7 @@ def _geometry(cell: Cell) -> Iterator[Place]:
     except (ProgramError, ValueError, RuntimeError) as error:
         yield "arms", str(error), "error", "models that can be built"
         return
+    yield from ((where, problem, "error", "") for where, problem in finger_mass.problems(cell))
     yield from _self_pairs(cell)
     home = {arm.name: arm.home_rad for arm in cell.arms}
     for n, arm in enumerate(cell.arms):

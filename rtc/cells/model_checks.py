@@ -104,6 +104,8 @@ def _arm(arm: Arm, model: _Model, texts: Mapping[str, str]) -> Problems:
     if missing:
         yield from missing
         return
+    for name in sorted(model.links & set(model.joints)):
+        yield "urdf", f"a link and a joint have the name {name}: rename the joint, here and in the cell"
     yield from _chain(arm, model)
     yield from _postures(arm, model)
     yield from _fingers(arm, model)

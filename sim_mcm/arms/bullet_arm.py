@@ -17,6 +17,7 @@ from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.primitive import ControlLaw, Load
 from rtc.robot import geometry
+from rtc.robot.finger_mass import finger_mass, require_stable
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms import unrolled
@@ -90,9 +91,11 @@ class BulletArm:
         self._servo = Servo(self._model, spec.home_rad)
         self._estimate = JointTorques(self._model) if sensor is None else None
         self._weightless = self._hand_weight is None and self._estimate is None  # the sensor reads the wrench itself
+        self._finger_kg = finger_mass(world.cell, name).felt_kg
         self._hand = Hand(
             HandCommand(spec.gripper.max_opening_m, spec.gripper.max_force_n, spec.gripper.speed_m_s),
             spec.gripper.max_opening_m,
+            self._finger_kg,
         )
         self._pressed = (0.0, 0.0)  # by the fingers, towards the middle
         self._sample = self.read()
@@ -230,7 +233,7 @@ class BulletArm:
         self._put([*state.joints, *state.fingers])
         still = [0.0] * len(state.joints)
         self._servo.wanted = (list(state.joints), still, still)
-        self._hand = Hand(state.hand, state.opening_m)
+        self._hand = Hand(state.hand, state.opening_m, self._finger_kg)
         if self._estimate is not None:
             self._estimate.begin()
 
@@ -305,10 +308,10 @@ class BulletArm:
 
 
 class BulletCell:
-    """The whole cell in pybullet."""
+    """The whole cell in pybullet. Raises ProgramError if no servo would hold one of its hands still."""
 
     def __init__(self, cell: cells.Cell) -> None:
-        self.cell = cell
+        self.cell = require_stable(cell)
         self.world = PhysicsWorld(cell)
         self.bolts = Bolts(self.world)
         self.arms = {arm.name: BulletArm(self.world, arm.name, self.bolts) for arm in cell.arms}

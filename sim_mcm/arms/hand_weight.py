@@ -68,7 +68,10 @@ class PadTwist:
         read = jacobian.T @ np.array(wrench)
         missing = pin.rnea(self._rest, self._rest_data, q, v, acceleration) - np.array(torques) - read
         one = jacobian.T @ error
-        twist_nm = float(one @ missing) / float(one @ one)
+        square = float(one @ one)
+        if square < 1e-12:  # no joint feels it
+            return wrench
+        twist_nm = float(one @ missing) / square
         if np.linalg.norm(missing - twist_nm * one) > FITS * np.linalg.norm(missing):
             return wrench
         true: list[float] = (np.array(wrench) + twist_nm * error).tolist()

@@ -16,6 +16,7 @@ from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry, hulls
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.kinematics import ArmModel
+from tests.authoring import small_arms
 from tests.authoring.conftest import ARMS, DATA
 
 
@@ -75,6 +76,14 @@ def test_a_mounted_hand_has_colours_of_its_own(first_cell):
     for name in ("palm", "finger_a", "finger_b"):
         (visual,) = robot.findall(f"link[@name='{name}']/visual")
         assert visual.find("material/color") is not None
+
+
+def test_a_joint_with_the_name_of_its_link_is_renamed(tmp_path):
+    file = tmp_path / "six.urdf"
+    file.write_text(small_arms.urdf("six", small_arms.SIX, finger_kg=0.1, same_names=True))
+    found = draft(file, "SIX")
+    assert found.cell.arms[0].joints == [f"link_{n}_joint" for n in range(1, 7)]
+    assert sum("has the name of a link" in note for note in found.notes) == 6
 
 
 def test_the_same_urdf_gives_the_same_cell(first_cell):

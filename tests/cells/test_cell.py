@@ -238,6 +238,7 @@ MISFITS = {
         ('<box size="0.05 0.11 0.06"/>', '<mesh filename="package://palm.stl"/>'),
         r"package://palm\.stl is not found",
     ),
+    "one name": (None, ('joint name="palm_mount"', 'joint name="flange"'), "a link and a joint have the name flange"),
     "no XML": (None, ("</robot>", ""), "is not XML"),
 }
 
