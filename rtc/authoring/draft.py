@@ -5,11 +5,13 @@ The arm stands on a floor under gravity, before two pads and a cube, so that MOV
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,6 +28,7 @@ from rtc.robot.collision import CollisionWorld
 from rtc.robot.collision_scene import Scene
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.robot.numeric_ik import WHOLE
 
 SEED, POSTURES = 1, 1500  # among which home and stow are chosen
 EFFORT = 0.6  # share of the motor torque that a posture may need against gravity
@@ -43,6 +46,7 @@ MARGIN_RAD = math.radians(8.0)
 ABOVE_M = 0.20  # a pad is reachable with the hand over it up to this height
 CARRY_M = 0.25  # height of the place before the arm
 REACHES, BEARINGS_DEG = (0.6, 0.5, 0.7, 0.4, 0.8), (25.0, 35.0, 15.0, 50.0)
+HEIGHTS = (1.0, 0.3)  # shares of the heights over the pads, for arms with fewer than six joints
 STEPS = 8
 
 
@@ -236,35 +240,60 @@ def _payload_kg(model: ArmModel, held: Array) -> float:
 
 def _with_pads(cell: Cell, adapted: AdaptedArm) -> Cell:
     """The cell with two pads on either side, a cube on the first, and a place between them."""
-    name = cell.arms[0].name
-    for reach_m, bearing in _spots(cell, name):
-        pads = [_pad(f"PAD-{n}", reach_m, sign * bearing) for n, sign in ((1, 1.0), (2, -1.0))]
-        front = Frame(xyz=(round(reach_m, 3), 0.0, PAD_HEIGHT_M + CARRY_M), rpy_deg=(180.0, 0.0, 0.0))
-        place = Place(name="FRONT", poses={name: front})
-        tried = msgspec.structs.replace(
-            cell,
-            seats=pads,
-            objects=[*cell.objects, _cube()],
-            places=[place],
-            attitudes={"TOOL-DOWN": Frame(rpy_deg=(180.0, 0.0, 0.0))},
-        )
-        if _can_work(tried):
-            return tried
+    name, home = cell.arms[0].name, cell.arms[0].home_rad
+    model, margin = ArmModel.of(cell, name), math.radians(cell.numbers.joint_margin_deg)
+    farthest = max(float(np.linalg.norm(model.fk(q)[:2])) for q in _samples(model))
+    for how, share in itertools.product(_layouts(cell, model), REACHES):
+        down, reach_m = (180.0, 0.0, how.yaw_deg), share * farthest
+        front = Frame(xyz=(round(reach_m, 3), 0.0, round(PAD_HEIGHT_M + how.height * CARRY_M, 3)), rpy_deg=down)
+        if not model.ik(front.pose, home, margin):
+            continue  # at any bearing
+        for bearing_deg in BEARINGS_DEG:
+            bearing = math.radians(bearing_deg)
+            pads = [_pad(f"PAD-{n}", reach_m, sign * bearing, how) for n, sign in ((1, 1.0), (2, -1.0))]
+            tried = msgspec.structs.replace(
+                cell,
+                seats=pads,
+                objects=[*cell.objects, _cube(down)],
+                places=[Place(name="FRONT", poses={name: front})],
+                attitudes={"TOOL-DOWN": Frame(rpy_deg=down)},
+            )
+            if _can_work(tried, how.height * ABOVE_M):
+                return tried
     adapted.notes.append(
         "no pads were placed: the hand cannot point down near the floor; add objects and seats yourself"
     )
     return cell
 
 
-def _spots(cell: Cell, name: str) -> Iterator[tuple[float, float]]:
-    model = ArmModel.of(cell, name)
-    farthest = max(float(np.linalg.norm(model.fk(q)[:2])) for q in _samples(model))
-    for share in REACHES:
-        for bearing in BEARINGS_DEG:
-            yield share * farthest, math.radians(bearing)
+class _Layout(NamedTuple):
+    """`yaw_deg`: of the hand that points down; `radial`: pads and cube turn with the bearing, as the hand of an arm
+    does that cannot turn it; `height`: share of the usual heights over the pads."""
+
+    yaw_deg: float = 0.0
+    radial: bool = False
+    height: float = 1.0
 
 
-def _pad(name: str, reach_m: float, bearing: float) -> Seat:
+def _layouts(cell: Cell, model: ArmModel) -> Iterator[_Layout]:
+    """Ways to place the pads. Of an arm with fewer than six joints the hand has the yaw that it has at home, seen from
+    the world or from the base."""
+    if len(model.joints) >= WHOLE:
+        yield from (_Layout(yaw_deg) for yaw_deg in (0.0, 90.0, 180.0, -90.0))
+        return
+    hand = model.fk(cell.arms[0].home_rad)
+    turned = geometry.to_matrix(hand)[:3, :3]
+    x, y = turned[:, 0], turned[:, 1]
+    yaw = math.atan2(y[0], -y[1]) if abs(y[2]) < abs(x[2]) else math.atan2(x[1], x[0])
+    bearing = math.atan2(hand[1] - model.base_pose[1], hand[0] - model.base_pose[0])
+    for height in HEIGHTS:
+        yield _Layout(height=height)
+        for half_turn in (0.0, 180.0):
+            yield _Layout(round(math.degrees(yaw) + half_turn, 1), False, height)
+            yield _Layout(round(math.degrees(yaw - bearing) + half_turn, 1), True, height)
+
+
+def _pad(name: str, reach_m: float, bearing: float, how: _Layout) -> Seat:
     at: Vec3 = (
         round(reach_m * math.cos(bearing), 3),
         round(reach_m * math.sin(bearing), 3),
@@ -279,7 +308,7 @@ def _pad(name: str, reach_m: float, bearing: float) -> Seat:
     return Seat(
         name=name,
         kind="pad",
-        frame=Frame(xyz=at),
+        frame=Frame(xyz=at, rpy_deg=(0.0, 0.0, round(math.degrees(bearing), 3) if how.radial else 0.0)),
         way_out=(0.0, 0.0, 1.0),
         depth_m=0.02,
         detent_n=MAGNET_N,
@@ -287,7 +316,7 @@ def _pad(name: str, reach_m: float, bearing: float) -> Seat:
     )
 
 
-def _cube() -> Object:
+def _cube(down: Vec3) -> Object:
     side = (CUBE_M, CUBE_M, CUBE_M)
     inertia = round(CUBE_KG * CUBE_M**2 / 6, 8)
     return Object(
@@ -298,14 +327,12 @@ def _cube() -> Object:
         inertia_kg_m2=(inertia, inertia, inertia),
         shapes=[Box(name="body", size_m=side, colour=(0.15, 0.45, 0.75, 1.0))],
         grasp_points=[
-            GraspPoint(
-                name="TOP", frame=Frame(xyz=(0.0, 0.0, ABOVE_MIDDLE_M), rpy_deg=(180.0, 0.0, 0.0)), width_m=CUBE_M
-            )
+            GraspPoint(name="TOP", frame=Frame(xyz=(0.0, 0.0, ABOVE_MIDDLE_M), rpy_deg=down), width_m=CUBE_M)
         ],
     )
 
 
-def _can_work(cell: Cell) -> bool:
+def _can_work(cell: Cell, above_m: float) -> bool:
     """Whether the arm reaches cube, both pads and the place, and comes down to the pads from above."""
     name = cell.arms[0].name
     model, world = ArmModel.of(cell, name), CollisionWorld(cell)
@@ -315,7 +342,7 @@ def _can_work(cell: Cell) -> bool:
     goals.append(cell.places[0].poses[name].pose)
     margin = math.radians(cell.numbers.joint_margin_deg)
     for goal in goals:
-        heights = np.linspace(ABOVE_M, 0.0, STEPS)
+        heights = np.linspace(above_m, 0.0, STEPS)
         line = [geometry.translate(goal, (0.0, 0.0, float(h))) for h in heights]
         if not any(
             _line_is_free(model, world, aside, line, q, margin)

@@ -73,7 +73,7 @@ def review(path: Path) -> tuple[list[Finding], Cell | None]:
 def _cell(path: Path) -> tuple[list[Finding], Cell | None]:
     folders = [path.parent]
     try:
-        text = path.read_bytes()
+        text = extension.document_of(path)
         plain = msgspec.yaml.decode(text)
         if isinstance(plain, dict) and "extends" in plain:
             plain, folders = extension.read(path, cells.file_of)

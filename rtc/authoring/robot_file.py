@@ -119,10 +119,15 @@ class RobotFile:
         return pose
 
     def mesh_file(self, name: str) -> Path | None:
-        """The file of a mesh: relative to the URDF, in a package beside or above it, or absolute. None: not found."""
+        """The file of a mesh: relative to the URDF, in a package beside or above it, or absolute. None: not found.
+
+        A path of a package that leads out of it is not followed.
+        """
         plain = name.removeprefix("file://")
         if plain.startswith(PACKAGE):
             plain = plain.removeprefix(PACKAGE)
+            if ".." in Path(plain).parts or plain.startswith("/"):
+                return None
         candidates = [Path(plain)] if plain.startswith("/") else []
         rest = plain.partition("/")[2]
         for folder in [self.path.parent, *self.path.absolute().parents[1:ANCESTORS]]:

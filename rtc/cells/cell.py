@@ -164,7 +164,7 @@ def file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:
 
 def _read(path: Path) -> tuple[Cell, list[Path]]:
     """The cell of a file, without the texts of its models, and the folders where they may be."""
-    document = path.read_bytes()
+    document = extension.document_of(path)
     if not EXTENDS.search(document):
         return _decode(document, str(path)), [path.parent]
     merged, folders = extension.read(path, file_of)

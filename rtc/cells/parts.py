@@ -332,7 +332,7 @@ class Numbers(CellPart, frozen=True, kw_only=True):
     acceleration_m_s2: Positive = 1.0
     feel_force_n: Positive = 5.0
     guard_force_n: Positive = 20.0
-    joint_margin_deg: NotNegative = 3.0  # IK solutions nearer to a limit are rejected
+    joint_margin_deg: NotNegative = 3.0  # IK solutions nearer to a limit are rejected; of a slide 5 mm for 3 deg
     # Creep of an object in the hand, along and about each axis. Measured in the simulation, at the module's origin: a
     # carry of 7 s moves it by 0.43 mm and 0.07 deg. The next 5 s add 0.5 mm and 0.17 deg. With 1.5 times the mass and
     # 0.6 of the friction the carry moves it by 0.79 mm and 0.18 deg. Later it moves by 0.004 mm/s and 0.0014 deg/s at

@@ -18,7 +18,7 @@ import msgspec
 import yaml
 
 from rtc.language.grammar import Grammar
-from rtc.programs import checks, expressions, extension_names
+from rtc.programs import checks, expressions, extension_names, yaml_limits
 from rtc.programs.compatibility import Problems, misfits
 from rtc.programs.schema import (
     AnalyzerProgram,
@@ -50,9 +50,6 @@ IDENTITY: dict[str, tuple[str, ...]] = {
 }
 #: field that marks a document as a single item -> its section
 ITEMS: dict[str, str] = {"script": "scripts", "skill": "pieces"}
-
-MAX_DEPTH = 30  # maximum nesting of maps and lists; the default programs have 7 levels
-MAX_NODES = 50_000  # maximum number of values in a document, with aliases expanded
 
 _EXPECTED = "a program document is a map of sections, such as " + "; ".join(
     f"for the {kind.value} {', '.join(sorted(schema.__struct_fields__)[:3])}" for kind, schema in SCHEMAS.items()
@@ -188,31 +185,8 @@ def _of_this_kind(kind: WorkerKind, news: dict[str, Any], name: str, text: bytes
 
 
 def _yaml(text: bytes, source: str) -> Any:
-    """The document, after a check of its parse events. Raises ProgramError, yaml.YAMLError.
-
-    Deep nesting would overflow the C stack of the loader; nested aliases can expand to gigabytes.
-    """
-    sizes: dict[str, int] = {}  # anchor -> number of nodes it expands to
-    open_nodes = [("", 0)]  # anchor, nodes so far
-    for event in yaml.parse(text, yaml.CSafeLoader):
-        anchor, nodes = "", 1
-        if isinstance(event, yaml.CollectionStartEvent):
-            open_nodes.append((event.anchor or "", 0))
-        elif isinstance(event, yaml.CollectionEndEvent):
-            anchor, nodes = open_nodes.pop()
-            sizes[anchor] = nodes
-        elif isinstance(event, yaml.ScalarEvent):
-            sizes[event.anchor or ""] = 1
-        elif isinstance(event, yaml.AliasEvent):
-            if event.anchor not in sizes:
-                raise ProgramError(f"{source}: the alias {event.anchor} has no anchor before it")
-            nodes = sizes[event.anchor]
-        outer, before = open_nodes[-1]
-        open_nodes[-1] = (outer, before + nodes)
-        if len(open_nodes) > MAX_DEPTH or before + nodes > MAX_NODES:
-            what = f"nested deeper than {MAX_DEPTH}" if len(open_nodes) > MAX_DEPTH else f"more than {MAX_NODES} values"
-            line = event.start_mark.line + 1 if event.start_mark else 1
-            raise ProgramError(f"{source}: line {line}: {what}")
+    """The document, after a check of its size. Raises ProgramError, yaml.YAMLError."""
+    yaml_limits.check(text, source)
     return yaml.load(text, yaml.CSafeLoader)
 
 

@@ -27,6 +27,7 @@ PROJECTED_RAD = 1e-3  # its greatest error
 DAMPING = 1e-6  # of its steps near singularities
 MOVES, MOVE_DAMPING = 4, 1e-3  # number of steps of `moved_by`, and their damping
 WHOLE_M, LEAST_WEIGHT = 0.6, 1.0 / 3.0  # a joint that moves the hand by this much per rad, or more, has the weight 1
+SLIDE_MARGIN = 0.1  # m per rad: the margin of a joint that slides, 5 mm for 3 deg
 NEAR_M, NEAR_RAD = 0.0005, 0.005  # smaller distances are not stated
 
 
@@ -98,6 +99,7 @@ class ArmModel:
         except ValueError as error:
             raise ProgramError(f"{name}: {error}") from error
         self.slides: list[bool] = self._chain.slides.tolist()  # by joint: it slides (m), or it turns (rad)
+        self._per_rad = np.where(self._chain.slides, SLIDE_MARGIN, 1.0)
         turning_about_z = all(model.joints[i].shortname() == "JointModelRZ" for i in range(1, model.njoints))
         placements = [model.jointPlacements[i].homogeneous for i in range(1, model.njoints)]
         self._closed_form = puma_ik.recognise(placements) if turning_about_z else None
@@ -181,10 +183,16 @@ class ArmModel:
         """Least singular value of the Jacobian, 0 in a singularity. It mixes m and rad: use it for comparison only."""
         return float(np.linalg.svd(self.jacobian(joints), compute_uv=False)[-1])
 
+    def margins(self, margin_rad: float) -> Array:
+        """By joint: the distance from its limits (rad, m) that this margin means."""
+        kept: Array = margin_rad * self._per_rad
+        return kept
+
     def limit_margin_rad(self, joints: Floats) -> float:
-        """Least distance (rad) of any joint from its limits, for one posture or many; negative beyond a limit."""
+        """Least margin (rad) that any joint keeps from its limits, for one posture or many; negative beyond a limit."""
         q = np.asarray(joints, dtype=float)
-        return float(min((q - self.limits.lower).min(), (self.limits.upper - q).min()))
+        least = np.minimum(q - self.limits.lower, self.limits.upper - q) / self._per_rad
+        return float(least.min())
 
     # --- inverse -----------------------------------------------------------------------------------------
 
@@ -197,7 +205,7 @@ class ArmModel:
         """
         reference = np.asarray(near, dtype=float) if near is not None else self.middle
         if self._closed_form is None:
-            found = self._chain.solutions(self._goal(target), reference, margin_rad)
+            found = self._chain.solutions(self._goal(target), reference, self.margins(margin_rad))
             if not found:
                 return [q for raw in self._branches(target, reference) for q in self._turns_within(raw, margin_rad)]
             return [q for raw in found for q in self._nearest_turns(raw, reference, margin_rad)]
@@ -273,7 +281,9 @@ class ArmModel:
 
     def why_no_ik(self, target: Floats, margin_rad: float = 0.0) -> Refusal | None:
         """The cause of an IK failure: the missing reach, or the exceeded joint limit. None: IK succeeds."""
-        if self._closed_form is None and self._chain.solutions(self._goal(target), self.middle, margin_rad):
+        if self._closed_form is None and self._chain.solutions(
+            self._goal(target), self.middle, self.margins(margin_rad)
+        ):
             return None
         raws = self._branches(target, self.middle)
         if not raws:
@@ -285,8 +295,8 @@ class ArmModel:
 
     def why_not_within(self, joints: Floats, margin_rad: float = 0.0) -> Refusal | None:
         """The joint of this posture that exceeds its limits most; None: all joints are within them."""
-        q = np.asarray(joints, dtype=float)
-        below, above = self.limits.lower + margin_rad - q, q - self.limits.upper + margin_rad
+        q, margins = np.asarray(joints, dtype=float), self.margins(margin_rad)
+        below, above = self.limits.lower + margins - q, q - self.limits.upper + margins
         if max(below.max(), above.max()) <= 0:
             return None
         n = int(np.maximum(below, above).argmax())
@@ -330,14 +340,18 @@ class ArmModel:
     def _nearest_turns(self, q: Array, reference: Array, margin: float) -> list[Array]:
         """The same posture with whole turns added where the limits allow: as found, and nearest to `reference`."""
         turned = q - _TURN * np.round((q - reference) / _TURN) * ~self._chain.slides
-        outside = (turned < self.limits.lower + margin) | (turned > self.limits.upper - margin)
+        margins = self.margins(margin)
+        outside = (turned < self.limits.lower + margins) | (turned > self.limits.upper - margins)
         turned = np.where(outside, q, turned)
         return [q] if np.array_equal(turned, q) else [turned, q]
 
     def _turns_within(self, raw: list[float], margin: float) -> list[Array]:
         """The same posture with each angle shifted by -1, 0 or 1 turn, as far as the limits allow."""
         choices = []
-        for angle, slides, lower, upper in zip(raw, self.slides, self._lower, self._upper, strict=True):
+        margins = self.margins(margin).tolist()
+        for angle, slides, lower, upper, margin in zip(
+            raw, self.slides, self._lower, self._upper, margins, strict=True
+        ):
             same = (angle,) if slides else (angle, angle - _TURN, angle + _TURN)
             fits = [a for a in same if lower + margin <= a <= upper - margin]
             if not fits:
@@ -348,7 +362,8 @@ class ArmModel:
     def _worst_joint(self, raw: list[float], margin: float) -> tuple[float, int, float, float]:
         """(excess, joint, value, limit) of the joint that exceeds its limits most, each angle at its best turn."""
         worst = (-math.inf, 0, 0.0, 0.0)
-        for n, (angle, lower, upper) in enumerate(zip(raw, self._lower, self._upper, strict=True)):
+        margins = self.margins(margin).tolist()
+        for n, (angle, lower, upper, margin) in enumerate(zip(raw, self._lower, self._upper, margins, strict=True)):
             best = min(
                 max((lower + margin - a, n, a, lower), (a - upper + margin, n, a, upper))
                 for a in ((angle,) if self.slides[n] else (angle, angle - _TURN, angle + _TURN))
@@ -358,14 +373,14 @@ class ArmModel:
 
     def _limit_passed(self, joint: int, value: float, limit: float, margin: float) -> Refusal:
         side = "upper" if limit == self._upper[joint] else "lower"
-        slides = self.slides[joint]
-        lowest, highest = (self._shown(joint, n) for n in (self._lower[joint] + margin, self._upper[joint] - margin))
-        kept = f", with a margin of {self._shown(joint, margin)}" if margin else ""
+        slides, margin = self.slides[joint], float(self.margins(margin)[joint])
+        lowest, highest = (self.shown(joint, n) for n in (self._lower[joint] + margin, self._upper[joint] - margin))
+        kept = f", with a margin of {self.shown(joint, margin)}" if margin else ""
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=(
                 f"{self.name} would have to {'move' if slides else 'turn'} {self.joints[joint]} to "
-                f"{self._shown(joint, value)}; its {side} limit is {self._shown(joint, limit)}{kept}"
+                f"{self.shown(joint, value)}; its {side} limit is {self.shown(joint, limit)}{kept}"
             ),
             clears=f"{self.joints[joint]} between {lowest} and {highest}: "
             "other joint values, or another attitude, arm or grasp point",
@@ -380,7 +395,7 @@ class ArmModel:
             },
         )
 
-    def _shown(self, joint: int, value: float) -> str:
+    def shown(self, joint: int, value: float) -> str:
         """A value of a joint in deg, or in mm if it slides."""
         return f"{1e3 * value:.0f} mm" if self.slides[joint] else f"{math.degrees(value):.1f} deg"
 
@@ -397,6 +412,8 @@ class ArmModel:
             off = [f"{1e3 * near.metres:.0f} mm"] if near.metres >= NEAR_M else []
             off += [f"{math.degrees(near.radians):.0f} deg"] if near.radians >= NEAR_RAD else []
             message = f"the nearest posture found ends {' and '.join(off) or 'just'} short of it"
+            if len(self.joints) < numeric_ik.WHOLE:
+                message += f"; with {len(self.joints)} joints it reaches each place in some attitudes only"
             detail = {"turned_rad": near.radians}
         return Refusal(
             reason=RefusalReason.INFEASIBLE,

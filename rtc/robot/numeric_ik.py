@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -25,6 +25,10 @@ SEED = 560
 BATCHES = (31, 96)  # number of starts from the table; the second batch runs only if the first has no result
 STEPS = (24, 60)  # maximum number of iterations of each batch
 ENOUGH = 1e-9  # norm of the residual twist (m and rad) for convergence
+# An arm with fewer joints than a pose has axes reaches it only as well as the figures of its URDF are rounded: its
+# results are the nearest postures, if they are as near as this, after a step smaller than STILL (rad, m).
+WHOLE, NEAR_M, NEAR_RAD, STILL = 6, 0.0003, math.radians(0.3), 1e-6
+TURN_M = 0.05  # a rest of one radian counts as much as this one of position: the place matters more
 WANTED, WANTED_STEPS = 12, 9  # with this many results a batch ends after this many iterations
 HOPELESS_STEPS, HOPELESS = 14, 0.02  # after so many iterations a start that leads to the goal is nearer than this
 METRES_PER_RAD = 0.25  # of the distance between poses, to choose starts
@@ -68,6 +72,7 @@ class Chain:
         if self.count < FEWEST:
             raise ValueError(f"it has {self.count} moving joint; an arm needs {FEWEST} or more")
         self.slides = np.zeros(self.count, dtype=bool)
+        self._weights = None if self.count >= WHOLE else np.array([1.0] * 3 + [TURN_M] * 3)
         self._joints = [self._joint(n) for n in range(1, model.njoints)]
         tip = model.frames[tcp].placement
         self._tip_turn, self._tip_at = tip.rotation.copy(), tip.translation.copy()
@@ -129,8 +134,10 @@ class Chain:
 
     # --- search ------------------------------------------------------------------------------------------
 
-    def solutions(self, goal: pin.SE3, reference: Array, margin: float = 0.0) -> list[Array]:
+    def solutions(self, goal: pin.SE3, reference: Array, margin: Array | float = 0.0) -> list[Array]:
         """Joint values that bring the tcp to the goal, each at least `margin` from its limits; the best first.
+
+        `margin`: rad, m; one, or one by joint.
 
         The best have a short motion time from `reference`, and are far from limits and singularities.
         """
@@ -169,19 +176,23 @@ class Chain:
         For small steps along a line. Redundant joints move away from their limits.
         """
         model, data, tcp = self._model, self._data, self._tcp
-        q = np.array(near, dtype=float)
+        q, most = np.array(near, dtype=float), math.inf
         for step in range(FOLLOW_STEPS):
             pin.framesForwardKinematics(model, data, q)
             error = pin.log6(data.oMf[tcp].actInv(goal)).vector
             size = float(error @ error)
             if size < ENOUGH * ENOUGH:
                 return q
+            if self.count < WHOLE and most < STILL and _near(error):
+                return q
             jacobian = pin.computeFrameJacobian(model, data, q, tcp, pin.LOCAL)
+            if self._weights is not None:
+                jacobian, error = self._weights[:, None] * jacobian, self._weights * error
             if self.count > 6:
                 move = self._redundant_step(q, jacobian, error, size, FOLLOW_GAIN if step == 0 else 0.0)
             else:
                 move = _least_squares(jacobian, error, size)
-            most = np.abs(move).max()
+            most = float(np.abs(move).max())
             q = q + move * min(1.0, MOST_STEP / max(most, 1e-12))
         return None
 
@@ -232,6 +243,7 @@ class Chain:
         """(joint values, whether each row has converged). Without `keep_all` it ends when enough have."""
         q = np.clip(starts, lower, upper)
         converged = np.zeros(len(q), dtype=bool)
+        moved = np.full(len(q), np.inf)  # in the last step
         for step in range(steps):
             active = np.flatnonzero(~converged)
             here = q[active]
@@ -239,6 +251,8 @@ class Chain:
             error = self._errors(goal, turn, at)
             size = (error**2).sum(axis=1)
             done = size < ENOUGH * ENOUGH
+            if self.count < WHOLE:
+                done |= (moved[active] < STILL) & _near(error)
             converged[active[done]] = True
             if done.all() or (not keep_all and step >= WANTED_STEPS and converged.sum() >= WANTED):
                 break
@@ -247,11 +261,14 @@ class Chain:
             left = ~done
             move = self._step(here[left], error[left], size[left], (at[left], axes[left], places[left]), step)
             q[active[left]] = np.clip(here[left] + move, lower, upper)
+            moved[active[left]] = np.abs(q[active[left]] - here[left]).max(axis=1)
         return q, converged
 
     def _step(self, q: Array, error: Array, size: Array, placed: tuple[Array, Array, Array], step: int) -> Array:
         """One damped step of every row."""
         jacobian = self._jacobian(*placed)
+        if self._weights is not None:
+            jacobian, error = self._weights[:, None] * jacobian, self._weights * error
         transposed = jacobian.transpose(0, 2, 1)
         squared = jacobian @ transposed
         squared[:, np.arange(6), np.arange(6)] += (DAMPING * size + LEAST_DAMPING)[:, None]
@@ -314,6 +331,12 @@ def _least_squares(jacobian: Array, error: Array, size: float, weights: Array | 
     squared[np.diag_indices(6)] += DAMPING * 0.01 * size + LEAST_DAMPING
     move: Array = weighted.T @ np.linalg.solve(squared, error)
     return move
+
+
+def _near(error: Array) -> Any:
+    """Whether a residual twist, or each of several, is as small as that of an arm with few joints may be."""
+    metres, radians = np.linalg.norm(error[..., :3], axis=-1), np.linalg.norm(error[..., 3:], axis=-1)
+    return (metres < NEAR_M) & (radians < NEAR_RAD)
 
 
 def _different(rows: Array, apart: float) -> list[Array]:

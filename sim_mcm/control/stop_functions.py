@@ -204,14 +204,17 @@ def _speed(when: p.SpeedAbove, traits: Traits) -> Check:
 def _following(when: p.FollowingErrorAbove, traits: Traits) -> Check:
     names, limit = traits.joint_names, when.limit_rad
 
+    def shown(n: int, value: float) -> str:
+        return f"{1e3 * value:.1f} mm" if traits.slides and traits.slides[n] else f"{math.degrees(value):.1f} deg"
+
     def check(now: Moment) -> Finding | None:
         commanded = now.commanded
         for n, q in enumerate(now.joints):
             if not -limit <= q - commanded[n] <= limit:
                 off, stuck = q - commanded[n], _stuck(now)
                 cause = f"{names[stuck]} does not move; " if stuck is not None else ""
-                found = f"{cause}{names[n]} is {math.degrees(off):.1f} deg from where it is commanded to be"
-                return abs(off), limit, f"{found}; {math.degrees(limit):.1f} deg is the limit"
+                found = f"{cause}{names[n]} is {shown(n, off)} from where it is commanded to be"
+                return abs(off), limit, f"{found}; {shown(n, limit)} is the limit"
         return None
 
     return check
@@ -230,17 +233,18 @@ def _stuck(now: Moment) -> int | None:
 
 
 def _joint_margin(when: p.JointMarginBelow, traits: Traits) -> Check:
-    margin, names = when.margin_rad, traits.joint_names
-    lower = [low + margin for low in traits.lower]
-    upper = [high - margin for high in traits.upper]
+    margins, names = traits.margins(when.margin_rad), traits.joint_names
+    lower = [low + margin for low, margin in zip(traits.lower, margins, strict=True)]
+    upper = [high - margin for high, margin in zip(traits.upper, margins, strict=True)]
 
     def check(now: Moment) -> Finding | None:
         for n, q in enumerate(now.joints):
             if lower[n] <= q <= upper[n]:
                 continue
-            left = margin + min(q - lower[n], upper[n] - q)
+            left = margins[n] + min(q - lower[n], upper[n] - q)
             if (now.velocities[n] < 0.0) is (q < lower[n]) and now.velocities[n] != 0.0:
-                return left, margin, f"{names[n]} is {math.degrees(left):.2f} deg from its limit"
+                far = f"{math.degrees(left):.2f} deg" if margins[n] == when.margin_rad else f"{1e3 * left:.1f} mm"
+                return left, margins[n], f"{names[n]} is {far} from its limit"
         return None
 
     return check

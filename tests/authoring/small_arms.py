@@ -22,7 +22,7 @@ class Joint(NamedTuple):
 
 
 def urdf(name: str, joints: Sequence[Joint], *, finger_kg: float = 0.0, same_names: bool = False) -> str:
-    """The text of an arm. `finger_kg`: with a parallel hand of its own that has fingers of this mass; 0: without a hand.
+    """The text of an arm. `finger_kg`: of each finger of a parallel hand of its own; 0: without a hand.
     `same_names`: each joint has the name of the link that it carries."""
     parts = [_link("base", (0.1, 0.1, 0.04), (0.0, 0.0, 0.02), 2.0)]
     before = "base"
@@ -74,7 +74,9 @@ def _xyz(values: Sequence[float]) -> str:
 ALL_ROUND = (-2.9, 2.9)
 
 
-def _bar(at: float, axis: str, length: float, kg: float, limits: tuple[float, float] = ALL_ROUND, **more: float) -> Joint:
+def _bar(
+    at: float, axis: str, length: float, kg: float, limits: tuple[float, float] = ALL_ROUND, **more: float
+) -> Joint:
     """A joint `at` this height in the link before, and a link of this length upwards."""
     return Joint((0.0, 0.0, at), axis, (0.06, 0.06, length - 0.02), (0.0, 0.0, 0.5 * length), kg, limits, **more)
 
@@ -90,3 +92,16 @@ SIX = [
 ]
 #: without the roll of the forearm: the hand can point down everywhere, but not everywhere with any tilt
 FIVE = [SIX[0], SIX[1], SIX[2], _bar(0.30, "0 1 0", 0.10, 1.0, (-2.2, 2.2)), SIX[5]]
+#: a SCARA: two parallel joints, a slide down, and the turn of the hand
+SCARA = [
+    Joint((0.0, 0.0, 0.45), "0 0 1", (0.36, 0.06, 0.06), (0.18, 0.0, 0.0), 4.0, (-2.6, 2.6)),
+    Joint((0.36, 0.0, 0.07), "0 0 1", (0.26, 0.06, 0.06), (0.13, 0.0, 0.0), 3.0, (-2.6, 2.6)),
+    Joint((0.26, 0.0, 0.0), "0 0 -1", (0.03, 0.03, 0.10), (0.0, 0.0, -0.08), 1.0, (0.0, 0.33), SLIDE, 200.0),
+    Joint((0.0, 0.0, -0.14), "0 0 -1", (0.04, 0.04, 0.03), (0.0, 0.0, -0.02), 0.5, ALL_ROUND),
+]
+#: a portal with three slides: its hand always points down, with one yaw
+PORTAL = [
+    Joint((-0.1, 0.0, 0.75), "1 0 0", (0.05, 1.0, 0.05), (0.0, 0.0, 0.0), 8.0, (0.0, 0.9), SLIDE, 300.0),
+    Joint((0.0, 0.0, 0.0), "0 1 0", (0.06, 0.06, 0.06), (0.08, 0.0, 0.0), 4.0, (-0.45, 0.45), SLIDE, 300.0),
+    Joint((0.16, 0.0, 0.0), "0 0 -1", (0.05, 0.05, 0.30), (0.0, 0.0, -0.17), 2.0, (0.0, 0.40), SLIDE, 300.0),
+]

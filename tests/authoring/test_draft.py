@@ -78,6 +78,19 @@ def test_a_mounted_hand_has_colours_of_its_own(first_cell):
         assert visual.find("material/color") is not None
 
 
+@pytest.mark.parametrize("kind", ["SIX", "FIVE", "SCARA", "PORTAL"])
+def test_an_arm_gets_pads_that_it_reaches_from_above(tmp_path, kind):
+    """Also one with fewer than six joints: in the attitude that its hand has there."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(small_arms.urdf("arm", getattr(small_arms, kind)))
+    found = draft(file, "UNIT")
+    for name, text in {**found.files, "cell.yaml": found.yaml}.items():
+        (tmp_path / name).write_text(text)
+    findings, cell = review(tmp_path / "cell.yaml")
+    assert findings == []
+    assert [seat.name for seat in cell.seats] == ["PAD-1", "PAD-2"]
+
+
 def test_a_joint_with_the_name_of_its_link_is_renamed(tmp_path):
     file = tmp_path / "six.urdf"
     file.write_text(small_arms.urdf("six", small_arms.SIX, finger_kg=0.1, same_names=True))

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from rtc.authoring.review import Finding, review
+from rtc.authoring.robot_file import RobotFile
 from rtc.cells.cell import CELLS
 from rtc.protocol.outcomes import ProgramError
 from tests.authoring.conftest import DATA
@@ -129,3 +130,12 @@ def test_other_files_are_refused(tmp_path):
         review(tmp_path / "arm.xacro")
     with pytest.raises(ProgramError, match="cannot read"):
         review(tmp_path / "missing.yaml")
+
+
+def test_a_mesh_path_that_leaves_its_package_is_not_followed(tmp_path):
+    (tmp_path / "outside.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+    (tmp_path / "package").mkdir()
+    robot = RobotFile(tmp_path / "package" / "arm.urdf", '<robot name="a"><link name="l"/></robot>')
+    assert robot.mesh_file("package://../outside.obj") is None
+    assert robot.mesh_file("package://package/../../outside.obj") is None
+    assert robot.mesh_file("../outside.obj") == tmp_path / "package" / "../outside.obj"  # beside the URDF, as stated

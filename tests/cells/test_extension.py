@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from rtc.authoring.review import review
 from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import ProgramError
 
@@ -31,6 +32,24 @@ def test_parts_of_the_same_name_are_merged_and_others_added(tmp_path) -> None:
     assert cell.tags[1:] == base.tags[1:]
     assert cell.texts == base.texts  # its models are found in the folder of the other cell
     assert Cell.from_bytes(cell.encode()) == cell
+
+
+def test_an_empty_list_leaves_out_all_of_its_parts(tmp_path) -> None:
+    cell = load(tmp_path, "name: mine\nextends: swapout\ncameras: []\ntags: []\n")
+    assert cell.cameras == []
+    assert cell.tags == []
+    assert cell.objects == Cell.load("swapout").objects
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 25_000, "name: mine\nextends: swapout\nobjects: " + "[" * 25_000 + "]" * 25_000]
+)
+def test_a_document_that_is_nested_too_deeply_is_refused(tmp_path, text) -> None:
+    """It would overflow the stack of the YAML reader, which ends the process."""
+    with pytest.raises(ProgramError, match="nested deeper"):
+        load(tmp_path, text)
+    with pytest.raises(ProgramError, match="nested deeper"):
+        review(tmp_path / "mine.yaml")
 
 
 def test_files_extend_each_other_by_their_place(tmp_path) -> None:

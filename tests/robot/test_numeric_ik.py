@@ -11,6 +11,7 @@ import pytest
 
 from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from tests.authoring import small_arms
 
 DATA = Path(pybullet_data.getDataPath())
 MARGIN = 0.05
@@ -151,3 +152,50 @@ def test_without_a_solution_there_is_a_cause_and_with_one_there_is_none(panda):
         assert (panda.why_no_ik(edge, 0.2) is None) <= bool(found)
         reached += bool(found)
     assert 2 < reached < 22
+
+
+# --- arms with few joints, and slides ----------------------------------------------------------------------
+
+
+def few(joints: list[small_arms.Joint]) -> ArmModel:
+    """The arm, its tcp in the origin of its last link."""
+    names = [f"joint_{n}" for n in range(1, len(joints) + 1)]
+    return ArmModel(small_arms.urdf("few", joints), joints=names, tcp_link=f"link_{len(joints)}", name="FEW")
+
+
+@pytest.mark.parametrize("joints", [small_arms.SCARA, small_arms.PORTAL, small_arms.FIVE])
+def test_an_arm_with_few_joints_reaches_its_poses_as_well_as_figures_are_rounded(joints):
+    """Places in 0.1 mm and attitudes in 0.1 degrees, as people write them."""
+    arm = few(joints)
+    for q in random_joints(arm, 20, 5):
+        pose = arm.fk(q)
+        pose[:3] = np.round(pose[:3], 4)
+        goal = geometry.from_rpy(pose[:3], np.radians(np.round(np.degrees(geometry.to_rpy(pose)), 1)))
+        found = arm.ik(goal, arm.middle, 0.5 * MARGIN)
+        assert found
+        for solution in found:
+            assert geometry.distance(arm.fk(solution), goal) < 0.0003
+            assert geometry.angle(arm.fk(solution), goal) < math.radians(0.3)
+        assert len(arm.ik_along([goal], q)) == 1
+
+
+def test_what_an_arm_with_few_joints_cannot_reach_is_refused_with_its_reason():
+    arm = few(small_arms.SCARA)
+    tilted = geometry.compose(arm.fk(arm.middle), geometry.from_rpy((0.0, 0.0, 0.0), (0.2, 0.0, 0.0)))
+    assert arm.ik(tilted) == []
+    why = arm.why_no_ik(tilted)
+    assert why is not None
+    assert "11 deg" in why.message
+    assert "with 4 joints" in why.message
+
+
+def test_the_margin_of_a_slide_is_some_millimetres():
+    arm = few(small_arms.PORTAL)
+    three_deg = math.radians(3.0)
+    near_the_end = arm.limits.lower + 0.006
+    assert arm.why_not_within(near_the_end, three_deg) is None
+    assert arm.limit_margin_rad(near_the_end) > three_deg
+    assert len(arm.ik(arm.fk(near_the_end), arm.middle, three_deg)) == 1
+    refusal = arm.why_not_within(arm.limits.lower + 0.004, three_deg)
+    assert refusal is not None
+    assert refusal.message.endswith("with a margin of 5 mm")

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TypeVar
 
+import msgspec
+
 from rtc.cells import cell as cells
 from rtc.cells import parts
-from rtc.language.record import BOTH_ARMS, ParsedCommand
+from rtc.language.record import BOTH_ARMS, ParsedCommand, hand_in_words
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal
@@ -62,7 +64,11 @@ def _or_a_hand(unknown: Refusal, program: ElaboratorProgram, parsed: ParsedComma
     hands = any(check.missing == "object" for row in takers for check in row.when)
     if parsed.hand is not None or not hands:
         return unknown
-    known = [*unknown.expected, *(name for arm in cell.arms for name in (arm.name, arm.end_effector))]
+    named = next((arm for arm in cell.arms if parsed.object in (arm.name, arm.end_effector)), None)
+    if named is not None:  # a further arm, without its ARM
+        clears = f"{parsed.verb} {hand_in_words(named.name)}"
+        return msgspec.structs.replace(unknown, nearest=[], clears=clears)
+    known = [*unknown.expected, *(hand_in_words(arm.name) for arm in cell.arms)]
     return suggestions.unknown("object or hand", parsed.object or "", known)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rtc.language.record import hand_in_words
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Floats
@@ -54,7 +55,7 @@ def way_out_in_words(query: WorldQuery, arm: str, seat: str, frame: Floats | Non
     by = f"BY {max(1, math.ceil(100 * left_m - 1e-6))} CM"
     if query.sharers(arm):
         return f"MOVE BOTH-ARMS {by} ALONG {query.way_out_of(seat)}"
-    return f"LIFT {held} {by} WITH {arm}"
+    return f"LIFT {held} {by} WITH {hand_in_words(arm)}"
 
 
 def remark_on_slot(query: WorldQuery, arm: str, tcp: Floats) -> str:

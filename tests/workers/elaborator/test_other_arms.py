@@ -6,10 +6,14 @@ import msgspec
 import pytest
 
 from rtc.cells.cell import Cell
+from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import Refusal
 from rtc.world.model import World, initial_facts
-from tests.workers.conftest import CELL, Bench
+from tests.workers.conftest import CELL, Bench, record
+from workers.analyzer import analyze as analyzer
+from workers.planning import in_seat
 from workers.planning.robot_models import CellModel
+from workers.planning.world_query import WorldQuery
 
 
 def test_a_smaller_and_weaker_hand_opens_and_grips_as_it_can(bench: Bench) -> None:
@@ -40,3 +44,31 @@ def test_a_joint_that_slides_takes_a_length(bench: Bench, values: str, words: st
     assert isinstance(found, Refusal) == bool(words), found
     if isinstance(found, Refusal):
         assert words in found.message
+
+
+def test_a_hand_whose_name_is_no_word_is_refused_with_the_sentence_that_opens_it(bench: Bench) -> None:
+    cell = Cell.load("gantry")
+    bench.world = World().overlay(initial_facts(cell))
+    found = bench.elaborate(f"OPEN {cell.arms[0].end_effector}", CellModel(cell))
+    assert isinstance(found, Refusal)
+    assert found.clears == "OPEN ARM GANTRY"
+    assert not isinstance(bench.elaborate(found.clears, CellModel(cell)), Refusal)
+
+
+def test_the_way_out_of_a_seat_names_a_further_arm_as_a_sentence_does(bench: Bench) -> None:
+    cell = Cell.load("gantry")
+    module = next(thing for thing in cell.objects if thing.seat)
+    facts = World().overlay(initial_facts(cell))
+    bench.world = facts.overlay([WorldChange(key="GANTRY.holding", value=module.name)])
+    query = WorldQuery(CellModel(cell), bench.world)
+    sentence = in_seat.way_out_in_words(query, "GANTRY", module.seat or "")
+    assert sentence.endswith("WITH ARM GANTRY")
+    assert record(sentence).hand == "GANTRY"
+
+
+@pytest.mark.parametrize("advice", ["unseen", "out_of_sight"])
+def test_the_advice_for_a_body_that_no_camera_saw_begins_with_a_sentence(bench: Bench, advice: str) -> None:
+    program = analyzer.compile(bench.programs["analyzer"])
+    outcome = program.classes[advice]
+    sentence, _, _ = (outcome.again or outcome.clears).partition(",")
+    assert record(sentence.replace("{object}", "MACS-OLD")).object == "MACS-OLD"

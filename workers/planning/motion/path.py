@@ -166,7 +166,8 @@ def _first_problem(arm: ArmModel, table: Array, margin_rad: float) -> int:
     """Index of the first row after the start that leaps or passes a limit; the number of rows if there is none."""
     rows = table[1:]
     bad = np.abs(rows - table[:-1]).max(axis=1) > LEAP_RAD
-    bad |= np.maximum(arm.limits.lower + margin_rad - rows, rows - arm.limits.upper + margin_rad).max(axis=1) > 0
+    margins = arm.margins(margin_rad)
+    bad |= np.maximum(arm.limits.lower + margins - rows, rows - arm.limits.upper + margins).max(axis=1) > 0
     return int(bad.argmax()) + 1 if bad.any() else len(table)
 
 
@@ -184,7 +185,7 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=(
-                f"{arm.name} would have to leap: {arm.joints[joint]} by {math.degrees(leap[joint]):.0f} deg at once, "
+                f"{arm.name} would have to leap: {arm.joints[joint]} by {arm.shown(joint, leap[joint])} at once, "
                 f"near a singularity"
             ),
             clears="another branch or attitude at the start",

@@ -118,7 +118,8 @@ class _Space:
     @cached_property
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper joint limits (rad); the start is within them."""
-        limits, margin = self._request.arm.limits, self._request.way_margin_rad
+        arm = self._request.arm
+        limits, margin = arm.limits, arm.margins(self._request.way_margin_rad)
         return np.minimum(limits.lower + margin, self._start), np.maximum(limits.upper - margin, self._start)
 
     def guides(self, goal: Array) -> list[Array]:
