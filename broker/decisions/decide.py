@@ -20,6 +20,7 @@ from broker.decisions.command.table import stimulate
 from broker.decisions.context import START, DecisionContext
 from broker.decisions.effects import AcknowledgeReport, Effect, TellClient
 from broker.decisions.events import (
+    ArmStrayed,
     BrokerRestarted,
     ClientGone,
     CommandReceived,
@@ -316,6 +317,7 @@ HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
     PrimitivePaced: pacing.on_paced,
     PrimitiveEnded: on_ended,
     HaltConfirmed: on_halt_confirmed,
+    ArmStrayed: faults.on_strayed,
     SubsystemConnected: subsystem_link.on_hello,
     SubsystemGone: subsystem_link.on_gone,
     ClientGone: on_client_gone,

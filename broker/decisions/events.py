@@ -115,6 +115,14 @@ class HaltConfirmed(Event, frozen=True, kw_only=True, gc=False):
     performers: list[str] | None = None
 
 
+class ArmStrayed(Event, frozen=True, kw_only=True, gc=False):
+    """An arm has moved without a primitive, and is braked. `how`: in words, without the name of the arm."""
+
+    subsystem: str
+    arm: str
+    how: str
+
+
 class SubsystemConnected(Event, frozen=True, kw_only=True, gc=False):
     """A subsystem connected. With a new `pid` it knows only the primitives it lists as outstanding."""
 
@@ -182,6 +190,7 @@ AnyEvent = (
     | PrimitivePaced
     | PrimitiveEnded
     | HaltConfirmed
+    | ArmStrayed
     | SubsystemConnected
     | SubsystemGone
     | ClientGone

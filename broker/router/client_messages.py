@@ -115,6 +115,7 @@ class ClientMessages:
             peers_at_s=core.peers_at_s,
             late_results=core.late_results,
             injected=core.injected,
+            strayed=core.strayed,
         )
         self._egress.answer(peer, m.StatusReply(request=message.request, status=status(view, core.clock())))
 

@@ -41,6 +41,7 @@ class BrokerView:
     peers_at_s: float  # time of that report
     late_results: Mapping[str, int]  # by worker
     injected: Mapping[str, Sequence[str]]  # faults in simulated subsystems
+    strayed: Mapping[str, Mapping[str, str]]  # arms that moved without a primitive, by subsystem
 
 
 def status(view: BrokerView, now: float) -> dict[str, Any]:
@@ -128,6 +129,7 @@ def _subsystems(view: BrokerView) -> list[dict[str, Any]]:
             "performers": subsystem.performers,
             "executing": [c.primitive for c in executing if c.subsystem == name],
             "injected": list(view.injected.get(name, ())),
+            "strayed": [f"{arm} {how}" for arm, how in view.strayed.get(name, {}).items()],
         }
         for name, subsystem in view.state.subsystems.items()
     ]

@@ -7,7 +7,14 @@ from collections.abc import Callable
 from typing import Any
 
 from broker.decisions import reporting
-from broker.decisions.events import HaltConfirmed, PrimitiveEnded, PrimitivePaced, PrimitiveStarted, SubsystemConnected
+from broker.decisions.events import (
+    ArmStrayed,
+    HaltConfirmed,
+    PrimitiveEnded,
+    PrimitivePaced,
+    PrimitiveStarted,
+    SubsystemConnected,
+)
 from broker.decisions.state import LinkState
 from broker.router.core import Core, name_of, peer_of
 from broker.router.egress import Egress
@@ -54,6 +61,9 @@ class SubsystemMessages:
     def _connect(self, name: str, peer: bytes, message: m.SubsystemHello, now: float) -> None:
         _check_name(name, message.name)
         self._egress.subsystems.set_arrays(peer, message.arrays)
+        known = self._core.state.subsystems.get(name)
+        if known is None or known.pid != message.pid:
+            self._core.strayed.pop(name, None)
         self._core.me.log.info("%.80r is connected, pid %d, %.200s", name, message.pid, message.performers)
         for order in self._halts.unanswered(message, now):
             self._egress.subsystems.send_now(peer, order)
@@ -117,6 +127,17 @@ class SubsystemMessages:
         if name in self._core.state.subsystems or name in TOKEN_BEARERS:  # their number is bounded
             self._core.injected[name] = message.active
 
+    def _strayed(self, name: str, peer: bytes, message: m.Strayed, now: float) -> None:
+        subsystem = self._core.state.subsystems.get(name)
+        if subsystem is None:
+            return
+        known = self._core.strayed.get(name, {})
+        arms = {arm: how for arm, how in message.arms.items() if arm in subsystem.performers}
+        for arm in arms.keys() - known.keys():
+            self._core.me.log.warning("%s: %s %s", name, arm, arms[arm])
+            self._core.enqueue(ArmStrayed(at_s=now, subsystem=name, arm=arm, how=arms[arm]))
+        self._core.strayed[name] = arms
+
     def _count_dropped(self, name: str, peer: bytes, message: m.Dropped, now: float) -> None:
         count_dropped(self._core, message, DROP_COUNTERS)
 
@@ -152,6 +173,7 @@ HANDLERS: dict[type, Callable[[SubsystemMessages, str, bytes, Any, float], None]
     m.HaltStarted: SubsystemMessages._halt_started,
     m.HaltAtRest: SubsystemMessages._confirm_rest,
     m.Injected: SubsystemMessages._injected,
+    m.Strayed: SubsystemMessages._strayed,
     m.Dropped: SubsystemMessages._count_dropped,
     m.ProgressReport: SubsystemMessages._forward_report,
 }

@@ -310,6 +310,8 @@ def _subsystems(subsystems: list[dict[str, Any]]) -> None:
         )
         if faults := row.get("injected"):
             console.print(Text(f"{row['name']}: injected faults: ", style="bold red") + Text("; ".join(faults)))
+        for words in row.get("strayed", []):
+            console.print(Text(f"{row['name']}: ", style="bold red") + Text(words))
 
 
 def _plain(value: Any) -> str:

@@ -32,7 +32,7 @@ READ: Kinds = (m.ReadView, m.WorldHistory)
 JOIN: Kinds = (m.WorkerHello, m.Heartbeat, m.ResultBatch, m.ProgramWanted, m.WorkerGone)
 PERFORM: Kinds = (
     *(m.SubsystemHello, m.Heartbeat, m.Started, m.Paced, m.ProgressReport, m.EndReport),
-    *(m.HaltStarted, m.HaltAtRest, m.HaltOrder, m.Injected),
+    *(m.HaltStarted, m.HaltAtRest, m.HaltOrder, m.Injected, m.Strayed),
 )
 HALT: Kinds = (m.HaltOrder,)
 LISTEN: Kinds = ()  # subscribers send nothing

@@ -46,7 +46,7 @@ REST_LIMIT_S = 2.0  # a performer not at rest this long after a halt, by own tim
 COMMAND = re.compile(r"C-\d+", re.ASCII)
 
 Outgoing = list[tuple[bytes, m.Message]]
-Report = m.Started | m.Paced | m.ProgressReport | m.EndReport
+Report = m.Started | m.Paced | m.ProgressReport | m.EndReport | m.Strayed
 Reports = Sequence[Report]
 
 

@@ -102,7 +102,10 @@ def make_suspect(
 ) -> int:
     """Make the facts that a motion changes suspect, with `why` as their source; returns the new version.
 
-    `locations`: only their facts; None = all."""
+    `locations`: only their facts, and those of what arms among them hold; None = all."""
+    if locations is not None:
+        held = (store.facts.get(f"{name}.holding") for name in locations)
+        locations = {*locations, *(fact.value for fact in held if fact is not None and isinstance(fact.value, str))}
     moved = (
         key
         for key in store.facts

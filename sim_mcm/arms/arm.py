@@ -15,7 +15,7 @@ import msgspec
 from rtc.cells.cell import Cell
 from rtc.protocol.primitive import ControlLaw
 from rtc.robot.geometry import Array
-from rtc.robot.kinematics import ArmModel
+from rtc.robot.kinematics import SLIDE_MARGIN, ArmModel
 
 TICK_S = 0.001  # period of the servo and of the simulation
 
@@ -84,11 +84,18 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
     max_opening_m: float
     max_grip_n: float
     hand_speed_m_s: float
+    slides: list[bool] = []  # by joint; one that slides has m, m/s, m/s^2
+
+    def margins(self, margin_rad: float) -> list[float]:
+        """By joint: the distance from its limits (rad, m) that this margin means."""
+        slides = self.slides or [False] * len(self.lower)
+        return [margin_rad * (SLIDE_MARGIN if sliding else 1.0) for sliding in slides]
 
     @staticmethod
     def of(cell: Cell, name: str) -> Traits:
         """The traits of an arm of a cell."""
-        spec, limits = cell.arm(name), ArmModel.of(cell, name).limits
+        spec, model = cell.arm(name), ArmModel.of(cell, name)
+        limits = model.limits
         return Traits(
             name=name,
             joint_names=list(spec.joints),
@@ -100,6 +107,7 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
             max_opening_m=spec.gripper.max_opening_m,
             max_grip_n=spec.gripper.max_force_n,
             hand_speed_m_s=spec.gripper.speed_m_s,
+            slides=model.slides,
         )
 
 
@@ -113,6 +121,9 @@ class ArmInterface(Protocol):
 
     def follow(self, motion: Motion) -> None:
         """Command the present motion state: the one that an exact arm would have in this tick."""
+
+    def brake(self, on: bool) -> None:
+        """Hold all joints, and the fingers of a hand that grips nothing, by brakes instead of servos; or let go."""
 
     def use_law(self, law: ControlLaw) -> None:
         """Set the control law. Raises ValueError if it is unknown or one of its figures is out of range."""

@@ -45,7 +45,7 @@ FINGER_FRICTION = 1.0
 SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
 SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
 GRIPS_N = 1.0  # a hand whose fingers press less holds nothing
-STUCK_NM = 1e4  # more than any servo exerts
+LOCKED_N = 1e4  # N or N.m, of a joint that is stuck or braked: more than any servo exerts
 NOTHING: Mapping[str, float] = {}
 TORQUE_CONTROL = pybullet.TORQUE_CONTROL
 BODY_B, LINK_A, LINK_B, ON_B, DISTANCE, NORMAL_FORCE = 2, 3, 4, 6, 8, 9  # fields of a contact point
@@ -87,6 +87,8 @@ class BulletArm:
             self._pad_twist = PadTwist(self._model, inertia)
         self._driven: tuple[Sample, list[float]] | None = None  # sample and torques of the latest step
         self._stuck: set[int] = set()  # joints
+        self._braked = self._hand_braked = False
+        self._zero_torques = [0.0] * self._dof
         self._points: Sequence[tuple[Any, ...]] | None = None  # contacts of the latest step
         self._servo = Servo(self._model, spec.home_rad)
         self._estimate = JointTorques(self._model) if sensor is None else None
@@ -114,17 +116,26 @@ class BulletArm:
     def _without_weight(self, wrench: list[float], joints: list[float], speeds: list[float]) -> list[float]:
         """The wrench without the weight of hand and load, or the one estimated from the joint torques."""
         if self._hand_weight is not None:
-            if min(self._pressed) > GRIPS_N and self._driven is not None and not self._stuck:
+            if min(self._pressed) > GRIPS_N and self._driven is not None and not (self._stuck or self._braked):
                 before, torques = self._driven
                 acceleration = (np.array(speeds) - before.velocities) / STEP_S
                 wrench = self._pad_twist.added(wrench, before.joints, before.velocities, acceleration, torques)
             wrench = self._hand_weight.removed(wrench, self._model.fk(joints), self._load)
         if self._estimate is not None:
-            wrench = self._estimate.wrench(joints, speeds)
+            wrench = [0.0] * 6 if self._braked else self._estimate.wrench(joints, speeds)
         return wrench
 
     def follow(self, motion: Motion) -> None:
         self._servo.wanted = motion
+
+    def brake(self, on: bool) -> None:
+        self._braked, self._hand_braked = on, on and not self.pressed_on()
+        for joint, index in enumerate(self._arm):
+            self._lock(index, on or joint in self._stuck)
+        for finger in self._finger_joints:
+            self._lock(finger, self._hand_braked)
+        if self._estimate is not None:
+            self._estimate.begin()
 
     def use_law(self, law: ControlLaw) -> None:
         self._servo.use_law(law, self._sample.joints)
@@ -200,12 +211,14 @@ class BulletArm:
     def drive(self) -> None:
         """Apply the motor torques of this tick; pybullet keeps them for one step."""
         sample, self._points = self._sample, None
-        torques = self._servo.torque(sample.joints, sample.velocities)
+        torques = self._zero_torques if self._braked else self._servo.torque(sample.joints, sample.velocities)
         if not self._weightless:
             self._driven = sample, torques
             if self._estimate is not None:
                 self._estimate.drive(torques)
         left, right, self._pressed = self._hand.forces(sample.fingers, sample.finger_speeds)
+        if self._hand_braked:
+            left, right, self._pressed = 0.0, 0.0, (0.0, 0.0)
         zeros = self._zeros
         pybullet.setJointMotorControlArray(  # keywords take longer
             self.body, self._all, TORQUE_CONTROL, zeros, zeros, [*torques, left, right], zeros, zeros, self._client
@@ -289,14 +302,18 @@ class BulletArm:
             )
 
     def stick(self, joint: int, stuck: bool) -> None:
-        """A motor with zero speed holds the joint against its servo."""
+        """The joint is held against its servo."""
         (self._stuck.add if stuck else self._stuck.discard)(joint)
+        self._lock(self._arm[joint], stuck or self._braked)
+
+    def _lock(self, joint: int, locked: bool) -> None:
+        """Hold a joint of the body by a motor with zero speed, or let it go."""
         pybullet.setJointMotorControl2(
             self.body,
-            self._arm[joint],
+            joint,
             pybullet.VELOCITY_CONTROL,
             targetVelocity=0.0,
-            force=STUCK_NM if stuck else 0.0,
+            force=LOCKED_N if locked else 0.0,
             physicsClientId=self._client,
         )
 

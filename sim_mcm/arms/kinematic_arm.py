@@ -37,7 +37,7 @@ from sim_mcm.arms.arm import (
     SpindleState,
     Traits,
 )
-from sim_mcm.arms.hand import SPRING_N_M
+from sim_mcm.arms.hand import FINGER_N_M
 from sim_mcm.arms.kinematic_seats import Seats
 from sim_mcm.arms.kinematic_watch import Watch
 
@@ -235,6 +235,9 @@ class KinematicArm:
             speeds = [0.0 if n in self._stuck else v for n, v in enumerate(speeds)]
         self._wanted = joints, speeds
 
+    def brake(self, on: bool) -> None:
+        """It moves only as commanded."""
+
     def use_law(self, law: ControlLaw) -> None:
         if law.compliance is not None:
             why = "an exact arm cannot comply; arms with physics can (rtc up --mcm bullet)"
@@ -385,7 +388,7 @@ class KinematicArm:
             self._press(command.force_n, command.force_n)
             self._attach(min(between))
         else:
-            aside = 0.5 * SPRING_N_M * (self.fingers[0] - self.fingers[1])
+            aside = 0.5 * FINGER_N_M * (self.fingers[0] - self.fingers[1])
             self._press(aside if met[0] else 0.0, -aside if met[1] else 0.0)
 
     def _press(self, a_n: float, b_n: float) -> None:
@@ -420,7 +423,7 @@ class KinematicArm:
     def _feel(self, pose: Array, touches: list[Touch]) -> list[float]:
         pressing = self._pressed_n[0] > 0.0 or self._pressed_n[1] > 0.0
         if pressing:  # off-centre fingers push the hand sideways
-            return [0.0, SPRING_N_M * (self.fingers[0] - self.fingers[1]), 0.0, 0.0, 0.0, 0.0]
+            return [0.0, FINGER_N_M * (self.fingers[0] - self.fingers[1]), 0.0, 0.0, 0.0, 0.0]
         if not touches:
             return [0.0] * 6
         force, torque = np.zeros(3), np.zeros(3)

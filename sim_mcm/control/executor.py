@@ -50,17 +50,20 @@ SETTLE_LIMIT_S = 1.0  # maximum wait for measured rest; then the end is reported
 # most this often, while it is farther than this from its command. A new path must begin within 0.01 rad of it.
 MOST_YIELDS, LEANS_RAD = 6, 0.004
 RELEASE_LIMIT_S = 3.0
+# An arm without a primitive has moved by itself, or was moved, if its joints are farther than this from where they came
+# to rest (norm; rad, m). A new path must begin within the same distance of it.
+STRAYED = 0.01
 # Reflex COMPLY: no spring, damping only. It ends at rest with a smaller force than this, or after this time.
 LIMP = p.Compliance(stiffness=[0.0] * 6)
 COMPLIED_N, COMPLY_LIMIT_S = 1.0, 3.0
 
-Reports = Sequence[m.Started | m.Paced | m.ProgressReport | m.EndReport]
+Reports = Sequence[m.Started | m.Paced | m.ProgressReport | m.EndReport | m.Strayed]
 NOTHING: Reports = ()
 
 
 @dataclass(slots=True)
 class Course:
-    """What has happened to the present or latest primitive, beyond its state.
+    """What has happened to the present or latest primitive, beyond its state; and since then.
 
     These are not attributes of the executor, because Python 3.11 finds attributes of an object with more than 30 of
     them in a hash table: that took 1.5 us of each tick.
@@ -72,6 +75,8 @@ class Course:
     was_compliant: bool = False  # up to the stop
     yields: int = 0
     releasing: bool = False
+    strayed: str = ""  # how the arm has moved since then, without a primitive; it is braked
+    strayed_from: list[float] | None = None  # until it rests
 
 
 class Executor:
@@ -188,6 +193,11 @@ class Executor:
         return was_moving
 
     @property
+    def strayed(self) -> str:
+        """How the arm has moved without a primitive since its latest one; empty: it has not."""
+        return self._course.strayed
+
+    @property
     def paused(self) -> bool:
         """Whether its primitive is to pause on its path, or does."""
         return self.state is Mode.EXECUTING and self._pace.paused
@@ -244,7 +254,9 @@ class Executor:
         else:
             seen.read()
             if self.primitive is None:  # HOLDING
-                return NOTHING
+                if math.dist(seen.sample.joints, seen.stands_at) <= STRAYED:  # in nearly every tick
+                    return NOTHING
+                return self._stray()
         return self._whole_tick(now_s)
 
     def _whole_tick(self, now_s: float) -> Reports:
@@ -288,6 +300,30 @@ class Executor:
             self._quiet_to = self._profile_ticks + 1 + count
             self._seen.forget_window()
 
+    def _stray(self) -> Reports:
+        """Brake an arm that moves without a primitive. A report when it begins, another when the arm rests."""
+        seen, course = self._seen, self._course
+        if course.strayed_from is None:
+            course.strayed_from = seen.stands_at
+            self.arm.brake(True)
+        elif not seen.joints_rest():
+            return NOTHING
+        joint, off = seen.farthest(course.strayed_from)
+        far = f"{1e3 * off:.0f} mm" if self.arm.traits.margins(1.0)[joint] < 1.0 else f"{math.degrees(off):.1f} deg"
+        rests = "it rests" if seen.joints_rest() else "it moves"
+        course.strayed = f"moved without a command, {self.arm.traits.joint_names[joint]} by {far}; braked, {rests}"
+        if seen.joints_rest():
+            course.strayed_from = None
+            self._stand()
+        return [m.Strayed(arms={self.name: course.strayed})]
+
+    def _stand(self) -> None:
+        """Command the arm to stay where it is."""
+        self._seen.stands_at = self.sample.joints
+        self._use(profiles.Stay(self.sample.joints))
+        self._command = self._profile.at(0.0)
+        self.arm.follow(self._command)
+
     # --- the states ------------------------------------------------------------------------------------
 
     def _begin_holding(self) -> None:
@@ -300,10 +336,13 @@ class Executor:
         self.primitive = None
         self.trip = None
         self._follow = None
+        self._seen.stands_at = self.sample.joints
 
     def _begin_executing(self) -> None:
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
+        if self._course.strayed:
+            self.arm.brake(False)
         self._ticks, self._course = 0, Course()
         self._compliant = self.primitive.control_law.compliance is not None
         every_s = self.primitive.reporting.every_s

@@ -41,6 +41,7 @@ class Observation:
         self._tcp_of: Sample | None = None  # the sample that `_tcp_pose` belongs to
         self._tcp_pose: Array = arm.tcp_pose(self.sample.joints)
         self._moment = self._first_moment()
+        self.stands_at = self.sample.joints  # without a primitive
 
     def read(self) -> None:
         """Take the sample of this tick."""
@@ -158,6 +159,12 @@ class Observation:
 
     def fingers_rest(self) -> bool:
         return _spread(self._fingers) <= REST_M
+
+    def farthest(self, joints: Sequence[float]) -> tuple[int, float]:
+        """(joint, distance in rad or m) of the joint that is farthest from these."""
+        off = [abs(a - b) for a, b in zip(self.sample.joints, joints, strict=True)]
+        joint = max(range(len(off)), key=off.__getitem__)
+        return joint, off[joint]
 
     def off(self, joints: Sequence[float]) -> float:
         """The greatest distance of a joint from these (rad)."""

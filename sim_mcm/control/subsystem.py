@@ -13,7 +13,7 @@ import msgspec
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import FAULT_SCOPE, FaultScope, StopReason
 from rtc.protocol.primitive import Primitive, StartAfter
-from rtc.subsystem.subsystem import Outgoing, Report, Reports, Subsystem, in_scope
+from rtc.subsystem.subsystem import BROKER, Outgoing, Report, Reports, Subsystem, in_scope
 from sim_mcm.arms.arm import TICK_S, ArmInterface
 from sim_mcm.control.executor import Executor
 from sim_mcm.control.pairs import Pairs
@@ -48,6 +48,12 @@ class McmSubsystem(Subsystem[Executor]):
         self._pending.clear()
         super().brake()
 
+    def hello(self) -> Outgoing:
+        return super().hello() + ([(BROKER, self._strayed())] if any(one.strayed for one in self._all) else [])
+
+    def _strayed(self) -> m.Strayed:
+        return m.Strayed(arms={executor.name: executor.strayed for executor in self._all if executor.strayed})
+
     def _hello(self) -> m.SubsystemHello:
         return msgspec.structs.replace(super()._hello(), pauses=True, paused=self._paused)
 
@@ -62,7 +68,9 @@ class McmSubsystem(Subsystem[Executor]):
         return in_scope(scope, name, performer.primitive_id)
 
     def _accept(self, performer: Executor, primitive: Primitive, now_s: float) -> Reports:
-        return performer.accept(primitive, now_s) if primitive.partner is None else self._pairs.begin(primitive, now_s)
+        strayed = any(executor.strayed for executor in self._all)
+        begun = performer.accept(primitive, now_s) if primitive.partner is None else self._pairs.begin(primitive, now_s)
+        return [*begun, self._strayed()] if strayed else begun
 
     def _tick(self, performer: Executor, now_s: float) -> Outgoing:
         reports = performer.tick(now_s)
@@ -74,6 +82,8 @@ class McmSubsystem(Subsystem[Executor]):
                 if message not in self._paced:  # of two arms once
                     self._paced.append(message)
                     messages.append(message)
+            elif isinstance(message, m.Strayed):
+                messages.append(self._strayed())
             elif not isinstance(message, m.EndReport):
                 messages.append(message)
             elif (whole := self._pairs.whole(message)) is not None:

@@ -14,7 +14,7 @@ from rtc.protocol.outcomes import ProgramError
 from rtc.robot.finger_mass import finger_mass
 from sim_mcm.arms.arm import HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
-from sim_mcm.arms.hand import CENTRE_NS_M, OPENING_NS_M, SPRING_N_M, gains_of
+from sim_mcm.arms.hand import CENTRE_NS_M, FINGER_N_M, OPENING_NS_M, gains_of
 from sim_mcm.control.executor import Executor
 from tests.authoring import small_arms
 
@@ -63,4 +63,4 @@ def test_fingers_that_no_servo_holds_still_are_refused(tmp_path, finger_kg, word
 
 def test_the_hand_of_the_default_cell_keeps_its_gains(cell):
     for arm in cell.arms:
-        assert gains_of(finger_mass(cell, arm.name).felt_kg) == (SPRING_N_M, OPENING_NS_M, CENTRE_NS_M)
+        assert gains_of(finger_mass(cell, arm.name).felt_kg) == (FINGER_N_M, OPENING_NS_M, CENTRE_NS_M)

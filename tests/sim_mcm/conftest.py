@@ -45,6 +45,7 @@ class SteeredArm:
         self.commands: list[Motion] = []
         self.laws: list[p.ControlLaw] = []
         self.felt: list[list[float]] = []
+        self.braked = False
 
     def read(self) -> Sample:
         half = 0.5 * self.width
@@ -54,6 +55,9 @@ class SteeredArm:
     def follow(self, motion: Motion) -> None:
         self.motion = motion
         self.commands.append(motion)
+
+    def brake(self, on: bool) -> None:
+        self.braked = on
 
     def use_law(self, law: p.ControlLaw) -> None:
         control_laws.make(law, self.model, control_laws.known())

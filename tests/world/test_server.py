@@ -149,6 +149,13 @@ def test_the_lease_of_an_analysis_makes_its_own_locations_suspect(server):
     assert validity == {"A.seat": Validity.SUSPECT, "B.seat": Validity.VALID}
 
 
+def test_what_a_doubtful_arm_holds_is_doubtful_too(server):
+    server.store.write("held", [WorldChange(key="ARM.holding", value="A")], "cell", 0.0)
+    server.answer(doubt_of_analysis("ARM"), 1.0)
+    validity = {key: server.store.facts[key].validity for key in ("ARM.holding", "A.seat", "B.seat")}
+    assert validity == {"ARM.holding": Validity.SUSPECT, "A.seat": Validity.SUSPECT, "B.seat": Validity.VALID}
+
+
 def test_an_analysis_that_has_written_its_changes_makes_nothing_suspect(server):
     server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 1.0)
     server.answer(doubt_of_analysis("A"), 2.0)

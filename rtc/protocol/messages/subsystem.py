@@ -65,6 +65,14 @@ class Injected(Message, frozen=True, kw_only=True):
     active: Annotated[list[Name], msgspec.Meta(max_length=1000)] = []
 
 
+class Strayed(Message, frozen=True, kw_only=True):
+    """The arms that have moved without a primitive, with what happened, until each begins its next primitive.
+
+    They are braked. After each change, and with each hello if there are any."""
+
+    arms: Annotated[dict[Name, Name], msgspec.Meta(max_length=1000)]
+
+
 class ReportAck(Message, frozen=True, kw_only=True):
     """The broker has journalled the end report of this primitive; the subsystem may forget it."""
 
@@ -184,6 +192,7 @@ SubsystemToBroker = (
     | HaltAtRest
     | HaltOrder
     | Injected
+    | Strayed
     | Dropped
 )
 BrokerToSubsystem = Execute | Pace | HaltOrder | ReportAck | Declined  # Declined: the name is in use

@@ -168,3 +168,16 @@ def test_one_client_asks_so_often_and_another_is_served(bench: Bench) -> None:
     assert type(bench.send("front", b"ann", m.StatusQuery(request="1"))[0]) is m.StatusReply
     bench.now += 1.0
     assert type(bench.send("front", b"x", m.StatusQuery(request="later"))[0]) is m.StatusReply
+
+
+def test_an_arm_that_moved_without_a_primitive_is_noted_once_and_shown_until_its_next_one(bench: Bench) -> None:
+    bench.send("subsystems", b"MCM", MCM)
+    arm = MCM.performers[0]
+    for how in ("moved without a command; braked, it moves", "moved without a command; braked, it rests"):
+        bench.send("subsystems", b"MCM", m.Strayed(arms={arm: how, "ANOTHER": how}))
+    status = bench.send("front", b"ann", m.StatusQuery(request="1"))[0].status
+    assert [row["strayed"] for row in status["subsystems"]] == [[f"{arm} {how}"]]
+    assert status["commands_accepted"] == 1
+    bench.send("subsystems", b"MCM", m.Strayed(arms={}))
+    status = bench.send("front", b"ann", m.StatusQuery(request="2"))[0].status
+    assert [row["strayed"] for row in status["subsystems"]] == [[]]
