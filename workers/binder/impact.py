@@ -69,14 +69,25 @@ def promise_of(context: ScriptContext, values: Values) -> Promise | None:
 
 
 def impact(
-    arm: ArmModel, joints: Floats, way_m: Floats, carried_kg: float, contact_s: float, speed_m_s: float, limit_n: float
+    arm: ArmModel,
+    joints: Floats,
+    way_m: Floats,
+    carried_kg: float,
+    contact_s: float,
+    speed_m_s: float,
+    limit_n: float,
+    least_kg: float = 0.0,
 ) -> Impact | None:
-    """Impact of the tcp moving by `way_m` (world frame, m) from `joints` (rad); None for a zero displacement."""
+    """Impact of the tcp moving by `way_m` (world frame, m) from `joints` (rad); None for a zero displacement.
+
+    `least_kg`: effective mass counted at least. Where the wrist gives way, the force rises while the hand brakes.
+    """
     way = np.asarray(way_m, dtype=float)
     length_m = float(np.linalg.norm(way))
     if length_m < 1e-6:
         return None
-    force_per_speed = (arm.effective_mass_kg(joints, way / length_m) + carried_kg) / contact_s  # N per m/s
+    mass_kg = max(least_kg, arm.effective_mass_kg(joints, way / length_m)) + carried_kg
+    force_per_speed = mass_kg / contact_s  # N per m/s
     return Impact(limit_n, force_per_speed * speed_m_s, limit_n / force_per_speed)
 
 
@@ -93,7 +104,7 @@ def keeping(task: BindTask, target: Target, values: Values, held: str, *, touche
     carried_kg = load.mass_kg if load else 0.0
     arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
     way = _way_m(task, arm, target)
-    hit = impact(arm, joints, way, carried_kg, values["impact_s"], speed_m_s, limit_n)
+    hit = impact(arm, joints, way, carried_kg, values["impact_s"], speed_m_s, limit_n, values["least_kg"])
     if hit is None or hit.felt_n <= limit_n:
         return Keeping(speed_m_s, limit_n if touches else math.inf, carried_kg)
     felt = f"at {speed_m_s * 1e3:.3g} mm/s the first millisecond on a rigid body is felt with {hit.felt_n:.0f} N"
@@ -111,9 +122,10 @@ def kept(task: BindTask, motion: Motion, values: Values, keep: Keeping) -> Motio
     """The motion, slowed further if the effective mass grows along it."""
     if keep.limit_n == math.inf:
         return motion
-    momenta = _momenta(task.query.model.arms[task.arm], motion.timed, keep.carried_kg)
+    arms, least_kg = task.query.model.arms, values["least_kg"]
+    momenta = _momenta(arms[task.arm], motion.timed, keep.carried_kg, least_kg)
     if motion.partner is not None:
-        momenta = momenta + _momenta(task.query.model.arms[task.data.context.partner], motion.partner, 0.0)
+        momenta = momenta + _momenta(arms[task.data.context.partner], motion.partner, 0.0, least_kg)
     excess = float(momenta.max()) / values["impact_s"] / keep.limit_n
     if excess <= 1.0:
         return motion
@@ -129,14 +141,14 @@ def _way_m(task: BindTask, arm: ArmModel, target: Target) -> list[float]:
     return [there - here for there, here in zip(goal[:3], task.query.tcp(task.arm)[:3], strict=True)]
 
 
-def _momenta(arm: ArmModel, timed: Timed, carried_kg: float) -> Array:
+def _momenta(arm: ArmModel, timed: Timed, carried_kg: float, least_kg: float) -> Array:
     """Momentum (N.s) of the tcp and of what it carries, at `CHECKED` knots."""
     found = []
     for n in np.linspace(0, len(timed.time_s) - 1, CHECKED).round().astype(int):
         rate = arm.jacobian(timed.positions[n])[:3] @ timed.velocities[n]
         speed = float(np.linalg.norm(rate))
-        mass_kg = arm.effective_mass_kg(timed.positions[n], rate / speed) + carried_kg if speed > 0.0 else 0.0
-        found.append(mass_kg * speed)
+        own_kg = arm.effective_mass_kg(timed.positions[n], rate / speed) if speed > 0.0 else 0.0
+        found.append((max(least_kg, own_kg) + carried_kg) * speed)
     return np.array(found)
 
 

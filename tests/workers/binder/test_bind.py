@@ -402,8 +402,8 @@ def test_a_force_that_no_speed_keeps_is_refused_with_the_least_one(bench):
 
 
 def test_a_long_line_keeps_its_force_where_the_arm_is_heavier(bench):
-    """The effective mass grows from 2.3 to 4.5 kg along this line."""
-    line = "MOVE RIGHT-ARM BY 25 CM ALONG DOWN MAINTAIN FORCE-LIMIT 20 N"
+    """The effective mass grows from 9 to 20 kg along this line."""
+    line = "MOVE RIGHT-ARM BY 20 CM ALONG BACK STRAIGHT-LINE MAINTAIN FORCE-LIMIT 20 N"
     _, bound = bound_to(bench, line, "HERE")
     path, arm = bound.primitive.trajectory, ArmModel.of(Cell.load("swapout"), "RIGHT-ARM")
     felt_n = []
