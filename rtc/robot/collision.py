@@ -117,6 +117,7 @@ class CollisionWorld:
         self._active = np.ones(len(self._bodies.pairs), dtype=bool)
         # Further sets of margins, wide enough to prove that a group of configurations is free, or the way between two.
         self._large, self._group, self._step = (_WiderMargins(self._bodies) for _ in range(3))
+        self._nearer_in_step, self._step_is_set = np.zeros(len(self._bodies.pairs)), False
         self._q = pin.neutral(self._bodies.model)
         self._scene: Scene | None = None
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
@@ -352,6 +353,10 @@ class CollisionWorld:
 
     def _is_proven(self, slots: list[int], before: Floats, after: Floats) -> bool:
         """True if one check in the middle of two neighbouring configurations proves that the way is free, ends too."""
+        if not self._step_is_set:
+            margins = self._pairs.margin + self._nearer_in_step + WIDER_M
+            self._step.put_in_force(self._pairs, self._table.as_matrix(margins))
+            self._step_is_set = True
         self._q[slots] = 0.5 * (np.asarray(before, dtype=float) + after)
         return not self._step.touch(self._data, self._q)
 
@@ -377,8 +382,11 @@ class CollisionWorld:
         Half a step before and after the group belongs to it."""
         steps = np.abs(configurations[1:] - configurations[:-1]).max(axis=0, initial=0.0)
         nearer = self._levers_of_pairs(slots) @ steps
-        sets = [(self._group, GROUP), (self._step, 1)]
-        for margins, count in sets if group == GROUP else [(self._large, group), *sets]:
+        self._nearer_in_step = 0.5 * nearer
+        self._step_is_set = False
+        for margins, count in (
+            [(self._group, GROUP)] if group == GROUP else [(self._large, group), (self._group, GROUP)]
+        ):
             margins.put_in_force(
                 self._pairs, self._table.as_matrix(self._pairs.margin + 0.5 * count * nearer + WIDER_M)
             )
