@@ -161,18 +161,19 @@ class CollisionWorld:
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
         leaving: dict[int, float] = {}  # pair -> greatest distance so far
-        grouped, proven = len(configurations) >= LEAST_GROUPED, False
+        grouped, proven = len(configurations) >= LEAST_GROUPED, True  # before the first there is nothing to prove
         self._widen(slots, np.asarray(configurations), group)
-        index, large_from = 0, 1
+        index, large_from = 0, 0
         try:
             while index < len(configurations):
                 count, free = 1 if index == 0 else GROUP, False
-                if grouped and index > 0 and not leaving:
+                if grouped and not leaving:
                     if group > GROUP and index >= large_from:
                         large_from = index + group
                         free = self._all_free(slots, configurations[index : index + group], self._large)
-                        count = group if free else GROUP
-                    free = free or self._all_free(slots, configurations[index : index + GROUP], self._group)
+                        count = group if free else count
+                    if not free and self._all_free(slots, configurations[index : index + GROUP], self._group):
+                        free, count = True, GROUP
                 last = min(index + count, len(configurations))
                 for n in range(index, last) if not free else [] if proven else [index]:
                     hit = self._at(slots, configurations, n, leaving)
