@@ -10,15 +10,14 @@ import pytest
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.world.spread import even
-from tests.campaigns import laden_ways
+from tests.campaigns import from_anywhere, laden_ways
 
 ARM, MODULE = "LEFT-ARM", "MACS-OLD"
 TAKEN = (f"GRASP LEFT-END-EFF {MODULE} HANDLE-B", f"LIFT {MODULE} BY 15 CM WITH {ARM}")
 
 
 @pytest.mark.physics
-@pytest.mark.parametrize("verb", ["PLACE MACS-OLD ON BAY-2", "INSERT MACS-OLD INTO BAY-2"])
-def test_four_plain_sentences_bring_the_module_into_the_bay_without_a_touch_before(physical, verb):
+def test_four_plain_sentences_bring_the_module_into_the_bay_without_a_touch_before(physical):
     """Nothing is displaced. The module was 1 mm from the satellite on its way, and its place is known to 3 mm."""
     physical.unsurveyed()
     for sentence in (*TAKEN, f"MOVE {ARM} TO CLEAR-POINT-1"):
@@ -33,10 +32,20 @@ def test_four_plain_sentences_bring_the_module_into_the_bay_without_a_touch_befo
             touched.update((name, round(1e3 * point[8], 1)) for point in near)
 
     physical.subsystem.disturb = watch
-    run = physical.do(verb)
+    run = physical.do("PLACE MACS-OLD ON BAY-2")
     assert run.succeeded, (run.refusal, run.assessments)
     assert not touched  # nearer than 4 mm in truth
     assert physical.world.value(f"{MODULE}.seat") == "BAY-2"
+
+
+@pytest.mark.physics
+def test_a_random_carry_and_insertion_touch_nothing_on_free_ways():
+    """The campaign `from_anywhere`, in short: one run, by a place, into the rack."""
+    case = next(case for case in from_anywhere.cases(from_anywhere.SEED) if case.vias == ("BAY-2-FRONT",))
+    run = from_anywhere.run(case)
+    assert run.true, run
+    assert run.free_n <= from_anywhere.MOST_N
+    assert not run.touches
 
 
 def test_every_laden_way_keeps_five_millimetres():
