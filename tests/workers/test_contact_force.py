@@ -31,6 +31,7 @@ def met(body: str, clause: Clause, speed_cm_s: float) -> Touch:
         ("wall", "STIFFNESS 200 N/M", 5.0),
         ("wall before a held module", "GUARDED", 5.0),
         ("handle before a fingertip", "GUARDED", 10.0),
+        ("handle beside a finger", "GUARDED", 10.0),
     ],
 )
 def test_a_promised_force_is_kept_at_any_stated_speed(body: str, name: str, speed_cm_s: float) -> None:
