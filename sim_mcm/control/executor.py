@@ -30,7 +30,7 @@ from sim_mcm.control.pace import Pace
 from sim_mcm.control.reports import Trip, end_report, not_begun
 from sim_mcm.control.spindle import SpindleTurn
 
-# After these reasons the arm may lean on an obstacle; the command then moves to the measured position.
+# After these reasons the arm may lean on an obstacle, so it cannot reach the commanded position.
 TOUCHED = frozenset(
     {
         StopReason.CONTACT,
@@ -46,9 +46,7 @@ TOUCHED = frozenset(
 COMMAND_SLACK = 1.25
 SQUEEZE_N = 1.0  # a smaller finger force does not count as a grip
 SETTLE_LIMIT_S = 1.0  # maximum wait for measured rest; then the end is reported anyway
-# An arm that leans on something springy, such as its own fingers, moves on when its command yields; it yields again, at
-# most this often, while it is farther than this from its command. A new path must begin within 0.01 rad of it.
-MOST_YIELDS, LEANS_RAD = 6, 0.004
+PRESSES_N = 3.0  # an arm that feels more than this since the start of its primitive leans on something
 RELEASE_LIMIT_S = 3.0
 # An arm without a primitive has moved by itself, or was moved, if its joints are farther than this from where they came
 # to rest (norm; rad, m). A new path must begin within the same distance of it.
@@ -73,7 +71,6 @@ class Course:
     paused_ticks: int = 0
     stopped_at_s: float = 0.0  # time along the trajectory, of the latest stop
     was_compliant: bool = False  # up to the stop
-    yields: int = 0
     releasing: bool = False
     strayed: str = ""  # how the arm has moved since then, without a primitive; it is braked
     strayed_from: list[float] | None = None  # until it rests
@@ -505,27 +502,32 @@ class Executor:
         self._use(profiles.Stay(self._command[0]))
 
     def _settle(self, now_s: float) -> Reports:
-        assert self.trip is not None
-        if self._profile_time_s < self._profile.duration_s:
+        """Wait for rest. An arm that leans then gives way: its command goes to where it is, and it presses no more."""
+        if isinstance(self._profile, profiles.Unload):
+            rests = self._seen.joints_rest() and self._seen.fingers_rest()
+            if not (rests or self._profile_time_s >= self._profile.duration_s):
+                return []
+            if not self._profile.done(self._profile_time_s):
+                return []
+        elif not self._still() and self._profile_time_s < SETTLE_LIMIT_S:
             return []
-        touched = self.trip.reason in TOUCHED
-        leaning = (touched or self._compliant) and not self._course.yields
-        if not self._still(leaning) and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
-            return []
-        off_rad = self._off_command()
-        again = touched and not self._compliant and 0 < self._course.yields < MOST_YIELDS and off_rad > LEANS_RAD
-        if again or (not self._course.yields and off_rad > (0.0 if leaning else GOAL_RAD)):
-            self._course.yields += 1
-            self._use(profiles.Yield(self._command, self.sample.joints))
+        elif not self._compliant and (self._leans() or self._off_command() > GOAL_RAD):
+            self._use(profiles.Unload(self._command, lambda: self.sample.joints))
             return []
         report = self._end_report(now_s)
         self._apply(Trigger.DONE)
         return [report]
 
-    def _still(self, leaning: bool) -> bool:
+    def _still(self) -> bool:
         """At rest and at the commanded position: an arm that swings with a load satisfies only one at a time. An arm
         that leans on an obstacle cannot reach the commanded position."""
-        return self._seen.joints_rest() and self._seen.fingers_rest() and (leaning or self._off_command() < GOAL_RAD)
+        rests = self._seen.joints_rest() and self._seen.fingers_rest()
+        return rests and (self._leans() or self._off_command() < GOAL_RAD)
+
+    def _leans(self) -> bool:
+        assert self.trip is not None
+        presses = self.trip.reason is not StopReason.GOAL and self._seen.force_n > PRESSES_N
+        return presses or self._compliant or self.trip.reason in TOUCHED
 
     def _off_command(self) -> float:
         """The greatest joint error (rad)."""
@@ -552,7 +554,7 @@ class Executor:
         if self.primitive is not None:
             return f"{self.name} is busy with {self.primitive.id} ({self.state.value})"
         try:
-            why = acceptance.objection(primitive, self.arm.traits, self._command[0])
+            why = acceptance.objection(primitive, self.arm.traits, self.sample.joints)
             if why:
                 return why
             stops = stop_functions.compile_stops(primitive, self.arm.traits)

@@ -1,4 +1,4 @@
-"""Motion profiles: commanded motion over time, for following knots, braking, yielding, retracing and staying.
+"""Motion profiles: commanded motion over time, for following knots, braking, unloading, retracing and staying.
 
 A profile maps its own time (s, from 0) to joints, velocities and accelerations; the caller owns the clock. Every
 profile starts from the present command and is smooth, so a command never jumps. Ruckig solves state-to-state motions
@@ -24,12 +24,17 @@ STOP_JERK_RAD_S3 = 20_000.0
 # With an object in the hand: harder braking turns two kilograms, 150 mm before the fingers, out of the grip.
 LADEN_ACCELERATION_RAD_S2 = 4.0
 LADEN_JERK_RAD_S3 = 400.0
-# Limits while the command moves to the position where contact has stopped the arm, to relieve the pressure.
-YIELD_VELOCITY_RAD_S, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3 = 0.2, 2.0, 200.0
+# The command of an arm that leans on something goes to where the arm is: by this share of its lead per second, and not
+# faster than this.
+UNLOAD_PER_S, UNLOAD_RAD_S = 100.0, 0.2
+LEAST_LEAD_RAD = 5e-5  # it ends at this lead, some 3 N at the hand
+UNLOAD_LIMIT_S = 2.0
+UNLOAD_FAR_RAD = 0.05  # from where the arm was: a lead that comes from a weight does not end
 TICKS_PER_S = 1.0 / TICK_S
 BLOCK = 256  # number of ticks of a path computed at once
 SAME_S = 1e-7  # rounding of a time that counts ticks
-BLEND_S = 0.25  # time in which an initial offset between command and path fades out
+BLEND_S = 0.25  # minimum time in which an initial offset between command and path fades out ...
+BLEND_RAD_S = 0.2  # ... and the maximum speed of that
 RETREAT_SPEED_M_S = 0.05  # maximum tcp speed in a reflex
 RETREAT_LEAST_S = 0.2
 
@@ -72,8 +77,9 @@ class Follow:
         self._knots_s = np.asarray(trajectory.time_s)
         self._pieces = _hermite(trajectory)
         self._offset = np.asarray(start) - np.asarray(trajectory.positions[0])
-        self._blend = bool(np.abs(self._offset).max() > 1e-9)
-        self.duration_s = max(self._length_s, BLEND_S) if self._blend else self._length_s
+        most = float(np.abs(self._offset).max())
+        self._blend_s = max(BLEND_S, 1.875 * most / BLEND_RAD_S) if most > 1e-9 else 0.0
+        self.duration_s = max(self._length_s, self._blend_s)
         self._end = Stay(trajectory.positions[-1]).at(0.0)
         self.block: Array = np.empty((0, 3, 0))  # motions, one per tick
         self._first_s = 0.0  # time of the first
@@ -98,7 +104,7 @@ class Follow:
         """Compute the ticks from this time on."""
         times_s = time_s + BLOCK_S
         block = self.path(times_s)
-        if self._blend and time_s < BLEND_S:
+        if time_s < self._blend_s:
             block += self._remaining_offset(times_s)
         self.block, self._first_s = block, time_s
         self.block_fits = self._fits(block)
@@ -130,8 +136,8 @@ class Follow:
 
     def _remaining_offset(self, times_s: Array) -> Array:
         """The remaining part of the initial offset."""
-        fade, slope, bend = _quintic_step(np.clip(times_s / BLEND_S, 0.0, 1.0))
-        rows = np.stack((1.0 - fade, -slope / BLEND_S, -bend / BLEND_S**2), axis=1)
+        fade, slope, bend = _quintic_step(np.clip(times_s / self._blend_s, 0.0, 1.0))
+        rows = np.stack((1.0 - fade, -slope / self._blend_s, -bend / self._blend_s**2), axis=1)
         return rows[:, :, None] * self._offset
 
 
@@ -164,18 +170,46 @@ class Brake:
         return _rest_after(self._solution, time_s)
 
 
-class Yield:
-    """From rest to the measured joints after a contact, so that the command no longer presses on the obstacle."""
+class Unload:
+    """From rest, the command goes to where the arm is and moves with it, until the arm presses on nothing.
 
-    def __init__(self, motion: Motion, measured: Sequence[float]) -> None:
-        wanted = _state(motion, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3)
-        wanted.max_velocity = [YIELD_VELOCITY_RAD_S] * len(motion[0])
-        wanted.target_position = list(measured)
-        self._solution = _solve(wanted)
-        self.duration_s: float = self._solution.duration
+    To set the command to the measured joints once is not enough: an arm that leans on something springy, such as its
+    own fingers, moves on when its command yields. Its speed commands the arm too, so the servo becomes a damper. Call
+    `at` once per tick. `measured`: the present joints (rad)."""
+
+    duration_s = UNLOAD_LIMIT_S  # at most
+
+    def __init__(self, motion: Motion, measured: Callable[[], Sequence[float]]) -> None:
+        self._joints, self._measured = list(motion[0]), measured
+        self._speeds = self._still = [0.0] * len(self._joints)
+        self._bounds = [(q - UNLOAD_FAR_RAD, q + UNLOAD_FAR_RAD) for q in measured()]
+        self._done = False
+
+    def done(self, time_s: float) -> bool:
+        """Whether the command is where the arm is, or does not come nearer. Then `at` stays there."""
+        self._done |= time_s >= self.duration_s or self._lead_rad() <= LEAST_LEAD_RAD
+        return self._done
+
+    def _lead_rad(self) -> float:
+        return max(abs(wanted - q) for wanted, q in zip(self._joints, self._measured(), strict=True))
 
     def at(self, time_s: float) -> Motion:
-        return _rest_after(self._solution, time_s)
+        if self._done:
+            return self._joints, self._still, self._still
+        joints: list[float] = []
+        speeds: list[float] = []
+        aims = (min(most, max(least, q)) for q, (least, most) in zip(self._measured(), self._bounds, strict=True))
+        for n, aim in enumerate(aims):
+            speed = _within_most(UNLOAD_PER_S * (aim - self._joints[n]), UNLOAD_RAD_S)
+            faster = _within_most(speed - self._speeds[n], STOP_ACCELERATION_RAD_S2 * TICK_S)
+            speeds.append(self._speeds[n] + faster)
+            joints.append(self._joints[n] + speeds[n] * TICK_S)
+        self._joints, self._speeds = joints, speeds
+        return joints, speeds, self._still
+
+
+def _within_most(value: float, most: float) -> float:
+    return min(most, max(-most, value))
 
 
 class Retrace:

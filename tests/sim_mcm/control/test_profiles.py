@@ -89,13 +89,33 @@ def test_a_slow_guarded_move_stands_within_a_hair() -> None:
     assert 0.5 * brake.at(1.0)[0][0] < 5e-5  # metres, at half a metre
 
 
-def test_yielding_ends_where_contact_left_the_arm() -> None:
-    way = profiles.Yield(([0.1] * 6, [0.0] * 6, [0.0] * 6), [0.1001] * 6)
-    assert way.at(way.duration_s)[0] == pytest.approx([0.1001] * 6)
-    assert 0.0 < way.duration_s < 0.1
-    ticks = np.arange(0.0, way.duration_s, TICK_S)
-    speeds = np.array([way.at(t)[1] for t in ticks])
-    assert np.abs(np.diff(speeds, axis=0)).max() / TICK_S <= profiles.YIELD_ACCELERATION_RAD_S2 * 1.001
+def test_a_command_goes_to_an_arm_that_leans_on_something_springy_and_along_with_it() -> None:
+    """A joint whose servo is as stiff as what it leans on: it is half-way between its command and the free position."""
+    commanded = [0.02, 0.0, 0.0, 0.0, 0.0, 0.0]
+    way = profiles.Unload((commanded, [0.0] * 6, [0.0] * 6), lambda: [0.5 * q for q in commanded])
+    steps = []
+    for n in range(1, 2000):
+        now = way.at(n * TICK_S)[0]
+        steps.append(now[0] - commanded[0])
+        commanded[:] = now
+        if way.done(n * TICK_S):
+            break
+    assert abs(commanded[0]) < 2.5 * profiles.LEAST_LEAD_RAD
+    assert n * TICK_S < 0.3
+    assert np.abs(np.diff([0.0, *steps])).max() <= profiles.STOP_ACCELERATION_RAD_S2 * TICK_S**2 * 1.001
+    assert way.at(2.0)[0] == commanded
+
+
+def test_a_command_does_not_follow_an_arm_that_a_weight_pulls_down() -> None:
+    """It sinks below any command by the same angle."""
+    commanded = [0.0] * 6
+    way = profiles.Unload((commanded, [0.0] * 6, [0.0] * 6), lambda: [q - 0.01 for q in commanded])
+    n = 0
+    while not way.done(n * TICK_S):
+        n += 1
+        commanded[:] = way.at(n * TICK_S)[0]
+    assert n * TICK_S <= profiles.UNLOAD_LIMIT_S
+    assert commanded[0] == pytest.approx(-profiles.UNLOAD_FAR_RAD - 0.01, abs=0.002)
 
 
 @pytest.mark.parametrize("back_m", [0.0, 0.01, 0.1, 1.0])
