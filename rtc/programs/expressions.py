@@ -15,6 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from rtc.language.alike import nearest_words
 from rtc.robot import geometry
 
 MOST_APART_RAD = math.radians(5.0)  # maximum angle between averaged attitudes (A15)
@@ -103,7 +104,8 @@ def _value(node: ast.expr, given: Given) -> Value:
 
 def _given(name: str, given: Given) -> Value:
     if name not in given:
-        raise ExpressionError(f"{name} is not given; there are {', '.join(sorted(given)) or 'no names'}")
+        near = " or ".join(nearest_words(name, given))
+        raise ExpressionError(f"{name} is not given" + (f"; did you mean {near}?" if near else ""))
     value = given[name]
     return Poses(((1.0, tuple(value)),)) if isinstance(value, list) else float(value)
 

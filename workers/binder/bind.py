@@ -103,7 +103,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     tcp, clears = query.tcp(task.arm), task.program.clears
     if (sideways := in_seat.refuse_other_way(query, task.arm, step.space, tcp, target.pose, clears)) is not None:
         return sideways
-    values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
+    values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data, task.arm)
     held = query.holding(task.arm)
     expected = step.space != "move_joint" or stop_class.touches
     keep = impact.keeping(task, target, values, held, touches=expected)
@@ -221,7 +221,7 @@ def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
     stop_class = task.stop_class(task.program.hand[op])
     if isinstance(stop_class, Refusal):
         return stop_class
-    values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
+    values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data, task.arm)
     gripper = query.cell.arm(task.arm).gripper
     width_m = values.get("width_m", 0.0)
     grip_n = context.limits.grip_force_n or values.get("grip_n", values["hand_n"])
@@ -265,7 +265,7 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
     stop_class = task.stop_class(step.stop)
     if isinstance(stop_class, Refusal):
         return stop_class
-    values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
+    values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data, task.arm)
     duration_s = values["duration_s"]
     left_s = time_left_s(task)
     if left_s is not None:
@@ -292,7 +292,7 @@ def bind_look(task: BindTask) -> BoundStep | Refusal:
     stop_class = task.stop_class(task.data.step.stop)
     if isinstance(stop_class, Refusal):
         return stop_class
-    values = stop_conditions.figures_in_force(task.program, stop_class, task.query, task.data)
+    values = stop_conditions.figures_in_force(task.program, stop_class, task.query, task.data, task.arm)
     return look.bind(task.query, task.data, stop_class, values)
 
 
@@ -313,7 +313,8 @@ def primitive(
 ) -> BoundStep | Refusal:
     """Assemble T = (P, M, F, R).
 
-    `moves`: the arm moves, so the held object is monitored. `timed`: the command's time limit applies.
+    `moves`: the arm moves, so a held object is monitored, if it is known how it is held. `timed`: the time limit of the
+    command applies.
     """
     limit_s = values["time_factor"] * evaluation.predicted_s + values["time_margin_s"]
     left_s = time_left_s(task)
@@ -324,7 +325,10 @@ def primitive(
     if (endless := refuse_if_endless(limit_s)) is not None:
         return endless
     values = {**values, "time_limit_s": limit_s}
-    rows = [*stop_class.stops, *(task.program.holding if moves and evaluation.held else [])]
+    # An arm that may have lost what it held backs off nevertheless.
+    own, grasp = command_of(task.data.primitive_id), f"{evaluation.held}.grasp"
+    keeps = moves and evaluation.held and task.query.distrusted(grasp, {}, own) is None
+    rows = [*stop_class.stops, *(task.program.holding if keeps else [])]
     stops: list[StopFunction] = stop_conditions.stop_functions(
         rows,
         values,

@@ -77,12 +77,15 @@ OVERLOADS = {"force-above": StopReason.FORCE_LIMIT, "torque-above": StopReason.T
 NEAR_M = 0.05  # added to the radius of what a command may come near to: how far it may be from where it is believed
 
 
-def figures_in_force(program: BinderProgram, stop_class: StopClass, query: WorldQuery, data: BinderInput) -> Values:
-    """All figures in force for this step. Raises ExpressionError if an expression names an unknown figure."""
+def figures_in_force(
+    program: BinderProgram, stop_class: StopClass, query: WorldQuery, data: BinderInput, arm: str
+) -> Values:
+    """All figures in force for this step of `arm`, which need not be that of the command. Raises ExpressionError if an
+    expression names an unknown figure."""
     context = data.context
     values: Values = dict(msgspec.structs.asdict(query.cell.numbers))
-    if query.holding(context.arm):
-        values["held_width_m"] = query.hand_width(context.arm)
+    if query.holding(arm):
+        values["held_width_m"] = query.hand_width(arm)
     for rows in (program.values, stop_class.values):
         for name, expression in rows.items():
             values[name] = expressions.number(expression, values)
