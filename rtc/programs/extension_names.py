@@ -60,7 +60,7 @@ PLACEHOLDERS = (
 #: placeholders in the failure texts of the analyzer
 FAILURE_PLACEHOLDERS = (
     *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
-    *("width", "wanted", "off", "or_load", "short", "jam"),
+    *("width", "wanted", "off", "or_load", "excess", "short", "jam"),
     *("camera", "turned"),
 )
 #: keys of `words` of a step that have an effect

@@ -181,6 +181,14 @@ def _remark(query: WorldQuery, data: AnalyzerInput) -> str:
     return in_seat.remark_on_slot(query, data.evaluation.arm, data.report.tcp_pose) if leaves else ""
 
 
+def _is_held_askew(data: AnalyzerInput) -> bool:
+    """Whether the fingers have closed on the held object, but not to its width: to close them again does not help."""
+    evaluation, report = data.evaluation, data.report
+    if not evaluation.held or evaluation.width_m is None or report.reason is not StopReason.GOAL:
+        return False
+    return report.hand_width_m > evaluation.width_m[1]
+
+
 def _kept(source: str, report: EndReport) -> Binding:
     """A measured value as a binding. Poses are in the world frame: a contact position does not depend on facts."""
     if source == "report.hand_width":
@@ -218,7 +226,7 @@ def _failure(
         words = f"{words}; it is where it is believed to be"
     if evaluation.remark and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
         words = f"{words}; {evaluation.remark}"
-    cures = _ways_to_clear(program, query, changes, failure.misplaced)
+    cures = _ways_to_clear(program, query, changes, failure.misplaced or _is_held_askew(data))
     blocked = BLOCKED if not failure.clears and _pressing_n(program, data) else ""
     advice = (*_feel(query, data, reason), failure.clears or blocked, *_higher_limit(data))
     todo = (*advice, *cures, failure.again) if asked is None else tuple(cures)
@@ -521,6 +529,19 @@ def _jam(report: EndReport) -> str:
     return f"{value:.3g} {UNITS.get(report.reason, '')} where {limit:.3g} is the limit"
 
 
+def _excess(data: AnalyzerInput) -> str:
+    """What is beyond its limit: a force or torque, or the width of a hand that has reached its goal."""
+    report = data.report
+    if report.reason not in (StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT):
+        least, most = (1000 * width_m for width_m in data.evaluation.width_m or (0.0, 0.0))
+        return f"the hand is at {1000 * report.hand_width_m:.1f} mm instead of {least:.0f} to {most:.0f} mm"
+    unit = UNITS[report.reason]
+    if report.measured is None or report.limit is None:
+        return f"more {unit} than the limit"
+    value = next((text for n in (3, 4, 5) if float(text := f"{report.measured:.{n}g}") > report.limit), "more")
+    return f"{value} {unit} where {report.limit:.5g} {unit} is the limit"
+
+
 def _words(message: str, data: AnalyzerInput, reason: StopReason, short: str = "") -> str:
     evaluation, report = data.evaluation, data.report
     least, most = evaluation.width_m or (0.0, 0.0)
@@ -541,6 +562,7 @@ def _words(message: str, data: AnalyzerInput, reason: StopReason, short: str = "
         "off": f"{_off_m(data) * 1000:.1f}",
         "turned": f"{math.degrees(_turned_rad(data)):.1f}",
         "jam": _jam(report),
+        "excess": _excess(data),
         "short": short,
     }
     for name, text in figures.items():
