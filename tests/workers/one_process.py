@@ -17,20 +17,24 @@ from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.invariants import violations
 from broker.decisions.state import State
+from rtc.cells.scene import SceneView
+from rtc.perception.subsystem import NAME as EYES
 from rtc.programs import loader
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Outcome, Refusal
-from rtc.protocol.primitive import JointTrajectory
+from rtc.protocol.primitive import JointTrajectory, Primitive
 from rtc.subsystem.subsystem import BROKER
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.arm import TICK_S
 from sim_mcm.control.subsystem import McmSubsystem
-from tests.workers.conftest import CELL, MODEL, record
+from tests.workers.conftest import MODEL, record
+from tests.workers.eyes import Ideal
 from workers.analyzer import analyze as analyzer
 from workers.binder import bind as binder
 from workers.elaborator import elaborate as elaborator
+from workers.planning.robot_models import CellModel
 
 FUNCTIONS: dict[WorkerKind, Any] = {
     WorkerKind.ELABORATOR: elaborator,
@@ -48,13 +52,17 @@ def compiled(kind: WorkerKind) -> Any:
 
 
 class OneProcess:
-    """A cell with its arms, and the cluster that commands it."""
+    """A cell with its arms, and the cluster that commands it.
 
-    def __init__(self, sim: Any) -> None:
-        self.sim = sim
+    `world`: instead of the initial facts of the cell. `eyes`: the cameras; without them no look ends."""
+
+    def __init__(
+        self, sim: Any, model: CellModel = MODEL, world: World | None = None, eyes: Ideal | None = None
+    ) -> None:
+        self.sim, self.model, self.eyes = sim, model, eyes
         self.mcm = McmSubsystem(sim.arms, pid=1)
         self.state = State()
-        self.world = World().overlay(initial_facts(CELL))
+        self.world = world or World().overlay(initial_facts(model.cell))
         self.ticks = 0
         self.outcomes: dict[str, Outcome] = {}
         self.notes: list[m.ProgressNote] = []
@@ -66,6 +74,9 @@ class OneProcess:
             self._handle(events.ProgramInstalled(at_s=self.now_s, kind=kind, digest="x"))
         self._handle(events.ListenersChanged(at_s=self.now_s, listening=True))
         self._from_mcm(self.mcm.hello())
+        if eyes is not None:
+            cameras = [camera.name for camera in model.cell.cameras]
+            self._later(1, events.SubsystemConnected(at_s=self.now_s, subsystem=EYES, pid=1, performers=cameras))
 
     @property
     def now_s(self) -> float:
@@ -76,6 +87,18 @@ class OneProcess:
         request = f"r{next(self._number)}"
         self._handle(events.CommandReceived(at_s=self.now_s, client=client, request=request, text=sentence))
         return f"C-{self.state.accepted}"
+
+    def halt(self, scope: str = "ALL") -> None:
+        """A halt at a halt socket."""
+        name = f"H-{next(self._number)}"
+        self._handle(events.HaltCalled(at_s=self.now_s, client="ann", halt=name, scope=scope, called_at_s=self.now_s))
+
+    def kill_mcm(self) -> None:
+        """The MCM dies, and a new one continues from the state of the hardware."""
+        self._handle(events.SubsystemGone(at_s=self.now_s, subsystem="MCM", why="killed"))
+        self.sim.restore(self.sim.state())
+        self.mcm = McmSubsystem(self.sim.arms, pid=self.mcm.pid + 1)
+        self._from_mcm(self.mcm.hello())
 
     def know_joints(self, joints: dict[str, Any]) -> None:
         """State the position of the arms (rad) in the world."""
@@ -121,12 +144,18 @@ class OneProcess:
             case do.DispatchJob():
                 self._later(TICKS[effect.kind], self._worked(effect))
             case do.SendPrimitive():
-                primitive = msgspec.msgpack.decode(effect.primitive, type=m.Primitive)
+                primitive = msgspec.msgpack.decode(effect.primitive, type=Primitive)
+                if effect.subsystem == EYES:
+                    self._look(primitive)
+                    return
                 self._from_mcm(self.mcm.handle(m.Execute(primitive=primitive, pid=effect.pid), BROKER, self.now_s))
+            case do.SendHalt() if effect.subsystem == EYES:
+                still = events.HaltConfirmed(at_s=self.now_s, subsystem=EYES, halt=effect.halt, at_rest=True)
+                self._later(1, still)
             case do.SendHalt():
                 order = m.HaltOrder(halt=effect.halt, scope=effect.scope, call=effect.call)
                 self._from_mcm(self.mcm.handle(order, BROKER, self.now_s))
-            case do.AcknowledgeReport():
+            case do.AcknowledgeReport() if effect.subsystem != EYES:
                 self.mcm.handle(m.ReportAck(primitive=effect.primitive), BROKER, self.now_s)
             case do.StartTimer():
                 self._timers[effect.timer] = round((effect.at_s - 1.0) / TICK_S)
@@ -137,6 +166,15 @@ class OneProcess:
             case do.ReportEnd():
                 self.outcomes[effect.ended.command] = effect.ended.outcome
 
+    def _look(self, look: Primitive) -> None:
+        assert self.eyes is not None
+        truth = self.sim.truth()
+        scene = SceneView(**{name: truth[name] for name in ("poses", "seats", "joints", "fingers", "tcp")})
+        report = self.eyes.perform(look, scene)
+        self._later(1, events.PrimitiveStarted(at_s=self.now_s, subsystem=EYES, primitive=look.id))
+        ticks = max(2, round(report.duration_s / TICK_S))
+        self._later(ticks, events.PrimitiveEnded(at_s=self.now_s + ticks * TICK_S, subsystem=EYES, report=report))
+
     def _worked(self, job: do.DispatchJob) -> events.Event:
         at_s = self.now_s + TICKS[job.kind] * TICK_S
         if job.kind is WorkerKind.PARSER:
@@ -144,7 +182,7 @@ class OneProcess:
         else:
             function = FUNCTIONS[job.kind]
             data = wire.decoder(function.INPUT)(job.input)
-            product = function.run(compiled(job.kind), MODEL, self.world, data)
+            product = function.run(compiled(job.kind), self.model, self.world, data)
         if isinstance(product, Refusal):
             return events.JobDeclined(at_s=at_s, job=job.job, attempt=job.attempt, node="w", refusal=product)
         if isinstance(product, m.Assessment):
