@@ -187,7 +187,9 @@ class Unload:
 
     def done(self, time_s: float) -> bool:
         """Whether the command is where the arm is, or does not come nearer. Then `at` stays there."""
-        self._done |= time_s >= self.duration_s or self._lead_rad() <= LEAST_LEAD_RAD
+        if not self._done and self._lead_rad() <= LEAST_LEAD_RAD:
+            self._joints, self._done = list(self._measured()), True  # without a jump that can be felt
+        self._done |= time_s >= self.duration_s
         return self._done
 
     def _lead_rad(self) -> float:
