@@ -1,285 +1,355 @@
 """How well does a grasp locate a module that is far from its believed place, and what follows from it?
 
-    python -m benchmarks.grasp [--runs 200] [--clusters 2] [--minutes 60] [--touch] [--short]
+    python -m benchmarks.grasp [--runs 300] [--seed-from 0] [--processes 2] [--cameras-only | --touch-only] [--short]
+    python -m benchmarks.grasp --join results-a.json results-b.json ...
 
-Each cluster makes two runs at a time, one with each arm. The modules are displaced with their seats, unknown to the
-cluster. They move along one axis by up to 31 mm to either side, or by up to 4 deg of yaw. Or they move along all axes
-at once (each up to 25 mm) with up to 4 deg of yaw. `--touch`: without cameras. Every second cluster has loads of 1.5
-times the mass and pads with half the friction. A run grasps and lifts the module, and puts it back; every third run of
-the right arm carries it to BAY-2. `--short`: the grasp alone. `--minutes`: no cluster is started after that time. After
-a failure the advised sentences are submitted, with the true position; then the arm must stow.
+In physics, sentence by sentence in one process, without a broker. The module and its seat are displaced along and about
+all six axes, by up to 25 mm and 4 degrees; the world believes them within what the cell file states. The runs take
+turns over both arms, both handles, rack and bay, three masses, three frictions, with and without cameras. Every fourth
+displacement is along or about one axis alone. A run grasps the module, lifts it, and puts it back; every third run puts
+it into the other seat. After each sentence all valid facts are compared with the truth. After a failure the advised
+sentences are given, at most four of them; SET states the true pose. Then the failed sentence must succeed.
+`--short`: the grasp alone. A shard (`--seed-from`) writes its runs into a file (`--out`), and `--join` adds shards up.
 
-    within_25_mm_rate     share of grasps in runs with x, y, z within 25 mm and yaw within 4 deg
-    within_straddle_rate  the same, with x, y, z within 14 mm
-    wrong_valid_facts     valid poses of a module, after any command, that are off by more than 5 mm or 2 deg
-    outside_spread        valid frames, of any module or seat, whose truth lies outside their stated spread
+    within_straddle_rate  share of grasps in runs with x, y, z within 14 mm
+    wrong_valid_facts     valid facts that are off by more than 5 mm or 2 deg beyond their spread
+    outside_spread        valid poses whose truth lies outside their stated spread
+    stuck                 failures that their advice did not clear
     restless              arms that moved after a failed command
-    stuck                 arms that the advised sentences did not free
     false_successes       PLACE that succeeded with the module more than 5 mm or 2 deg from its seat
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
+import itertools
+import json
 import math
 import multiprocessing
 import random
 import re
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from typing import Any
 
 import msgspec
 
 from benchmarks.report import finish, question
 from rtc.cells.cell import Cell
-from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
-from rtc.protocol.messages import CommandEnded, Validity
-from rtc.protocol.outcomes import OutcomeKind
+from rtc.language.record import ParsedCommand
 from rtc.robot import geometry
+from tests.campaigns.against_truth import judge
+from tests.workers.conftest import CELL, GRAMMAR, Bench, Physical, Run
+from workers.parser.parse import parse_job
+from workers.planning.robot_models import CellModel
 
 SEED = 7
-MODULES = {"RIGHT-ARM": ("MACS-NEW", "HANDLE-A", "RACK-1"), "LEFT-ARM": ("MACS-OLD", "HANDLE-B", "RACK-2")}
-ALONG_M = (0.003, 0.008, 0.014, 0.023, 0.031)  # to either side, along one axis
-ABOUT_RAD = tuple(math.radians(n) for n in (2.0, 4.0))
+MODULES = {"RIGHT-ARM": ("MACS-NEW", "RACK-1"), "LEFT-ARM": ("MACS-OLD", "RACK-2")}
+BAY = "BAY-2"
+HANDLES = ("HANDLE-A", "HANDLE-B")
+MASSES, FRICTIONS = (1.0, 1.5, 0.5), (1.0, 0.5, 1.5)
 FAR_M, FAR_RAD = 0.025, math.radians(4.0)
 STRADDLE_M = 0.014
-WRONG_M, WRONG_RAD = 0.005, math.radians(2.0)
+NARROW_M = 0.010
 SEATED_M, SEATED_RAD = 0.005, math.radians(2.0)
-HEAVY, SMOOTH = 1.5, 0.5
-COMMAND_S = 300.0
-BEYOND_M, BEYOND_RAD = 1e-4, 1e-3  # a truth this far outside a spread is a matter of rounding
-REST_S, REST_RAD = 0.2, 1e-3  # an arm at rest turns by less in this time
-ADVISED = re.compile(r"\b(LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|STOW) ([A-Z0-9-]+(?: AT [A-Z0-9-]+| BY [0-9]+ CM)?)")
+MOST_ADVISED = 4
+REST_TICKS, REST_RAD = 200, 1e-3  # an arm at rest turns by less in this time
+VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET"
+ADVISED = re.compile(rf"\b((?:{VERBS})(?: (?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?|x y z|roll pitch yaw))+)")
+STATED = re.compile(r"SET ([A-Z0-9-]+) FRAME")
 
 
 @dataclass
 class GraspRun:
-    """One module, one arm."""
+    """One module and one arm, and how it went."""
 
+    number: int
     arm: str
+    handle: str
+    bay: bool
+    other: bool  # it is put into the other seat
+    cameras: bool
+    mass: float
+    friction: float
     offset: list[float]
-    heavy: bool
-    into_bay: bool
     grasped: bool = False
     placed: bool = False
-    wrong: list[str] = field(default_factory=list)  # wrong facts, as text
-    outside: list[str] = field(default_factory=list)  # facts whose spread is too narrow, as text
-    stuck: str = ""
-    false_success: str = ""
-    restless: str = ""
+    checked: int = 0
+    wrong: list[str] = field(default_factory=list)
+    outside: list[str] = field(default_factory=list)
     failed: str = ""
+    stuck: str = ""
+    restless: str = ""
+    false_success: str = ""
+    trims: int = 0
+    seconds: float = 0.0
 
     @property
     def within_straddle(self) -> bool:
         return self.within(STRADDLE_M)
 
     def within(self, most_m: float) -> bool:
-        return max(map(abs, self.offset[:3])) <= most_m + 1e-9 and abs(self.offset[5]) <= FAR_RAD + 1e-9
+        return max(map(abs, self.offset[:3])) <= most_m + 1e-9
+
+    @property
+    def bad(self) -> bool:
+        return bool(self.wrong or self.outside or self.stuck or self.restless or self.false_success)
 
     def in_words(self) -> str:
-        x, y, z, _, _, yaw = self.offset
-        where = f"{1e3 * x:+.0f} {1e3 * y:+.0f} {1e3 * z:+.0f} mm {math.degrees(yaw):+.0f} deg"
-        how = f"{'grasped' if self.grasped else 'not grasped'}, {'placed' if self.placed else 'not placed'}"
-        bad = [*self.wrong, *self.outside, *filter(None, (self.stuck, self.false_success, self.restless, self.failed))]
-        return f"{self.arm} {'heavy ' if self.heavy else ''}{where}: {how} {'; '.join(bad)}"
+        x, y, z, roll, pitch, yaw = self.offset
+        where = f"{1e3 * x:+.0f} {1e3 * y:+.0f} {1e3 * z:+.0f} mm "
+        where += f"{math.degrees(roll):+.1f} {math.degrees(pitch):+.1f} {math.degrees(yaw):+.1f} deg"
+        scene = f"{self.arm} {self.handle} in {BAY if self.bay else 'its rack'}{' to the other seat' * self.other}"
+        how = f"{'grasped' if self.grasped else 'NOT grasped'}, {'placed' if self.placed else 'not placed'}"
+        labels = ("WRONG", self.wrong), ("OUTSIDE", self.outside)
+        bad = [f"{label} {len(found)}: {found[0]}" for label, found in labels if found]
+        bad += [
+            f"{n.upper()}: {t}" for n in ("failed", "stuck", "restless", "false_success") if (t := getattr(self, n))
+        ]
+        return (
+            f"run {self.number}: {scene}, {'cameras' if self.cameras else 'touch'}, mass {self.mass:g} "
+            f"friction {self.friction:g}, {where}: {how}, {self.trims} trims, {self.seconds:.1f} s"
+            + "".join(f"\n      {one}" for one in bad)
+        )
 
 
-def main() -> None:
-    arguments = argparse.ArgumentParser(prog="python -m benchmarks.grasp", description=__doc__)
-    arguments.add_argument("--runs", type=int, default=200)
-    arguments.add_argument("--clusters", type=int, default=2, help="at a time")
-    arguments.add_argument("--minutes", type=float, default=math.inf, help="start no cluster after this time")
-    arguments.add_argument("--speed", default="max")
-    arguments.add_argument("--seed", type=int, default=SEED)
-    arguments.add_argument("--touch", action="store_true", help="without cameras; no results file")
-    arguments.add_argument("--short", action="store_true", help="the grasp alone; no results file")
-    given = arguments.parse_args()
-    question("grasp", "How well does a grasp locate a module that is far from its believed place?", seed=given.seed)
-    pairs = list(_pairs(given.runs, given.seed))
-    done: list[GraspRun] = []
-    context = multiprocessing.get_context("spawn")
-    with TemporaryDirectory(prefix="rtc-grasp-") as folder, ProcessPoolExecutor(given.clusters, context) as pool:
-        cell = _without_cameras(Path(folder)) if given.touch else "swapout"
-        until = time.monotonic() + 60.0 * given.minutes
-        work = partial(_cluster, given.speed, cell, given.short, until)
-        for ended in as_completed([pool.submit(work, pair) for pair in pairs]):
-            for run in ended.result():
-                done.append(run)
-                print(f"  {len(done)} of {given.runs}  {run.in_words()}", flush=True)
-    _finish(done, given.touch or given.short)
+def runs(count: int, first: int = 0, seed: int = SEED) -> Iterator[GraspRun]:
+    """The runs of these numbers; a number always has the same conditions."""
+    cases = list(itertools.product(MODULES, HANDLES, (False, True), (False, True), MASSES, FRICTIONS))
+    random.Random(seed).shuffle(cases)
+    for n in range(first, first + count):
+        rng = random.Random(f"{seed}/{n}")
+        arm, handle, bay, cameras, mass, friction = cases[n % len(cases)]
+        offset = [rng.uniform(-1.0, 1.0) * most for most in [FAR_M] * 3 + [FAR_RAD] * 3]
+        if n % 4 == 3:
+            axis = rng.randrange(6)
+            offset = [rng.choice((-1.0, 1.0)) * (FAR_M if k < 3 else FAR_RAD) * (k == axis) for k in range(6)]
+        yield GraspRun(n, arm, handle, bay, n % 3 == 2, cameras, mass, friction, offset)
 
 
-def _without_cameras(folder: Path) -> str:
-    """The file of the default cell without its cameras."""
-    file = folder / "touch.yaml"
-    file.write_bytes(msgspec.structs.replace(Cell.load("swapout"), name="touch", cameras=[]).encode())
-    return str(file)
+@functools.cache
+def _model(arm: str, bay: bool, cameras: bool) -> CellModel:
+    """The default cell, with the module of the arm in its rack or in the bay."""
+    module = MODULES[arm][0]
+    objects = [msgspec.structs.replace(one, seat=BAY) if bay and one.name == module else one for one in CELL.objects]
+    return CellModel(msgspec.structs.replace(CELL, objects=objects, cameras=CELL.cameras if cameras else []))
 
 
-def _finish(done: list[GraspRun], partial_run: bool) -> None:
+# --- one run ---------------------------------------------------------------------------------------------------
+
+
+class Scene:
+    """The simulated cell of one run."""
+
+    def __init__(self, run: GraspRun) -> None:
+        self.run = run
+        self.model = _model(run.arm, run.bay, run.cameras)
+        self.module, self.rack = MODULES[run.arm]
+        self.seat = BAY if run.bay else self.rack
+        self.subsystem = Physical(self.cell)
+        self.bench = Bench(self.subsystem, self.model)
+        self.bench.unsurveyed()
+        self.sim = self.subsystem.sim
+        self.sim.change_physics(run.mass, run.friction)
+        self.subsystem.displace_and_turn(self.module, list(run.offset))
+        self.place = self.truth()["poses"][self.module]
+
+    @property
+    def cell(self) -> Cell:
+        return self.model.cell
+
+    def truth(self) -> dict[str, Any]:
+        return {**self.sim.truth(), "held": self.sim.held()}
+
+    def do(self, text: str) -> Run:
+        done = self.bench.do(text)
+        self.run.trims += len(done.trims)
+        found = judge(self.bench.world.facts.values(), self.truth())
+        self.run.checked += found.checked
+        self.run.wrong += [f"after {text}: {one}" for one in found.wrong]
+        self.run.outside += [f"after {text}: {one}" for one in found.outside]
+        return done
+
+    def rests(self) -> bool:
+        before = self.sim.arms[self.run.arm].read().joints
+        for _ in range(REST_TICKS):
+            for executor in self.subsystem.executors.values():
+                executor.tick(0.0)
+            self.sim.step()
+        after = self.sim.arms[self.run.arm].read().joints
+        return max(abs(a - b) for a, b in zip(before, after, strict=True)) < REST_RAD
+
+    def advised(self, text: str) -> Iterator[str]:
+        """The sentences of an advice, in their order. SET states the true pose."""
+        for sentence in ADVISED.findall(text):
+            stated = STATED.match(sentence)
+            if stated is None:
+                if isinstance(parse_job(GRAMMAR, sentence), ParsedCommand):
+                    yield sentence
+                continue
+            truth = self.truth()
+            pose = (truth["poses"] | truth["seats"]).get(stated[1])
+            if pose is not None:
+                figures = (
+                    [*(f"{100.0 * n:.2f}" for n in pose[:3])],
+                    [*(f"{math.degrees(n):.2f}" for n in geometry.to_rpy(pose))],
+                )
+                yield f"SET {stated[1]} FRAME {' '.join(figures[0])} CM {' '.join(figures[1])} DEG"
+
+
+def perform(run: GraspRun, short: bool = False) -> GraspRun:
+    """Make the run."""
+    began = time.monotonic()
+    scene = Scene(run)
+    try:
+        _chain(scene, short)
+    finally:
+        scene.subsystem.close()
+    run.seconds = time.monotonic() - began
+    return run
+
+
+def _chain(scene: Scene, short: bool) -> None:
+    run, module = scene.run, scene.module
+    target = scene.rack if run.other and run.bay else BAY if run.other else scene.seat
+    if run.bay and not run.within(NARROW_M):
+        target = scene.rack  # in a bay that is farther off, the module would meet the frame of the satellite
+    sentences = [f"GRASP {module} {run.handle} WITH {run.arm}"]
+    if not short:
+        out_cm = 30 if run.bay else 20
+        sentences += [f"LIFT {module} BY {out_cm} CM WITH {run.arm}", f"PLACE {module} ON {target} WITH {run.arm}"]
+    for n, text in enumerate(sentences):
+        done = scene.do(text)
+        if done.succeeded and n == 0:
+            run.grasped = scene.truth()["held"][run.arm] == [module]
+        if not done.succeeded and not _cleared(scene, text, done):
+            return
+    if short:
+        return
+    run.placed = True
+    truth = scene.truth()
+    seated = geometry.compose(truth["seats"][target], scene.cell.seat(target).module_frame.pose)
+    off_m, off_rad = geometry.distance(seated, truth["poses"][module]), geometry.angle(seated, truth["poses"][module])
+    if off_m > SEATED_M or off_rad > SEATED_RAD:
+        run.false_success = f"placed {1e3 * off_m:.1f} mm, {math.degrees(off_rad):.1f} deg from {target}"
+
+
+def _cleared(scene: Scene, text: str, done: Run) -> bool:
+    """Whether a failed sentence succeeds after its advice, of at most four sentences."""
+    run = scene.run
+    history = [f"{text}: {_why(done)}"]
+    run.failed = run.failed or f"{text}: {_why(done)}"
+    run.restless = run.restless or ("" if scene.rests() else f"after {text}")
+    given = 0
+    while given < MOST_ADVISED:
+        advised = list(scene.advised(_clears(done)))
+        if not advised:
+            break
+        for sentence in advised[: MOST_ADVISED - given]:
+            given += 1
+            answer = scene.do(sentence)
+            history.append(f"{sentence}: {_why(answer)}")
+        done = scene.do(text)
+        history.append(f"again: {_why(done)}")
+        if done.succeeded:
+            return True
+    run.stuck = " | ".join(history)
+    return False
+
+
+def _why(done: Run) -> str:
+    why = done.failure or done.refusal
+    return "succeeded" if why is None else f"{why.message} [{why.clears}]"
+
+
+def _clears(done: Run) -> str:
+    why = done.failure or done.refusal
+    return why.clears if why is not None else ""
+
+
+# --- all runs --------------------------------------------------------------------------------------------------
+
+
+def wilson(successes: int, count: int) -> tuple[float, float]:
+    """The Wilson interval of 95 % of a rate."""
+    if not count:
+        return 0.0, 1.0
+    z, rate = 1.96, successes / count
+    middle = (rate + z * z / (2 * count)) / (1 + z * z / count)
+    half = z / (1 + z * z / count) * math.sqrt(rate * (1 - rate) / count + z * z / (4 * count * count))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def metrics_of(done: Sequence[GraspRun]) -> dict[str, float | None]:
     straddled = [run for run in done if run.within_straddle]
-    near = [run for run in done if run.within(FAR_M)]
-    metrics: dict[str, float | None] = {
+    grasped = sum(run.grasped for run in done)
+    low, high = wilson(grasped, len(done))
+    rates = {}
+    for name, ones in (("cameras", [r for r in done if r.cameras]), ("touch", [r for r in done if not r.cameras])):
+        rates[f"{name}_rate"] = sum(run.grasped for run in ones) / len(ones) if ones else None
+    return {
         "runs": len(done),
-        "successes": sum(run.grasped for run in done),
-        "within_25_mm": len(near),
-        "within_25_mm_rate": sum(run.grasped for run in near) / len(near) if near else None,
+        "successes": grasped,
+        "success_low": round(low, 4),
+        "success_high": round(high, 4),
+        **rates,
         "within_straddle_rate": sum(run.grasped for run in straddled) / len(straddled) if straddled else None,
+        "facts_checked": sum(run.checked for run in done),
         "wrong_valid_facts": sum(len(run.wrong) for run in done),
         "outside_spread": sum(len(run.outside) for run in done),
         "stuck": sum(bool(run.stuck) for run in done),
         "restless": sum(bool(run.restless) for run in done),
         "false_successes": sum(bool(run.false_success) for run in done),
         "placed": sum(run.placed for run in done),
+        "seconds_per_run": sum(run.seconds for run in done) / len(done) if done else None,
     }
-    if partial_run:
-        print(metrics)
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(
+        prog="python -m benchmarks.grasp", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    words.add_argument("--runs", type=int, default=300)
+    words.add_argument("--seed-from", type=int, default=0, help="number of the first run")
+    words.add_argument("--only", type=int, nargs="+", help="these runs alone")
+    words.add_argument("--processes", type=int, default=2)
+    words.add_argument("--cameras-only", action="store_true")
+    words.add_argument("--touch-only", action="store_true")
+    words.add_argument("--short", action="store_true", help="the grasp alone")
+    words.add_argument("--out", type=Path, help="write the runs into this file instead of the results")
+    words.add_argument("--join", type=Path, nargs="+", help="report the runs of these files")
+    given = words.parse_args()
+    question("grasp", "How well does a grasp locate a module that is far from its believed place?", seed=SEED)
+    if given.join:
+        rows = [row for file in given.join for row in json.loads(file.read_text())]
+        done = list({row["number"]: GraspRun(**row) for row in rows}.values())
+    else:
+        done = list(_made(_wanted(given), given.processes, given.short))
+    if given.out:
+        given.out.write_text(json.dumps([asdict(run) for run in done]))
+    if given.join or not (given.out or given.only or given.cameras_only or given.touch_only or given.short):
+        finish("grasp", metrics_of(done))
+    else:
+        print(json.dumps(metrics_of(done)))
+
+
+def _wanted(given: argparse.Namespace) -> Iterator[GraspRun]:
+    if given.only:
+        yield from (next(runs(1, n)) for n in given.only)
         return
-    finish("grasp", metrics)
+    for run in runs(given.runs, given.seed_from):
+        if (run.cameras or not given.cameras_only) and not (run.cameras and given.touch_only):
+            yield run
 
 
-def _pairs(runs: int, seed: int) -> Iterator[list[GraspRun]]:
-    """Two runs for each cluster, one per arm; the offsets repeat in a cycle."""
-    rng = random.Random(seed)
-    offsets = _offsets(rng)
-    for n in range((runs + 1) // 2):
-        heavy = n % 2 == 0
-        pair = [
-            GraspRun("RIGHT-ARM", next(offsets), heavy, n % 3 == 2),
-            GraspRun("LEFT-ARM", next(offsets), heavy, False),
-        ]
-        yield pair[: runs - 2 * n]
-
-
-def _offsets(rng: random.Random) -> Iterator[list[float]]:
-    """Endless offsets x y z roll pitch yaw: alternately on a single axis, and on all axes."""
-    singles = [
-        [sign * size if axis == n else 0.0 for n in range(6)]
-        for axis, sizes in ((0, ALONG_M), (1, ALONG_M), (2, ALONG_M), (5, ABOUT_RAD))
-        for size in sizes
-        for sign in (1, -1)
-    ]
-    while True:
-        rng.shuffle(singles)
-        for single in singles:
-            yield list(single)
-            all_m = [rng.uniform(-FAR_M, FAR_M) for _ in range(3)]
-            yield [*all_m, 0.0, 0.0, rng.uniform(-FAR_RAD, FAR_RAD)]
-
-
-# --- one cluster -------------------------------------------------------------------------------------------
-
-
-def _cluster(speed: str, cell_name: str, short: bool, until: float, runs: list[GraspRun]) -> list[GraspRun]:
-    """The finished runs; none after the time `until` of this machine."""
-    if time.monotonic() > until:
-        return []
-    with own_cluster(cell=cell_name, speed=speed) as run_dir, Client(run_dir) as rtc:
-        if runs[0].heavy:
-            rtc.change_physics(HEAVY, SMOOTH)
-        for run in runs:
-            rtc.displace(MODULES[run.arm][0], run.offset)
-        cell = Cell.load(rtc.settings.cell)
-        seated = {arm: rtc.truth().poses[module] for arm, (module, _, _) in MODULES.items()}
-        grasps = [
-            f"GRASP {cell.arm(run.arm).end_effector} {module} {point}"
-            for run in runs
-            for module, point, _ in [MODULES[run.arm]]
-        ]
-        for run, ended in zip(runs, rtc.run_many(grasps, timeout_s=COMMAND_S), strict=True):
-            run.grasped = _good(ended)
-            _judge(rtc, run)
-            if not short or not run.grasped:
-                _chain(rtc, cell, run, ended, seated[run.arm])
-    return runs
-
-
-def _chain(rtc: Client, cell: Cell, run: GraspRun, ended: CommandEnded, rack: list[float]) -> None:
-    """The commands after a grasp: lift, carry, put down; or the advised ones after a failure."""
-    module, _, seat = MODULES[run.arm]
-    target = "BAY-2" if run.into_bay else seat
-    ways = [f"MOVE {run.arm} TO CLEAR-POINT-1", f"MOVE {run.arm} TO BAY-2-FRONT"] if run.into_bay else []
-    sentences = [f"LIFT {module} BY 15 CM WITH {run.arm}", *ways, f"PLACE {module} ON {target}"]
-    for text in sentences:
-        if not _good(ended):
-            break
-        ended = rtc.run(text, timeout_s=COMMAND_S)
-        _judge(rtc, run)
-    if not _good(ended):
-        run.failed = f"{ended.text}: {ended.outcome.kind.value}, {ended.outcome.message[:160]}"
-        run.restless = _restless(rtc, run.arm)
-        run.stuck = _freed(rtc, run, ended)
-        return
-    run.placed = True
-    place = cell.seated_pose(target).tolist() if run.into_bay else rack
-    off = geometry.relative(place, rtc.truth().poses[module])
-    away_m, turned = math.hypot(*off[:3].tolist()), geometry.angle(geometry.IDENTITY, off)
-    if away_m > SEATED_M or turned > SEATED_RAD:
-        run.false_success = f"placed {1e3 * away_m:.1f} mm, {math.degrees(turned):.1f} deg from {target}"
-
-
-def _good(ended: CommandEnded) -> bool:
-    return ended.outcome.kind is OutcomeKind.SUCCEEDED
-
-
-def _judge(rtc: Client, run: GraspRun) -> None:
-    """Compare the valid frames of the modules and seats with their true poses."""
-    truth = rtc.truth()
-    true = {f"{name}.frame": pose for name, pose in (truth.poses | truth.seats).items()}
-    for fact in rtc.world.view(keys=list(true)).facts:
-        if fact.validity is not Validity.VALID:
-            continue
-        off = geometry.relative(fact.value, true[fact.key])
-        away_m, turned = math.hypot(*off[:3].tolist()), geometry.angle(geometry.IDENTITY, off)
-        words = f"{fact.key} off by {1e3 * away_m:.1f} mm, {math.degrees(turned):.1f} deg since {fact.source}"
-        if fact.key == f"{MODULES[run.arm][0]}.frame" and (away_m > WRONG_M or turned > WRONG_RAD):
-            run.wrong.append(f"valid and {words}")
-        errors = [*off[:3].tolist(), *geometry.to_rpy(off).tolist()]
-        if fact.spread is not None and not within(errors, fact.spread):
-            run.outside.append(f"outside its spread: {words}")
-
-
-def within(errors: Sequence[float], spread: Sequence[float]) -> bool:
-    """Whether errors x y z roll pitch yaw (m, rad) are within a spread."""
-    room = [BEYOND_M] * 3 + [BEYOND_RAD] * 3
-    return all(abs(error) <= most + more for error, most, more in zip(errors, spread, room, strict=True))
-
-
-def _restless(rtc: Client, arm: str) -> str:
-    """The motion of an arm that should rest; empty if it does."""
-    before = rtc.truth().joints[arm]
-    time.sleep(REST_S)
-    turned = max(abs(a - b) for a, b in zip(before, rtc.truth().joints[arm], strict=True))
-    return f"MOVES by {turned:.4f} rad in {REST_S:g} s" if turned > REST_RAD else ""
-
-
-def _freed(rtc: Client, run: GraspRun, ended: CommandEnded) -> str:
-    """Submit the advised sentences with true positions, then stow. Returns the refusals; empty if it stowed."""
-    module = MODULES[run.arm][0]
-    results = [ended.outcome.message]
-    for _ in range(3):
-        clears = ended.outcome.refusal.clears if ended.outcome.refusal else ""
-        for text in _advised(clears, rtc, module):
-            results.append(f"{text}: {rtc.run(text, timeout_s=COMMAND_S).outcome.kind.value}")
-        ended = rtc.run(f"STOW {run.arm}", timeout_s=COMMAND_S)
-        if _good(ended):
-            return ""
-        results.append(f"{ended.text}: {ended.outcome.message}")
-    return f"STUCK: {' | '.join(results)[:600]}"
-
-
-def _advised(clears: str, rtc: Client, module: str) -> Iterator[str]:
-    if f"SET {module} FRAME" in clears:
-        x, y, z = (100.0 * n for n in rtc.truth().poses[module][:3])
-        yield f"SET {module} FRAME {x:.2f} {y:.2f} {z:.2f} CM"
-    for verb, rest in ADVISED.findall(clears):
-        yield f"{verb} {rest}"
+def _made(wanted: Iterable[GraspRun], processes: int, short: bool) -> Iterator[GraspRun]:
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        for run in pool.imap_unordered(functools.partial(perform, short=short), wanted):
+            print(f"  {run.in_words()}", flush=True)
+            yield run
 
 
 if __name__ == "__main__":
