@@ -45,6 +45,7 @@ FIGURES = (
     "held_elsewhere",  # 1: another hand holds the object; 0: none does
     *("hinge_rad", "hinge_least_rad", "hinge_most_rad"),  # its angle, and its stops
     *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # spread of the grasp point, in tool axes at that point
+    "seen",  # 1: a camera can see the object, and the last look has found it; 0: it must be felt
     *(f"{clause}_{unit}" for clause in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
 HAND_LIMITS = ("opening_m", "max_grip_n")  # those of them that may limit others
@@ -71,7 +72,17 @@ ARGS = (
     "takes_s",  # duration of a motion
     *("width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
     *("speed_m_s", "force_n", "contact_n", "torque_nm"),
-    *("beyond_m", "felt_m", "lever_m", "aside_m", "pad_m", "centre_n_m", "play_m"),  # of the centring touches
+    *(
+        "beyond_m",
+        "felt_m",
+        "lever_m",
+        "aside_m",
+        "pad_m",
+        "centre_n_m",
+        "play_m",
+        "apart_m",
+        "tilt_m",
+    ),  # of the centring touches
     *("stiffness_n_m", "press_n"),  # of a compliant step; force set-point along its axis
     "centre_share",  # of a compliant step: its centre of compliance, from the tcp (0) to the load's centre of mass (1)
     "spin_m",  # of a compliant step: stiffness in rotation about its axis = stiffness * this squared
@@ -101,7 +112,10 @@ PREDICATES = (
     "unseen-above",
 )
 #: analyzer: effects of success on the world, and values of a report that a step may keep
-EFFECTS = ("taken", "let_go", "let_drift", "still_held", "verified", "felt", "pinched", "passed", "landed", "sighted")
+EFFECTS = (
+    *("taken", "let_go", "let_drift", "still_held", "verified", "felt", "tilted", "pinched", "passed", "landed"),
+    *("sighted", "unseen"),
+)
 KEPT = ("report.trip_pose", "report.pose", "report.hand_width")
 
 

@@ -338,6 +338,9 @@ def _names(expression: str | float) -> set[str]:
 def _script_problems(script: ScriptFile, place: str) -> Problems:
     for n, need in enumerate(script.needs):
         yield from _known("condition of the world", need, extension_names.NEEDS, f"{place}.needs[{n}]")
+    if script.unsure_if is not None:
+        for field in ("of", "at_least", "at_most"):
+            yield from _expression(getattr(script.unsure_if, field), f"{place}.unsure_if.{field}")
     planned: set[str] = set()
     for n, line in enumerate(script.plan):
         yield from _known("anchor", line.at, [*extension_names.ANCHORS, *sorted(planned)], f"{place}.plan[{n}].at")

@@ -106,6 +106,7 @@ class ScriptFile(ProgramPart, frozen=True, kw_only=True):
     case: Case
     uses: list[str] = []  # fields of the command that it uses; a command with any other field is refused
     needs: list[str] = []  # registered conditions of the world: hand_empty, object_held ...
+    unsure_if: BranchCondition | None = None  # then a camera looks for the object first; refused if none can see it
     despite_grasp: bool = False  # allowed with a suspect grasp or frame: it backs off or releases (R151)
     resources: list[str] = msgspec.field(default_factory=lambda: ["active_arm"])
     writes: list[str] = msgspec.field(default_factory=lambda: ["active_arm"])
@@ -210,8 +211,8 @@ class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
 
     message: str
     # object: frame of the active object; if_touched: the same, if it may have moved; held: frame of the held object;
-    # near: frames of all objects near the arm
-    suspect: list[Literal["object", "if_touched", "held", "near"]] = []
+    # near: frames of all objects near the arm; target: frame of the seat that the object should enter
+    suspect: list[Literal["object", "if_touched", "held", "near", "target"]] = []
     drops: bool = False  # the hand is empty afterwards
     misplaced: bool = False  # the held object is not where the world has it; only vision can locate it
     clears: str = ""  # first hint; the hints of `clears` of the program for each suspect fact follow

@@ -7,7 +7,7 @@ import math
 import msgspec
 import pytest
 
-from rtc.protocol.messages import EndReport, Validity
+from rtc.protocol.messages import EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.robot import geometry
 from rtc.world.spread import even
@@ -22,6 +22,7 @@ TURNED = math.radians(4.0)
 def feel(bench):
     """Judge one step of the script that feels, by its label, ended as `changes` say."""
     bench.unsurveyed()
+    bench.without_cameras()
     script = bench.elaborate(GRASP)
     assert script.context.script == "grasp-feeling"
     bench.set_fact("RIGHT-ARM.joints", script.bindings["JCM"].joints)
@@ -77,10 +78,18 @@ def test_a_touch_that_comes_late_or_early_moves_the_thing_along_the_search_alone
     assert z == pytest.approx(0.035, abs=1e-4)
 
 
+def attitude_is_known(bench, roll):
+    """As after a touch at two heights."""
+    fact = believed(bench)
+    spread = [*fact.spread[:3], roll, *fact.spread[4:]]
+    bench.world = bench.world.overlay([WorldChange(key=fact.key, value=fact.value, spread=spread)])
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_bar_askew_holds_the_pads_apart_and_twists_the_hand_to_its_side(bench, feel, side):
     width = 0.02 * (1.0 + TURNED)
     here = at_the_handle(bench, [0.0, 0.0, 0.0])
+    attitude_is_known(bench, roll=0.001)
     twisted = [0.0, 0.0, 0.0, side * 10.0 * 0.02, 0.0, 0.0]
 
     feel("press", tcp_pose=here, hand_width_m=width, hand_force_n=10.0, wrench=twisted)
@@ -88,6 +97,19 @@ def test_a_bar_askew_holds_the_pads_apart_and_twists_the_hand_to_its_side(bench,
     turned = geometry.relative(bench.model.cell.object_pose("MACS-NEW"), believed(bench).value)
     assert geometry.to_rpy(turned)[2] == pytest.approx(-side * TURNED, abs=1e-3)  # x of the tool is down
     assert believed(bench).spread[5] < math.radians(1.0)
+
+
+def test_pads_that_are_held_apart_do_not_tell_about_which_axis(bench, feel):
+    """The bar may be tilted about itself, or about the approach: their sum is measured."""
+    here = at_the_handle(bench, [0.0, 0.0, 0.0])
+    feel("press", tcp_pose=here, hand_width_m=0.02 * (1.0 + TURNED), hand_force_n=10.0, wrench=[0, 0, 0, 0.2, 0, 0])
+
+    roll, pitch, yaw = believed(bench).spread[3:]
+    turned = geometry.to_rpy(geometry.relative(bench.model.cell.object_pose("MACS-NEW"), believed(bench).value))[2]
+    for true_yaw in (0.0, -TURNED):  # all of it may be about the approach
+        assert abs(true_yaw - turned) <= yaw
+    assert roll > 0.9 * TURNED
+    assert pitch == pytest.approx(math.radians(5.0), rel=0.1)  # nothing measures it
 
 
 def test_without_a_twist_the_width_only_bounds_how_askew_it_may_be(bench, feel):

@@ -13,6 +13,7 @@ from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.robot import geometry
 from rtc.world.spread import even
 from tests.workers.conftest import CELL
+from workers.planning.robot_models import CellModel
 
 MODULE, OTHER = "MACS-NEW", "MACS-OLD"
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
@@ -65,7 +66,6 @@ def test_all_cameras_that_see_a_body_at_rest_locate_it_together_unless_one_is_na
 @pytest.mark.parametrize(
     ("sentence", "reason", "words"),
     [
-        ("LOCATE BAY-2", RefusalReason.INFEASIBLE, "has no tags"),
         ("LOCATE MACS-LOD", RefusalReason.NAME, "MACS-LOD"),
         ("LOCATE MACS-OLD VIA CAMERA-7", RefusalReason.NAME, "no camera CAMERA-7"),
         ("LOCATE MACS-OLD REPORT FORCES", RefusalReason.NO_SCRIPT, "neither joints nor forces"),
@@ -80,6 +80,15 @@ def test_what_no_camera_can_do_is_refused_before_it_begins(bench, sentence, reas
     assert words in run.refusal.message
     assert run.refusal.clears
     assert not run.primitives
+
+
+def test_a_body_without_tags_is_refused_before_it_begins(bench) -> None:
+    tags = [tag for tag in CELL.tags if tag.body != "BAY-2"]
+    bench.model = CellModel(msgspec.structs.replace(CELL, tags=tags))
+    run = bench.do("LOCATE BAY-2")
+    assert run.refusal.reason is RefusalReason.INFEASIBLE
+    assert "has no tags" in run.refusal.message
+    assert "SET BAY-2 FRAME" in run.refusal.clears
 
 
 def test_what_no_camera_sees_is_refused_unless_one_is_named(bench) -> None:
@@ -317,9 +326,7 @@ def test_a_doubtful_seat_is_sensed_before_an_object_is_placed_in_it(holding) -> 
     ("fact", "cure"), [(f"{MODULE}.grasp", f"VERIFY {MODULE} AT RIGHT-ARM"), ("BAY-2.frame", "SET BAY-2 FRAME")]
 )
 def test_what_is_in_doubt_and_out_of_sight_is_refused_with_what_would_clear_it(bench, fact, cure) -> None:
-    """The bay has no tags; the module is not in any picture."""
-    if fact.startswith(MODULE):
-        bench.without_cameras()
+    bench.without_cameras()
     assert bench.do(GRASP).succeeded
     assert bench.do(f"LIFT {MODULE} BY 15 CM").succeeded
     value = bench.world.value(fact) or CELL.seat("BAY-2").frame.pose.tolist()

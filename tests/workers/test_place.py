@@ -146,6 +146,7 @@ def test_after_a_place_that_failed_the_advice_leads_to_one_that_does_not(bench):
     assert isinstance(refusal, Refusal)  # in doubt as it is
     for sentence in (
         f"SET MACS-NEW FRAME {x - 2.3:.2f} {y:.2f} {z:.2f} CM 0 0 0 DEG",
+        "SET BAY-2 FRAME 93 0 70 CM 0 0 0 DEG",
         "LIFT MACS-NEW BY 30 CM",
         "PLACE MACS-NEW ON BAY-2",
     ):

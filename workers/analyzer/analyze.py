@@ -53,7 +53,8 @@ THIN_M = 0.002  # fingers closer together than this hold nothing
 VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
     *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
-    *("struck_n", "struck_m", "struck_rad", "pressed_m", "pressed_rad", "tilted_m"),
+    *("struck_n", "struck_m", "struck_rad", "twisted_n", "twisted_rad", "pressed_m", "pressed_rad"),
+    *("tilted_m", "unforeseen_m", "hung_m"),
 )
 #: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
 OF_CELL = {"creep_m_s", "creep_rad_s"}
@@ -147,7 +148,7 @@ def _off_m(data: AnalyzerInput) -> float:
 
 def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Assessment | Refusal:
     step = data.evaluation.step
-    changes = _arm_changes(data.report, query, data.evaluation.arm) + _partner_changes(query, data)
+    changes = _arm_changes(program, query, data) + _partner_changes(program, query, data)
     reported = reported_facts.changes_from(data.report.facts, query, program.values)
     if isinstance(reported, Refusal):
         return reported
@@ -202,13 +203,14 @@ def _failure(
     program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, reason: StopReason, failure: OutcomeClass
 ) -> Assessment:
     evaluation = data.evaluation
-    changes = _arm_changes(data.report, query, evaluation.arm) + _partner_changes(query, data)
+    changes = _arm_changes(program, query, data) + _partner_changes(program, query, data)
     changes += _interrupted_grasp(program, query, data)
     changes += _held_object_changes(
         program, query, data, changes, suspect="held" in failure.suspect, drops=failure.drops
     )
     changes += _touched_object_changes(program, query, data, failure)
     changes += nearby.doubtful(query, data) if "near" in failure.suspect else []
+    changes += _target_changes(query, data) if "target" in failure.suspect else []
     if evaluation.step.args.get("effect") == SEEN and not _wrong(program, data):
         changes += EFFECTS[SEEN](query, data, Validity.VALID)  # it was stopped, but has seen the body
     missed = evaluation.step.args.get("missed")
@@ -216,7 +218,8 @@ def _failure(
         changes += EFFECTS[missed](query, data, Validity.SUSPECT)
     changes = angles(query, _with_spread(program, query, data, _merged(changes)))
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
-    changes = _moved_in_hand(program, query, data, changes, failure, pressed=not trim and reason in PRESSED)
+    pressed = not trim and reason in PRESSED
+    changes = _moved_in_hand(program, query, data, changes, failure, pressed=pressed)
     asked = reflexes.find_requested(evaluation.context.reflexes, data.report)
     short = _short(program, data)
     words = _words(failure.message, data, reason, short) if asked is None else _stopped_as_requested(asked, data)
@@ -226,7 +229,9 @@ def _failure(
         words = f"{words}; it is where it is believed to be"
     if evaluation.remark and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
         words = f"{words}; {evaluation.remark}"
-    cures = _ways_to_clear(program, query, changes, failure.misplaced or _is_held_askew(data))
+    # A seat needs a better known pose in the hand than VERIFY leaves after that.
+    misplaced = failure.misplaced or _is_held_askew(data) or (pressed and bool(evaluation.context.target))
+    cures = _ways_to_clear(program, query, changes, misplaced)
     blocked = BLOCKED if not failure.clears and _pressing_n(program, data) else ""
     advice = (*_feel(query, data, reason), failure.clears or blocked, *_higher_limit(data))
     todo = (*advice, *cures, failure.again) if asked is None else tuple(cures)
@@ -305,8 +310,19 @@ def _trim(data: AnalyzerInput, reason: StopReason) -> int:
 # --- world changes ---------------------------------------------------------------------------------------
 
 
-def _arm_changes(report: EndReport, query: WorldQuery, arm: str) -> Changes:
-    """Joints and hand width as reported; suspect and unchanged, like what it holds, if the report has no joints."""
+def _arm_changes(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
+    """The facts of the arm of the step."""
+    commanded = bool(data.evaluation.step.op) or data.evaluation.step.do == "proc"
+    return _reported(program, query, data.report, data.evaluation.arm, hand_commanded=commanded)
+
+
+def _reported(
+    program: AnalyzerProgram, query: WorldQuery, report: EndReport, arm: str, *, hand_commanded: bool
+) -> Changes:
+    """Joints and hand width as reported; suspect and unchanged, like what it holds, if the report has no joints.
+
+    The width of a hand that has opened or closed without a command is suspect: the fingers may still move.
+    """
     if not arm:
         return []  # a stated or observed fact moves no arm
     if len(report.joints) != len(query.cell.arm(arm).joints):
@@ -314,20 +330,23 @@ def _arm_changes(report: EndReport, query: WorldQuery, arm: str) -> Changes:
             WorldChange(key=f"{arm}.{attribute}", keep_value=True, validity=Validity.SUSPECT)
             for attribute in ("joints", "hand_width", "holding")
         ]
+    width_m = max(0.0, report.hand_width_m)
+    moves = not hand_commanded and abs(width_m - query.hand_width(arm)) > program.values["unforeseen_m"]
     return [
         WorldChange(key=f"{arm}.joints", value=list(report.joints)),
-        WorldChange(key=f"{arm}.hand_width", value=max(0.0, report.hand_width_m)),
+        WorldChange(key=f"{arm}.hand_width", value=width_m, validity=Validity.SUSPECT if moves else Validity.VALID),
     ]
 
 
-def _partner_changes(query: WorldQuery, data: AnalyzerInput) -> Changes:
+def _partner_changes(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
     """The same for the second arm of a primitive; unchanged if nothing was started."""
     partner, report = data.evaluation.context.partner, data.report
     if not partner or data.evaluation.step.space != BOTH:
         return []  # only one arm moves in this step, or a camera looks
     if report.partner is None and report.reason in (StopReason.REFUSED, StopReason.BLOCKED):
         return []
-    return _arm_changes(report.partner or msgspec.structs.replace(report, joints=[]), query, partner)
+    second = report.partner or msgspec.structs.replace(report, joints=[])
+    return _reported(program, query, second, partner, hand_commanded=False)
 
 
 def _held_object_changes(
@@ -361,6 +380,8 @@ def _held_object_changes(
     validity = Validity.SUSPECT if suspect or drops or tilted or not trusted else Validity.VALID
     moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
     if drops or opened:
+        if query.seat(thing):
+            moved.append(WorldChange(key=f"{thing}.seat", keep_value=True, validity=Validity.SUSPECT))
         return [*moved, *shared_hold.let_go(query, _loser(widened_m, opened), thing, Validity.SUSPECT)]
     turned = query.grasp_after(thing, frame, tcp)
     moved.append(WorldChange(key=f"{thing}.grasp", value=turned, keep_value=turned is None, validity=validity))
@@ -393,6 +414,10 @@ def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInpu
     held_s = max(report.at_s - fact.at_s, report.duration_s)
     spread = pose_spread.crept_spread(query.spread(fact.key), held_s, query.cell.numbers)
     spread = pose_spread.struck_spread(spread, report.peak_force_n, program.values)
+    if report.peak_force_n > program.values["twisted_n"]:
+        spread = pose_spread.twisted_spread(spread, fact.value, program.values["twisted_rad"])
+    if (hinge := query.hinge(thing)) is not None and (point := query.point_in_hand(thing)) is not None:
+        spread = pose_spread.hung_spread(spread, hinge.axis, point.frame.xyz, program.values["hung_m"])
     keys = {f"{thing}.frame", f"{thing}.grasp"}
     return [
         msgspec.structs.replace(change, spread=spread)
@@ -479,6 +504,14 @@ def _touched_object_changes(
         doubtful = ("frame", "grasp") if query.held_by(thing) else ("frame",)
         return [WorldChange(key=f"{thing}.{name}", keep_value=True, validity=Validity.SUSPECT) for name in doubtful]
     return []
+
+
+def _target_changes(query: WorldQuery, data: AnalyzerInput) -> Changes:
+    """The seat may not be where it is believed to be: an object did not meet it as expected."""
+    seat = data.evaluation.context.target
+    if not seat:
+        return []
+    return [WorldChange(key=f"{seat}.frame", value=query.seat_frame(seat).tolist(), validity=Validity.SUSPECT)]
 
 
 def _seen_as_believed(query: WorldQuery, data: AnalyzerInput) -> bool:

@@ -22,7 +22,7 @@ from workers.planning.world_query import WorldQuery
 
 Changes = list[WorldChange]
 
-SIGMAS = 3.0  # half-width of a bound, in standard deviations
+SIGMAS = 5.0  # half-width of a bound, in standard deviations; the errors of corners in one picture are not independent
 IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the middle between the fingers
 MOVES_M_S, MOVES_RAD_S = 0.002, 0.01  # a body that is faster is not there any more when the report is read
 OLD_S = 2.0  # an older sighting is not trusted, unless a hand has held the body since

@@ -21,6 +21,7 @@ Found = tuple[Array, list[float]]  # frame, spread
 
 # Axes of a grasp point: y = closing direction, z = approach. A held bar can be tilted about x and z.
 CLOSING, ABOUT_BAR, ABOUT_APPROACH = 1, 3, 5
+ALONG_BAR = (1.0, 0.0, 0.0)
 CENTRED_M = 0.001  # uncertainty of the centre between two fingers
 ASKEW_RAD = 0.012  # uncertainty of a bar's tilt derived from the hand width
 STRAIGHT_RAD = 0.005  # the sign of a smaller tilt cannot be measured
@@ -41,11 +42,32 @@ def touched(query: WorldQuery, data: AnalyzerInput) -> Found:
     before, spread = _current(query, data)
     after = geometry.translate(before, later_m * way)
     point = _point(query, data)
-    along = geometry.rotate(geometry.inverse(geometry.compose(before, point)), way)
-    axis = int(np.argmax(np.abs(along)))
-    unsure_rad = pose_spread.uncertainty_figures(spread, point)["unsure_rad"]
-    half_width = _figure(data, "felt_m") + _figure(data, "lever_m") * unsure_rad
+    axis = int(np.argmax(np.abs(geometry.rotate(geometry.inverse(geometry.compose(before, point)), way))))
+    half_width = _figure(data, "felt_m") + _figure(data, "lever_m") * pose_spread.unsure_across(spread, point, axis)
     return after, pose_spread.spread_after_measurement(before, after, spread, point, {axis: half_width})
+
+
+def tilted(query: WorldQuery, data: AnalyzerInput) -> Found:
+    """The same surface was touched again, `apart_m` farther along the bar than before: its tilt across the bar.
+
+    The first touch has set the position along the search. `tilt_m`: accuracy of the difference of two touches.
+    """
+    trip = data.report.trip_pose or data.report.tcp_pose
+    end, way = _search(query, data)
+    later_m, apart_m = float(np.dot(trip[:3] - end, way)) + _figure(data, "beyond_m"), _figure(data, "apart_m")
+    before, spread = _current(query, data)
+    point = _point(query, data)
+    there = geometry.inverse(geometry.compose(before, point))
+    about = np.cross(ALONG_BAR, geometry.rotate(there, way))
+    axis = int(np.argmax(np.abs(about)))
+    first_m = float(geometry.transform_point(there, trip[:3])[0]) - apart_m  # of the first touch, along the bar
+    pivot = geometry.compose(point, geometry.from_rpy([first_m, 0.0, 0.0], [0.0, 0.0, 0.0]))
+    turn = np.zeros(3)
+    turn[axis] = math.copysign(later_m / apart_m, later_m / apart_m * float(about[axis]))
+    turned = geometry.compose(geometry.compose(before, pivot), geometry.from_rpy([0.0, 0.0, 0.0], turn))
+    after = geometry.normalise(geometry.compose(turned, geometry.inverse(pivot)))
+    measured = {3 + axis: _figure(data, "tilt_m") / abs(apart_m)}
+    return after, pose_spread.spread_after_measurement(before, after, spread, pivot, measured)
 
 
 def between_fingers(query: WorldQuery, data: AnalyzerInput, moved: Spread = EXACT) -> Found:
@@ -63,8 +85,8 @@ def between_fingers(query: WorldQuery, data: AnalyzerInput, moved: Spread = EXAC
     measured = {CLOSING: CENTRED_M}
     pad_m = _figure(data, "pad_m")
     if pad_m > 0.0:
-        rpy[0], half_width = _askew(query, data, pad_m, float(rpy[0]))
-        measured |= {ABOUT_BAR: half_width, ABOUT_APPROACH: half_width + abs(float(rpy[2]))}
+        there = pose_spread.spread_at(spread, point)
+        (rpy[0], measured[ABOUT_BAR]), (rpy[2], measured[ABOUT_APPROACH]) = _askew(query, data, pad_m, rpy, there)
     stiffness_n_m = _figure(data, "centre_n_m")
     aside_m = 0.5 * data.report.wrench[1] / stiffness_n_m if stiffness_n_m > 0.0 else 0.0
     stands = geometry.compose(tcp, geometry.from_rpy([offset[0], aside_m, offset[2]], rpy))
@@ -93,16 +115,33 @@ def seat_of(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[f
     return place, pose_spread.spread_at(widened(spread, even(play_m, 0.0)), geometry.inverse(inside))
 
 
-def _askew(query: WorldQuery, data: AnalyzerInput, pad_m: float, believed_rad: float) -> tuple[float, float]:
-    """Tilt of the bar against the pads about the tool's x axis, and its uncertainty (rad)."""
+Tilt = tuple[float, float]  # angle and half-width (rad)
+
+
+def _askew(query: WorldQuery, data: AnalyzerInput, pad_m: float, rpy: Array, spread: Spread) -> tuple[Tilt, Tilt]:
+    """Tilt of the bar against the pads, about the bar (tool x) and about the approach (tool z).
+
+    Both tilts hold the pads apart, each over `pad_m`: the width of the hand gives their sum. The twist of the hand
+    gives the signs. `rpy`, `spread`: as believed.
+    """
     report = data.report
     width_m = query.cell.object(data.evaluation.context.object).grasp_point(data.evaluation.context.grasp_point).width_m
     most_rad = max(0.0, report.hand_width_m - width_m) / pad_m
-    twist_nm = report.wrench[3] if report.wrench else 0.0
-    if most_rad > STRAIGHT_RAD and abs(twist_nm) > TWIST * report.hand_force_n * pad_m:
-        return math.copysign(most_rad, twist_nm), ASKEW_RAD
-    near = max(-most_rad, min(most_rad, believed_rad))
-    return near, most_rad + abs(near) + ASKEW_RAD
+    twists_nm = (report.wrench[3], report.wrench[5]) if report.wrench else (0.0, 0.0)
+    clear_nm = TWIST * report.hand_force_n * pad_m
+    bar, approach = (float(rpy[0]), spread[ABOUT_BAR]), (float(rpy[2]), spread[ABOUT_APPROACH])
+    about_bar = _tilt(most_rad, bar, approach, twists_nm[0], clear_nm)
+    return about_bar, _tilt(most_rad, approach, bar, twists_nm[1], clear_nm)
+
+
+def _tilt(most_rad: float, believed: Tilt, other: Tilt, twist_nm: float, clear_nm: float) -> Tilt:
+    """One of two tilts whose absolute values add up to `most_rad`. A twist above `clear_nm` has its sign."""
+    its_least, its_most = max(0.0, abs(other[0]) - other[1]), min(most_rad, abs(other[0]) + other[1])
+    least, most = max(0.0, most_rad - its_most), max(0.0, most_rad - its_least)
+    if most_rad > STRAIGHT_RAD and abs(twist_nm) > clear_nm:
+        return math.copysign(0.5 * (least + most), twist_nm), 0.5 * (most - least) + ASKEW_RAD
+    near = max(-most, min(most, believed[0]))
+    return near, most + abs(near) + ASKEW_RAD
 
 
 def beyond(query: WorldQuery, data: AnalyzerInput) -> Found:

@@ -76,6 +76,11 @@ def felt(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
     return _seen(data, touch.touched(query, data), validity)
 
 
+def tilted(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The hand touched the same surface elsewhere along the bar: the object turns about the first touch."""
+    return _seen(data, touch.tilted(query, data), validity)
+
+
 def pinched(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
     """The fingers pressed on the object without holding it: the measurement corrects its position and attitude."""
     return _seen(data, touch.between_fingers(query, data), validity)
@@ -175,6 +180,11 @@ def verified(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Chan
     ]
 
 
+def unseen(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The cameras have not found the body: another way to locate it is chosen until one of them does."""
+    return [WorldChange(key=f"{data.evaluation.body}.sighting", value=None)]
+
+
 EFFECTS: dict[str, Callable[[WorldQuery, AnalyzerInput, Validity], Changes]] = {
     "taken": taken,
     "let_go": let_go,
@@ -182,8 +192,10 @@ EFFECTS: dict[str, Callable[[WorldQuery, AnalyzerInput, Validity], Changes]] = {
     "still_held": still_held,
     "verified": verified,
     "felt": felt,
+    "tilted": tilted,
     "pinched": pinched,
     "passed": passed,
     "landed": landed,
     "sighted": sighted,
+    "unseen": unseen,
 }

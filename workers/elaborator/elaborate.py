@@ -21,6 +21,7 @@ from rtc.protocol.messages import ElaboratorInput, Script, ScriptContext, Step, 
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.primitive_id import seed_of
 from rtc.world.model import World
+from rtc.world.spread import in_words
 from workers.binder import reflexes
 from workers.binder.look import CAMERA, FURTHER, cameras_of
 from workers.elaborator import (
@@ -251,6 +252,9 @@ def _script(
     problem = problem or (hinged.refuse_other_motion(script, candidate) if candidate.hand else None)
     problem = problem or hinged.refuse_turn_of_hand(script, candidate) or hinged.refuse_beyond_stops(script, candidate)
     problem = problem or (two_hands.refuse_moving_alone(script, candidate) if candidate.hand else None)
+    unplaced = _unsure_place(script, candidate)
+    if unplaced is not None and not candidate.query.finds(candidate.body):
+        problem = problem or unplaced
     if problem is not None:
         return problem
     try:
@@ -269,7 +273,8 @@ def _script(
             return planned
         for index, way in planned.ways.items():
             nominal[index] = msgspec.structs.replace(nominal[index], way=way)
-        doubtful = list(dict.fromkeys([*in_hand, *planned.doubtful]))
+        looked_for = [candidate.body] if unplaced is not None else []
+        doubtful = list(dict.fromkeys([*in_hand, *planned.doubtful, *looked_for]))
         others = _lost_arms(script, candidate)
         steps = [*_sensed_first(compiled, candidate, doubtful, others), *nominal]
     except expressions.ExpressionError as error:
@@ -289,6 +294,21 @@ def _script(
         ),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
         notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out],
+    )
+
+
+def _unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+    """The refusal of a script for which the pose of the object is too uncertain; None if it is certain enough."""
+    if script.unsure_if is None or candidate.thing is None or not _holds(script.unsure_if, candidate):
+        return None
+    name, query, clears = candidate.thing.name, candidate.query, candidate.program.clears
+    spread = in_words(query.spread(f"{name}.frame"))
+    return Refusal(
+        reason=RefusalReason.SUSPECT,
+        message=f"{name} is known within {spread} only, and no camera finds it: too uncertain for {script.script}",
+        where=f"{name}.frame",
+        clears=clears.get("spread", "sense {location} again").replace("{location}", name),
+        detail={"cause": "spread", "spread": spread},
     )
 
 

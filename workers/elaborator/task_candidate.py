@@ -152,6 +152,7 @@ def figures_of(
         figures["grasp_width_m"] = between.width_m
     if point is not None and thing is not None:
         figures |= pose_spread.uncertainty_figures(query.spread(f"{thing.name}.frame"), point.frame.pose)
+        figures["seen"] = float(query.finds(thing.name))
     if thing is not None:
         figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
         figures["hinged"] = float(thing.hinge is not None)

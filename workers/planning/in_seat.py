@@ -52,7 +52,7 @@ def way_out_in_words(query: WorldQuery, arm: str, seat: str, frame: Floats | Non
     out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
     where = query.frame(held) if frame is None else np.asarray(frame)
     left_m = query.cell.seat(seat).depth_m + SPARE_M - float((where[:3] - query.seated_pose(seat)[:3]) @ out)
-    by = f"BY {max(1, math.ceil(100 * left_m - 1e-6))} CM"
+    by = f"BY {max(1, math.ceil(100 * left_m - 0.05))} CM"
     if query.sharers(arm):
         return f"MOVE BOTH-ARMS {by} ALONG {query.way_out_of(seat)}"
     return f"LIFT {held} {by} WITH {hand_in_words(arm)}"

@@ -37,18 +37,49 @@ def spread_after_measurement(
     `at`: the measured pose, in the frame's axes. `measured`: axis of that pose (0 to 5: x y z roll pitch yaw) ->
     half-width of the measurement. Axes that were not measured keep their spread.
     """
-    moved = geometry.relative(before, after)
-    wider = widened(spread, [*(abs(n) for n in moved[:3].tolist()), *(abs(n) for n in geometry.to_rpy(moved).tolist())])
-    there = spread_at(wider, at)
+    there = _after_move(spread_at(spread, at), geometry.compose(before, at), geometry.compose(after, at))
     for axis, half_width in measured.items():
         there[axis] = half_width
-    return narrowest(spread_at(there, geometry.inverse(at)), wider)
+    return narrowest(spread_at(there, geometry.inverse(at)), _after_move(spread, before, after))
+
+
+def _after_move(spread: Spread, before: Floats, after: Floats) -> list[float]:
+    """Spread of a pose that is believed at `after` now, and had this spread at `before` (world frame)."""
+    moved = geometry.relative(before, after)
+    by = [*(abs(n) for n in geometry.inverse(moved)[:3].tolist()), *(abs(n) for n in geometry.to_rpy(moved).tolist())]
+    turned = np.abs(geometry.to_matrix(moved)[:3, :3].T)
+    bounds = np.asarray(spread, dtype=float)
+    return widened([*(turned @ bounds[:3]).tolist(), *(turned @ bounds[3:]).tolist()], by)
+
+
+def unsure_across(spread: Spread, at: Floats, axis: int) -> float:
+    """The larger half-width (rad) of the pose `at`, in a frame of this spread, about the two axes beside this one."""
+    angles = spread_at(spread, at)[3:]
+    return max(angles[n] for n in range(3) if n != axis)
 
 
 def uncertainty_figures(spread: Spread, at: Floats) -> dict[str, float]:
     """Spread of the pose `at` (in the axes of a frame of this spread), as figures of a script."""
     x, y, z, *angles = spread_at(spread, at)
     return {"unsure_x_m": x, "unsure_y_m": y, "unsure_z_m": z, "unsure_rad": max(angles)}
+
+
+def twisted_spread(spread: Spread, grasp: Floats, turn_rad: float) -> list[float]:
+    """Spread of a held object that a force has turned between the pads: about the closing direction (tool y), and
+    by half of that about the bar (tool x).
+
+    `grasp`: the frame of the object in the axes of the tcp."""
+    return widened(spread, spread_at([0.0, 0.0, 0.0, 0.5 * turn_rad, turn_rad, 0.0], grasp))
+
+
+def hung_spread(spread: Spread, axis: Floats, bar: Floats, off_m: float) -> list[float]:
+    """Spread of an object with a hinge, at least: its hand locates the bar within `off_m`, and so the angle.
+
+    `axis`: of the hinge, through the origin; `bar`: a point of the bar; both in the axes of the object.
+    """
+    unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    turn_rad = off_m / float(np.linalg.norm(np.cross(unit, bar)))
+    return [max(pair) for pair in zip(spread, [0.0] * 3 + (turn_rad * np.abs(unit)).tolist(), strict=True)]
 
 
 def crept_spread(spread: Spread, seconds: float, numbers: Numbers) -> list[float]:

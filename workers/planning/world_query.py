@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -146,7 +147,19 @@ class WorldQuery:
 
     def cameras(self, body: str) -> list[parts.Camera]:
         """The cameras that can see an object or seat where it is believed to be, the best one first."""
-        return sight.cameras(self.cell, body, self.pose(body), self.tcp)
+        if body not in self._cameras:
+            self._cameras[body] = sight.cameras(self.cell, body, self.pose(body), self.tcp)
+        return self._cameras[body]
+
+    @cached_property
+    def _cameras(self) -> dict[str, list[parts.Camera]]:
+        """Those of the bodies that were asked for: the world of a query does not change."""
+        return {}
+
+    def finds(self, body: str) -> bool:
+        """Whether a camera can see the body where it is believed to be, and the last look has not missed it."""
+        fact = self.world.get(f"{body}.sighting")
+        return (fact is None or fact.value is not None) and bool(self.cameras(body))
 
     def hinge(self, thing: str) -> parts.Hinge | None:
         """The hinge of an object; None if it has none, or is not an object."""
@@ -276,7 +289,7 @@ class WorldQuery:
             row = "seen"
         words = clears.get(row, "sense {location} again")
         if "{position}" in words:
-            frame = self.frame(location)
+            frame = self.pose(location)
             words = words.replace("{position}", _figures(100 * frame[:3]))
             words = words.replace("{attitude}", _figures(np.degrees(geometry.to_rpy(frame))))
         words = words.replace("{angle}", _figures(np.degrees([self.angle(location)])))

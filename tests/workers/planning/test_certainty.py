@@ -114,16 +114,17 @@ def test_an_empty_hand_needs_to_know_nothing(bench):
     assert not isinstance(bench.elaborate("MOVE RIGHT-ARM TO CLEAR-POINT-1"), Refusal)
 
 
-def test_what_a_grasp_could_not_feel_is_too_little_for_a_seat(bench):
-    """Figure 4 alone feels one axis; in the cell as it comes that is refused before anything moves."""
+def test_a_grasp_that_feels_one_axis_is_refused_if_the_pose_is_too_uncertain_for_it(bench):
+    """Figure 4 alone feels one axis; the advice clears it."""
     bench.without_cameras()
     bench.load("elaborator", "decision_tree: [{verb: GRASP, script: grasp-feeling, enabled: false}]")
     bench.unsurveyed()
-    assert bench.do(GRASP).succeeded
-    assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
-    refused = bench.elaborate("PLACE MACS-NEW ON RACK-1")
+    refused = bench.elaborate(GRASP)
     assert refused.reason is RefusalReason.SUSPECT
-    assert "x 3" in refused.message
+    assert "35 mm" in refused.message
+    assert "SET MACS-NEW FRAME x y z CM roll pitch yaw DEG" in refused.clears
+    assert bench.do("SET MACS-NEW FRAME 80 -80 60 CM 0 0 0 DEG").succeeded
+    assert bench.do(GRASP).succeeded
 
 
 @pytest.mark.parametrize("reason", [StopReason.FORCE_LIMIT, StopReason.CONTACT])
