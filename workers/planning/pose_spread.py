@@ -72,16 +72,6 @@ def twisted_spread(spread: Spread, grasp: Floats, turn_rad: float) -> list[float
     return widened(spread, spread_at([0.0, 0.0, 0.0, 0.5 * turn_rad, turn_rad, 0.0], grasp))
 
 
-def hung_spread(spread: Spread, axis: Floats, bar: Floats, off_m: float) -> list[float]:
-    """Spread of an object with a hinge, at least: its hand locates the bar within `off_m`, and so the angle.
-
-    `axis`: of the hinge, through the origin; `bar`: a point of the bar; both in the axes of the object.
-    """
-    unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-    turn_rad = off_m / float(np.linalg.norm(np.cross(unit, bar)))
-    return [max(pair) for pair in zip(spread, [0.0] * 3 + (turn_rad * np.abs(unit)).tolist(), strict=True)]
-
-
 def crept_spread(spread: Spread, seconds: float, numbers: Numbers) -> list[float]:
     """Spread of an object held for `seconds` more: it creeps in the grip."""
     for_s = max(0.0, seconds)
