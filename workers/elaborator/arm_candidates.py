@@ -68,7 +68,8 @@ def _or_a_hand(unknown: Refusal, program: ElaboratorProgram, parsed: ParsedComma
     if named is not None:  # a further arm, without its ARM
         clears = f"{parsed.verb} {hand_in_words(named.name)}"
         return msgspec.structs.replace(unknown, nearest=[], clears=clears)
-    known = [*unknown.expected, *(hand_in_words(arm.name) for arm in cell.arms)]
+    alone = [arm.end_effector for arm in cell.arms if hand_in_words(arm.name) == arm.name]  # written without ARM
+    known = [*unknown.expected, *(hand_in_words(arm.name) for arm in cell.arms), *alone]
     return suggestions.unknown("object or hand", parsed.object or "", known)
 
 

@@ -43,7 +43,7 @@ def posture(parsed: ParsedCommand, query: WorldQuery) -> Stated | Refusal:
     if len(values) != len(arm.joints) or parsed.value_unit != "rad" or slides:
         wanted = "HERE or NONE" if slides else f"HERE, NONE, or {len(arm.joints)} angles in DEG"
         message = f"the posture of {name} is {wanted}"
-        clears = f"SET {place} {parsed.attribute} {HERE}"
+        clears = f"{parsed.verb} {place} {parsed.attribute} {HERE}"
         return Refusal(reason=RefusalReason.SENTENCE, message=message, where=parsed.attribute or "", clears=clears)
     return {key: values}, [place]
 
@@ -60,7 +60,9 @@ def world(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery) 
     """All facts of objects and seats as in the cell. Arms keep theirs: they are measured."""
     if (parsed.attribute, parsed.value) != ("FACTS", [INITIAL]):
         message = f"of {taught.WORLD} only FACTS {INITIAL} can be set"
-        return Refusal(reason=RefusalReason.SENTENCE, message=message, clears=f"SET {taught.WORLD} FACTS {INITIAL}")
+        return Refusal(
+            reason=RefusalReason.SENTENCE, message=message, clears=f"{parsed.verb} {taught.WORLD} FACTS {INITIAL}"
+        )
     for arm in query.cell.arms:
         if held := query.holding(arm.name):
             let_go = preconditions.let_go(program.needs, query, held)
