@@ -47,7 +47,7 @@ def test_the_cameras_of_the_cell_see_a_module_that_has_moved() -> None:
     ]
     studio.close()
     found = locate.locate(cell.tags, pictures)
-    assert found.keys() == {"MACS-NEW", "MACS-OLD", "RACK-1", "RACK-2", "SATELLITE"}
+    assert found.keys() == {"MACS-NEW", "MACS-OLD", "BAY-2", "RACK-1", "RACK-2", "SATELLITE"}
     for name, pose in moved.items():
         assert geometry.distance(found[name].pose, pose) < 0.002, name
         assert geometry.angle(found[name].pose, pose) < math.radians(0.5), name

@@ -413,9 +413,10 @@ def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInpu
         return changes
     held_s = max(report.at_s - fact.at_s, report.duration_s)
     spread = pose_spread.crept_spread(query.spread(fact.key), held_s, query.cell.numbers)
-    spread = pose_spread.struck_spread(spread, report.peak_force_n, program.values)
-    if report.peak_force_n > program.values["twisted_n"]:
-        spread = pose_spread.twisted_spread(spread, fact.value, program.values["twisted_rad"])
+    if query.hinge(thing) is None:  # else its hinge keeps it in place
+        spread = pose_spread.struck_spread(spread, report.peak_force_n, program.values)
+        if report.peak_force_n > program.values["twisted_n"]:
+            spread = pose_spread.twisted_spread(spread, fact.value, program.values["twisted_rad"])
     keys = {f"{thing}.frame", f"{thing}.grasp"}
     return [
         msgspec.structs.replace(change, spread=spread)
