@@ -44,10 +44,17 @@ def cause(tags: Sequence[TagOnBody], believed: geometry.Floats, view: View, imag
 
 def across_px(tag: TagOnBody, believed: geometry.Floats, view: View) -> float | None:
     """The least width of a tag in the picture; None if it is not in it, or turned away."""
+    return next(iter(widths_px([tag], believed, [view])[0]), None)
+
+
+def widths_px(tags: Sequence[TagOnBody], believed: geometry.Floats, views: Sequence[View]) -> list[list[float]]:
+    """For each view the least widths of those of these tags, all of one body, that are in its picture."""
     matrix = geometry.to_matrix(believed)
-    world = corners(tag) @ matrix[:3, :3].T + matrix[:3, 3]
-    if not optics.visible(view, world, np.cross(world[1] - world[0], world[3] - world[0])):
-        return None
-    pixels = view.pixels(world)
+    world = np.array([corners(tag) for tag in tags]) @ matrix[:3, :3].T + matrix[:3, 3]
+    normals = np.cross(world[:, 1] - world[:, 0], world[:, 3] - world[:, 0])
+    return [[_width_px(view.pixels(world[n])) for n in optics.visible_of(view, world, normals)] for view in views]
+
+
+def _width_px(pixels: geometry.Array) -> float:
     longest = float(np.linalg.norm(pixels - np.roll(pixels, -1, axis=0), axis=1).max())
     return area_px(pixels) / longest

@@ -38,14 +38,14 @@ class View(NamedTuple):
         return 0.5 * self.size_px[0], 0.5 * self.size_px[1]
 
     def to_camera(self, points: Array) -> Array:
-        """Points (n x 3, m) of the world in the axes of the camera."""
+        """Points (... x 3, m) of the world in the axes of the camera."""
         seen: Array = points @ self.rotation.T + self.translation
         return seen
 
     def pixels(self, points: Array) -> Array:
-        """Pixels (n x 2) of points of the world (n x 3, m), which must lie in front of the camera."""
+        """Pixels (... x 2) of points of the world (... x 3, m), which must lie in front of the camera."""
         seen = self.to_camera(points)
-        found: Array = self.focal_px * seen[:, :2] / seen[:, 2:] + self.centre_px
+        found: Array = self.focal_px * seen[..., :2] / seen[..., 2:] + self.centre_px
         return found
 
 
@@ -64,8 +64,15 @@ CORNERS = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], dtype=np.fl
 def visible(view: View, corners: Array, normal: Array) -> bool:
     """Whether a tag faces the camera and lies in the picture, if nothing is in front of it. `corners`: 4 x 3, m, and
     `normal`, world frame."""
+    return len(visible_of(view, corners[None], normal[None])) > 0
+
+
+def visible_of(view: View, corners: Array, normals: Array) -> list[int]:
+    """The numbers of the tags that are `visible`. `corners`: tags x 4 x 3, m, and `normals`, world frame."""
     seen = view.to_camera(corners)
-    if not np.all(seen[:, 2] > 0.0) or float(seen.mean(axis=0) @ (view.rotation @ normal)) >= 0.0:
-        return False
-    pixels = view.pixels(corners)
-    return bool(np.all(pixels >= 0.0) and np.all(pixels <= view.size_px))
+    facing = (seen.mean(axis=1) * (normals @ view.rotation.T)).sum(axis=1) < 0.0
+    found = np.flatnonzero(facing & (seen[:, :, 2] > 0.0).all(axis=1))
+    pixels = view.pixels(corners[found])
+    within = ((pixels >= 0.0) & (pixels <= view.size_px)).all(axis=(1, 2))
+    numbers: list[int] = found[within].tolist()
+    return numbers

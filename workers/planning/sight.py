@@ -28,13 +28,9 @@ def cameras(cell: Cell, body: str, pose: Floats, tcp: Callable[[str], Array]) ->
 
     `tcp`: pose of an arm's tcp, world frame, for a camera that the arm carries."""
     known = tags(cell, body)
-    widths = {camera.name: _across_px(known, pose, camera, tcp) for camera in cell.cameras} if known else {}
-    able = [camera for camera in cell.cameras if widths.get(camera.name, 0.0) >= absence.LEAST_PX]
-    return sorted(able, key=lambda camera: -widths[camera.name])
-
-
-def _across_px(known: list[Tag], pose: Floats, camera: Camera, tcp: Callable[[str], Array]) -> float:
-    """Width (pixels) of the largest of the tags in the camera's picture; 0 if none is in it."""
-    view = optics.view(camera, tcp(camera.arm) if camera.arm else None)
-    widths = (absence.across_px(tag, pose, view) for tag in known)
-    return max((width for width in widths if width is not None), default=0.0)
+    if not known:
+        return []
+    views = [optics.view(camera, tcp(camera.arm) if camera.arm else None) for camera in cell.cameras]
+    widest = [max(widths, default=0.0) for widths in absence.widths_px(known, pose, views)]
+    able = [(width, camera) for width, camera in zip(widest, cell.cameras, strict=True) if width >= absence.LEAST_PX]
+    return [camera for _, camera in sorted(able, key=lambda one: -one[0])]
