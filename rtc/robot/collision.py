@@ -72,6 +72,7 @@ LEAVING_STEPS = 10  # interpolation steps between configurations while an initia
 GROUP = 3  # configurations of a path that one check may prove free
 FINER = 4  # parts of a step that is checked more finely
 LEAST_GROUPED = 7  # a shorter path is checked one by one
+PROBES = 7  # configurations of a path that may show at once that it is blocked
 STRIDE = 4  # configurations between two measurements of the room along a path
 WIDER_M = 1e-4  # tolerance of distances in the check of a group
 KEPT_SCENES = 64  # maximum number of scenes whose active pairs and margins are kept
@@ -184,6 +185,22 @@ class CollisionWorld:
             for pair in leaving:
                 self._geometry_data.activateCollisionPair(pair)
         return None
+
+    def is_blocked(self, arm: str, path: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> bool:
+        """True only if `check_path` would find a collision. A few configurations are checked, spread over the path."""
+        if scene.hung:
+            return False
+        self._set({**others, arm: path[0]}, scene)
+        slots = self._bodies.arms[arm].joints
+        for n in _halfway(len(path)):
+            self._q[slots] = path[n]
+            if self._touches_any():
+                pair = self._callback.collisionPairIndex
+                self._q[slots] = path[0]
+                self._place()
+                if self._describe(pair).distance_m > max(float(self._pairs.margin[pair]), 0.0):
+                    return True  # it is no contact at the start, which may last
+        return False
 
     def free_until(self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> int:
         """The index of the first configuration in collision; their number if all are free.
@@ -574,6 +591,13 @@ class CollisionWorld:
 def _spread(count: int) -> list[int]:
     """The numbers below `count`: every eighth first, then those between."""
     return list(dict.fromkeys((*range(4, count, 8), *range(2, count, 4), *range(1, count, 2), *range(count))))
+
+
+@cache
+def _halfway(count: int) -> list[int]:
+    """At most `PROBES` numbers below `count`: the middle, the middles of both halves, and so on."""
+    places = (odd * count // parts for parts in (2, 4, 8) for odd in range(1, parts, 2))
+    return list(dict.fromkeys(places))[:PROBES]
 
 
 def _coal_transform(placement: pin.SE3) -> coal.Transform3s:

@@ -230,6 +230,20 @@ def test_a_search_finds_no_contact_that_a_path_check_does_not_find(world, right,
     assert counted > 5
 
 
+def test_a_path_that_a_few_checks_show_to_be_blocked_has_a_collision(world, right, home):
+    """Also if it begins in contact, which it may leave."""
+    random = np.random.default_rng(9)
+    blocked = touching = 0
+    for _ in range(200):
+        ends = random.uniform(right.limits.lower, right.limits.upper, (2, 6))
+        rows = ends[0] + np.linspace(0.0, 0.3, random.integers(2, 40))[:, None] * (ends[1] - ends[0])
+        if world.is_blocked("RIGHT-ARM", rows, home):
+            assert world.check_path("RIGHT-ARM", rows, home)
+            blocked += 1
+            touching += world.check({**home, "RIGHT-ARM": rows[0]}) is not None
+    assert blocked > touching > 5
+
+
 def test_a_path_that_is_free_is_free_between_its_configurations_too(world, right, home):
     """Random lines past everything, in steps of centimetres: the clearance holds at ten times as many."""
     scene, random = Scene(clearance_m=0.02), np.random.default_rng(5)

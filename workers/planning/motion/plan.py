@@ -18,7 +18,7 @@ from rtc.robot.collision_scene import in_hands
 from rtc.robot.geometry import Array, Floats
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
-from workers.planning.motion.request import FreeWay, PlanningRequest, blocked, fault, free_posture
+from workers.planning.motion.request import FreeWay, PlanningRequest, blocked, fault, free_posture, is_free
 from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside
 from workers.planning.motion.timing import Timed, slower, time_path
 
@@ -99,7 +99,7 @@ def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> 
         return problem
     line, request = paths.joint_line(request.start, goal), before_contact(request, goal)
     roomy = with_more_room(request, goal, MORE_M) if with_room else request
-    if fault(roomy, line) is None:
+    if is_free(roomy, line):
         return FreeWay(line, [DIRECT]) if with_room else None
     problem = fault(request, line)
     # A goal that is taken tells more than the line to it.
@@ -200,7 +200,7 @@ def _generate_and_test(request: PlanningRequest, goal: Array) -> FreeWay | Refus
         return FreeWay(aside.path, [*notes, *aside.notes])
     if roomy is not request:
         for way in (direct, straight):
-            if isinstance(way, Path) and fault(request, way) is None:
+            if isinstance(way, Path) and is_free(request, way):
                 return FreeWay(way, [*notes, "with less room: free"])
     sampled = find_sampled_way(request, roomy, [goal])
     if isinstance(sampled, FreeWay):

@@ -82,9 +82,8 @@ def fault(
 
     `least_room`: of two bodies that come too near, state where they are nearest.
     """
-    levers = request.world.load_levers(request.arm.name, request.scene) if request.scene.held else None
-    s, configurations = way.dense(step_rad, request.arm.step_weights, levers)
-    group = GROUP if levers is None else LADEN_GROUP
+    s, configurations = _dense(request, way, step_rad)
+    group = LADEN_GROUP if request.scene.held else GROUP
     hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene, group)
     free = configurations if hit is None else configurations[: hit.index]
     margin = request.way_margin_rad - 1e-9
@@ -97,6 +96,20 @@ def fault(
     if hit is not None and least_room and hit.collision.distance_m > 0.0:
         hit = request.world.least_room(request.arm.name, configurations, request.joints, request.scene, hit)
     return None if hit is None else _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)
+
+
+def is_free(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> bool:
+    """Whether a path has no `fault`. It is found sooner that it has one."""
+    _, configurations = _dense(request, way, step_rad)
+    if request.world.is_blocked(request.arm.name, configurations, request.joints, request.scene):
+        return False
+    return fault(request, way, step_rad) is None
+
+
+def _dense(request: PlanningRequest, way: Path, step_rad: float) -> tuple[Array, Array]:
+    """The path in steps of collision checks, which are shorter with a load: as `Path.dense`."""
+    levers = request.world.load_levers(request.arm.name, request.scene) if request.scene.held else None
+    return way.dense(step_rad, request.arm.step_weights, levers)
 
 
 def _at(problem: Refusal, fraction: float) -> Refusal:

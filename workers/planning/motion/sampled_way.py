@@ -18,7 +18,7 @@ from rtc.robot.kinematics import LEAST_WEIGHT
 from workers.planning.motion import path as paths
 from workers.planning.motion.blended import lengths, widest
 from workers.planning.motion.path import CHECK_RAD, Path
-from workers.planning.motion.request import FreeWay, PlanningRequest, fault, free_posture
+from workers.planning.motion.request import FreeWay, PlanningRequest, fault, free_posture, is_free
 from workers.planning.motion.sampling import Found, search, shorten
 
 SAMPLES = 600  # budget of one search; of 400 seeded problems of the default cell all but one took fewer than 500
@@ -38,7 +38,7 @@ LEAST_RADIUS = 0.002  # rad; a corner as narrow as this follows the lines within
 def find_way_aside(request: PlanningRequest, goal: Array) -> FreeWay | None:
     """A way by both ends moved aside, if one is free."""
     for by_m, guided in _aside(request, goal, _Space(request).guides(goal)):
-        if fault(request, guided) is None:
+        if is_free(request, guided):
             words = "by way of both ends, raised by {:g} m and drawn back by {:g} m".format(*by_m)
             return FreeWay(guided, [f"modified: {words}; tested: free"])
     return None
