@@ -82,6 +82,9 @@ def failure_words(program: AnalyzerProgram) -> Problems:
         for field, text in (("message", row.message), ("clears", row.clears), ("again", row.again)):
             for word in PLACEHOLDER.findall(text):
                 yield from _known("placeholder", word, extension_names.FAILURE_PLACEHOLDERS, f"classes.{name}.{field}")
+        for word in PLACEHOLDER.findall(row.pressing):
+            known = (*extension_names.FAILURE_PLACEHOLDERS, "away")
+            yield from _known("placeholder", word, known, f"classes.{name}.pressing")
 
 
 def unknown_verbs(program: ElaboratorProgram, grammar: str) -> Problems:

@@ -206,7 +206,8 @@ class BinderProgram(ProgramPart, frozen=True, kw_only=True):
 class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
     """A failure class: its message, the facts that become suspect, and how to clear them.
 
-    Texts may contain placeholders: {reason} {measured} {limit} {unit} {message} {arm} {object} {point} {target}.
+    Texts may contain placeholders: {reason} {measured} {limit} {unit} {message} {arm} {object} {point} {target};
+    in `pressing` also {away}.
     """
 
     message: str
@@ -215,7 +216,8 @@ class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
     suspect: list[Literal["object", "if_touched", "held", "near", "target"]] = []
     drops: bool = False  # the hand is empty afterwards
     misplaced: bool = False  # the held object is not where the world has it; only vision can locate it
-    clears: str = ""  # first hint; the hints of `clears` of the program for each suspect fact follow
+    pressing: str = ""  # first hint for an arm that pressed on something when it was stopped
+    clears: str = ""  # next hint; the hints of `clears` of the program for each suspect fact follow
     again: str = ""  # last hint: what to do after that
     retriable: bool = True  # a trim may be tried
 

@@ -1,12 +1,11 @@
 """Can an arm leave after every stop, if the operator follows the advice literally?
 
 In physics, an arm is stopped in the middle of a sentence: at a force limit, by a halt, by the death of the MCM, or by
-an injected fault, in the air or while it leans on an unknown box. It is empty or holds a module or the
-door, at the rack, in the bay or between. Then the sentences that the outcome advises are given as they stand, at most
-four. The advice of a sentence that fails replaces that before. If nothing is advised, the arm is stowed. A run is stuck
-if none of the four moves the arm to where it should go. An operator who looks sees: `SET X FRAME x y z` states
-the truth. A broken joint, sensor or hand is mended before, and the box is taken away at the second "look what is in the
-way": it may stand in the only way out.
+an injected fault, in the air or while it leans on an unknown box. It is empty or holds a module or the door, at the
+rack, in the bay or between. Then the sentences that the outcome advises are given as they stand, at most four. The
+advice of a sentence that fails replaces that before. If no sentence is advised, or all of them are done, the arm is
+stowed. A run is stuck if none of the four succeeds and moves the arm. An operator who looks sees: `SET X FRAME x y z`
+states the truth. A broken joint, sensor or hand is mended before. The box stays where it is.
 
     python -m tests.campaigns.stops [--runs 200] [--seed 18] [--shard 1/4] [--only 17]
 
@@ -83,19 +82,20 @@ VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INS
 WORD = r"(?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?)"
 SENTENCE = re.compile(rf"\b(?:{VERBS})(?: {WORD})+")
 ELSEWHERE = re.compile(r"MOVE (.+?) TO another place first \(([A-Z0-9-]+)")
+ANYWHERE = re.compile(r"MOVE ([A-Z0-9-]+) to a place")
+AGAIN = re.compile(r"\b(?:do it|try|give (?:it|the sentence|the command)) again")
 OTHER_ARM = re.compile(r"move (.+?) away first")
-LOOK = "look what is in the way"
 STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE)")
 
 
-def advised(advice: str, truth: Callable[[], dict[str, Any]]) -> list[str]:
-    """The sentences of an advice in their order: of alternatives the first."""
+def advised(advice: str, given: str, truth: Callable[[], dict[str, Any]]) -> list[str]:
+    """The sentences of an advice on the `given` one, in their order: of alternatives the first."""
     found = []
     for part in advice.split("; "):
         if part.startswith("or ") and found:
             continue  # an alternative to what precedes it
         for choice in re.split(r", or | or (?=[A-Z]{3})", part.removeprefix("or ")):
-            sentence = _sentence(choice, truth)
+            sentence = given if AGAIN.search(choice) else _sentence(choice, truth)
             if sentence:
                 found.append(sentence)
                 break
@@ -105,6 +105,8 @@ def advised(advice: str, truth: Callable[[], dict[str, Any]]) -> list[str]:
 def _sentence(text: str, truth: Callable[[], dict[str, Any]]) -> str:
     if other := OTHER_ARM.search(text):
         return f"STOW {other[1]}"
+    if anywhere := ANYWHERE.search(text):
+        return f"MOVE {anywhere[1]} TO CLEAR-POINT-1"
     if elsewhere := ELSEWHERE.search(text):
         return f"MOVE {elsewhere[1]} TO {elsewhere[2]}"
     if (stated := STATED.search(text)) and stated[2] == "FRAME":
@@ -322,33 +324,27 @@ def stop_and_leave(n: int, drawn: Drawn) -> Run | None:
     executor = cluster.mcm.executors[drawn.arm]
     lead_rad = executor._seen.off(executor._command[0])
     laden = bool(ground.sim.held()[drawn.arm])
-    moved, story = leave(ground, cluster, drawn.arm, outcome)
+    moved, story = leave(cluster, drawn, outcome)
     first = f"{outcome.kind.value}: {outcome.message} || {_clears(outcome)}"
     reason = outcome.stop.value if outcome.stop else outcome.kind.value
     return Run(n=n, drawn=drawn, stop=reason, laden=laden, lead_rad=lead_rad, moved=moved, story=[first, *story])
 
 
-def leave(ground: Ground, cluster: OneProcess, arm: str, ended: Outcome) -> tuple[bool, list[str]]:
+def leave(cluster: OneProcess, drawn: Drawn, ended: Outcome) -> tuple[bool, list[str]]:
     """Follow the advice. Returns whether the arm has left, and the sentences with their outcomes."""
     story: list[str] = []
-    waiting = advised(_clears(ended), cluster.sim.truth)
-    looks = LOOK in _clears(ended)
+    arm = drawn.arm
+    waiting = advised(_clears(ended), drawn.sentence, cluster.sim.truth)
     for _ in range(MOST_SENTENCES):
         sentence = waiting.pop(0) if waiting else f"STOW {arm}"
         before = list(cluster.mcm.executors[arm].sample.joints)
         outcome = say(cluster, sentence)
         off_rad = max(abs(a - b) for a, b in zip(cluster.mcm.executors[arm].sample.joints, before, strict=True))
         story.append(f"{sentence} -> {outcome.kind.value}: {outcome.message} || {_clears(outcome)}")
-        done = outcome.kind is OutcomeKind.SUCCEEDED or outcome.stop is StopReason.GOAL  # there, though not exactly
-        if done and off_rad > MOVED_RAD:
-            return True, story
         if outcome.kind is not OutcomeKind.SUCCEEDED:
-            waiting = advised(_clears(outcome), cluster.sim.truth)
-            if LOOK in _clears(outcome):
-                if looks:
-                    ground.clear()  # it stands in the only way out
-                    story.append("(the box is taken away)")
-                looks = True
+            waiting = advised(_clears(outcome), sentence, cluster.sim.truth)
+        elif off_rad > MOVED_RAD:
+            return True, story
     return False, story
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import msgspec
+import numpy as np
 
 from rtc.language.record import ReflexItem, hand_in_words
 from rtc.programs.compatibility import row_of
@@ -38,7 +39,6 @@ UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE
 
 CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
 SEEN = "sighted"  # effect of steps that look
-BLOCKED = "look what is in the way"  # advice for an arm that pressed until its time ended
 BOTH = "move_both"  # space of the steps that move both arms
 #: stop reasons of a hand that pressed on something: this may turn a held object between the fingers
 PRESSED = frozenset(
@@ -47,6 +47,8 @@ PRESSED = frozenset(
         *(StopReason.TORQUE_LIMIT, StopReason.FOLLOWING_ERROR, StopReason.SLIP),
     }
 )
+SHORT_M = 0.003  # the direction of a shorter way means nothing
+AWAY_CM = 5  # by how much an arm is to move away from what it has pressed on
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
 #: figures that the program must define
@@ -232,8 +234,8 @@ def _failure(
     # A seat needs a better known pose in the hand than VERIFY leaves after that.
     misplaced = failure.misplaced or _is_held_askew(data) or (pressed and bool(evaluation.context.target))
     cures = _ways_to_clear(program, query, changes, misplaced)
-    blocked = BLOCKED if not failure.clears and _pressing_n(program, data) else ""
-    advice = (*_feel(query, data, reason), failure.clears or blocked, *_higher_limit(data))
+    pressing = failure.pressing.replace("{away}", _away(query, data)) if _pressing_n(program, data) else ""
+    advice = (*_feel(query, data, reason), pressing, failure.clears, *_higher_limit(data))
     todo = (*advice, *cures, failure.again) if asked is None else tuple(cures)
     return Assessment(
         verdict="trim" if trim else "abort",
@@ -253,9 +255,9 @@ def _feel(query: WorldQuery, data: AnalyzerInput, reason: StopReason) -> list[st
 
 
 def _pressing_n(program: AnalyzerProgram, data: AnalyzerInput) -> float:
-    """The force (N) of an arm that pressed on something when its time was over; 0 if it did not press."""
+    """The force (N) of an arm that pressed on something when it was stopped; 0 if it did not press."""
     report = data.report
-    if report.reason is not StopReason.TIMEOUT or not report.trip_wrench or data.evaluation.goal_pose is None:
+    if report.partner is not None or not report.trip_wrench or data.evaluation.goal_pose is None:
         return 0.0
     force_n = math.hypot(*report.trip_wrench[:3])
     return force_n if force_n >= program.values["touched_n"] else 0.0
@@ -266,7 +268,7 @@ def _short(program: AnalyzerProgram, data: AnalyzerInput) -> str:
     off_m, force_n = _off_m(data), _pressing_n(program, data)
     if off_m <= program.values["position_m"]:
         return ""
-    pressing = f", and pressed with {force_n:.3g} N" if force_n else ""
+    pressing = f", and pressed with {force_n:.3g} N" if force_n and data.report.reason is StopReason.TIMEOUT else ""
     return f": the hand was {off_m * 1000:.0f} mm from the end of its path{pressing}"
 
 
@@ -572,6 +574,24 @@ def _excess(data: AnalyzerInput) -> str:
         return f"more {unit} than the limit"
     value = next((text for n in (3, 4, 5) if float(text := f"{report.measured:.{n}g}") > report.limit), "more")
     return f"{value} {unit} where {report.limit:.5g} {unit} is the limit"
+
+
+def _away(query: WorldQuery, data: AnalyzerInput) -> str:
+    """The line along an axis of the world that leads away from what the arm presses on, in words.
+
+    It goes back the way that the hand came, rather than with the force: an object that turns in the hand may press
+    aside."""
+    evaluation, report = data.evaluation, data.report
+    assert report.trip_wrench is not None
+    pose = report.trip_pose or report.tcp_pose
+    force = geometry.rotate(pose, report.trip_wrench[:3])
+    away = force / np.linalg.norm(force)
+    if evaluation.start_joints is not None:
+        came = query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(pose[:3])
+        if (came_m := float(np.linalg.norm(came))) > SHORT_M:
+            away = away + 2.0 * came / came_m
+    axis = int(np.abs(away).argmax())
+    return f"{math.copysign(AWAY_CM, away[axis]):.0f} CM ALONG {'XYZ'[axis]}"
 
 
 def _words(message: str, data: AnalyzerInput, reason: StopReason, short: str = "") -> str:

@@ -1,11 +1,14 @@
 """The last analysis of a command whose motion was stopped or lost: it updates the world facts (R138, R151). Pure.
 
-Its verdict is ignored. If it takes too long, it is deferred and the command ends.
+Its verdict is ignored, but not its advice for an arm that was halted. If it takes too long, it is deferred and the
+command ends.
 """
 
 from __future__ import annotations
 
 from typing import Any
+
+import msgspec
 
 from broker.decisions import deferred_analysis
 from broker.decisions.command.jobs import QUARANTINED, SUSPECT, dispatch_again, has_moved, retry_analysis
@@ -13,9 +16,12 @@ from broker.decisions.command.limits import CLOSING_LIMIT_S
 from broker.decisions.command.termination import cancel, end
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import JobLost
-from broker.decisions.state import NIL, Command, PendingOutcome
+from broker.decisions.state import NIL, AssessmentHead, Command, PendingOutcome
+from rtc.protocol import wire
 from rtc.protocol.messages import EndReport, Phase, WorkerKind
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
+
+read_assessment = wire.decoder(AssessmentHead)
 
 
 def close(context: DecisionContext, command: Command, report: EndReport, note: str) -> None:
@@ -39,12 +45,16 @@ def stop_after_analysis(context: DecisionContext, command: Command, ending: Pend
 
 
 def finish_closing(context: DecisionContext, command: Command, product: Any) -> None:
-    """End after the last analysis. `product`: its ignored verdict."""
+    """End after the last analysis. `product`: its verdict, of which only the advice after a halt counts; or None."""
     assert command.pending_outcome is not None
     context.stop_timer(command)
     cancel(context, command)
     ending = command.pending_outcome
-    end(context, command, ending.kind, message=ending.message, stop=ending.stop, refusal=ending.refusal)
+    refusal = ending.refusal
+    if ending.kind is OutcomeKind.HALTED and refusal is None and isinstance(product, msgspec.Raw):
+        clears = read_assessment(product).clears
+        refusal = Refusal(reason=RefusalReason.STATE, message=ending.message, clears=clears) if clears else None
+    end(context, command, ending.kind, message=ending.message, stop=ending.stop, refusal=refusal)
 
 
 def retry_last_analysis(context: DecisionContext, command: Command, loss: JobLost) -> None:

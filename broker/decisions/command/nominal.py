@@ -9,7 +9,7 @@ import msgspec
 
 from broker.decisions import action_stack, reporting
 from broker.decisions.command.claims import claim_or_wait
-from broker.decisions.command.closing import close
+from broker.decisions.command.closing import close, read_assessment
 from broker.decisions.command.limits import await_report
 from broker.decisions.command.pacing import send_pace
 from broker.decisions.command.termination import end, end_given_up, refuse
@@ -36,7 +36,6 @@ from rtc.protocol.primitive_id import belongs_to, command_of, primitive_id
 read_script = wire.decoder(ScriptHead)
 read_bound = wire.decoder(BoundHead)
 read_primitive = wire.decoder(Primitive)  # read completely, so that a subsystem never receives an invalid primitive
-read_assessment = wire.decoder(AssessmentHead)
 
 
 def on_elaborated(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:

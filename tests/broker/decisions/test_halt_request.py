@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from broker.decisions.effects import PublishHalt, SendHalt
@@ -13,8 +14,8 @@ from broker.decisions.events import (
 )
 from rtc.protocol import wire
 from rtc.protocol.messages import AnalyzerInput
-from rtc.protocol.outcomes import StopReason
-from tests.broker.harness import Harness, go_on, record, script, stated
+from rtc.protocol.outcomes import OutcomeKind, StopReason
+from tests.broker.harness import Harness, give_up, go_on, record, script, stated
 
 
 @pytest.mark.parametrize("reach", ["says", "parsed", "elaborated"])
@@ -48,6 +49,19 @@ def test_halt_at_the_subsystem_itself_is_understood():
     s.reports("C-1", StopReason.HALT)  # a halt by the emergency stop, past the broker
     assert s.phase("C-1") == "closing"
     assert s.answers("C-1", go_on())[-1] == "end C-1 halted"
+
+
+@pytest.mark.parametrize("at_subsystem", [True, False])
+def test_a_halted_arm_that_pressed_is_told_how_to_leave(at_subsystem):
+    s = Harness()
+    s.executing()
+    if not at_subsystem:
+        s.halts()
+    s.reports("C-1", StopReason.HALT)
+    back = "MOVE RIGHT-ARM BY -5 CM ALONG Z"
+    s.answers("C-1", msgspec.structs.replace(give_up(StopReason.HALT), clears=back))
+    assert s.outcome("C-1").kind is OutcomeKind.HALTED
+    assert s.outcome("C-1").refusal.clears == back
 
 
 def test_an_analysis_under_way_is_let_finish_and_its_advice_ignored():

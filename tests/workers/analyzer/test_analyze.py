@@ -566,6 +566,23 @@ def test_a_motion_that_pressed_until_its_time_ended_reports_how_far_it_came_and_
     assert free.clears.startswith("a TIME-LIMIT above 20 S")
 
 
+@pytest.mark.parametrize(
+    ("reason", "force"),
+    [(StopReason.HALT, [0.0, 0.0, -8.0]), (StopReason.JOINT_LIMIT, [0.0, 0.0, -8.0]), (StopReason.HALT, [-8.0, 0, 0])],
+)
+def test_a_laden_arm_that_pressed_at_its_stop_is_sent_back_the_way_it_came(bench, reason, force):
+    """The force may point aside: the object turns in the hand."""
+    assert bench.do(GRASP).succeeded
+    assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
+    bound, report = bound_and_done(bench, "MOVE RIGHT-ARM BY 8 CM ALONG UP")
+    in_tool = geometry.rotate(geometry.inverse(report.tcp_pose), force).tolist()
+    pressed = ended(report, reason, trip_pose=report.tcp_pose, trip_wrench=[*in_tool, 0.0, 0.0, 0.0])
+
+    assert "MOVE RIGHT-ARM BY -5 CM ALONG Z" in judged(bench, bound, pressed).clears
+    free = ended(pressed, reason, trip_wrench=[0.0] * 6)
+    assert "BY -5 CM" not in judged(bench, bound, free).clears
+
+
 def test_an_empty_hand_that_moves_freely_puts_nothing_in_doubt(bench):
     bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
 
