@@ -82,7 +82,22 @@ def fault(
 
     `least_room`: of two bodies that come too near, state where they are nearest.
     """
-    s, configurations = _dense(request, way, step_rad)
+    return _fault_of(request, way, _dense(request, way, step_rad), least_room)
+
+
+def is_free(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> bool:
+    """Whether a path has no `fault`. It is found sooner that it has one."""
+    dense = _dense(request, way, step_rad)
+    if request.world.is_blocked(request.arm.name, dense[1], request.joints, request.scene):
+        return False
+    return _fault_of(request, way, dense) is None
+
+
+def _fault_of(
+    request: PlanningRequest, way: Path, dense: tuple[Array, Array], least_room: bool = False
+) -> Refusal | None:
+    """`fault` of a path that is given in steps of collision checks: (s, joints)."""
+    s, configurations = dense
     group = LADEN_GROUP if request.scene.held else GROUP
     hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene, group)
     free = configurations if hit is None else configurations[: hit.index]
@@ -96,14 +111,6 @@ def fault(
     if hit is not None and least_room and hit.collision.distance_m > 0.0:
         hit = request.world.least_room(request.arm.name, configurations, request.joints, request.scene, hit)
     return None if hit is None else _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)
-
-
-def is_free(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> bool:
-    """Whether a path has no `fault`. It is found sooner that it has one."""
-    _, configurations = _dense(request, way, step_rad)
-    if request.world.is_blocked(request.arm.name, configurations, request.joints, request.scene):
-        return False
-    return fault(request, way, step_rad) is None
 
 
 def _dense(request: PlanningRequest, way: Path, step_rad: float) -> tuple[Array, Array]:
