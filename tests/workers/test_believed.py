@@ -62,6 +62,15 @@ def test_a_grasp_that_nothing_can_measure_is_refused_and_its_advice_clears_it() 
 
 
 @pytest.mark.physics
+def test_a_module_that_a_seat_turns_in_the_hand_is_believed_in_the_seat() -> None:
+    """On a tilted rack the module is pressed flat while the pads turn on its bar; the fingers do not measure that."""
+    (run,) = runs(1, first=25)
+    perform(run)
+    assert run.placed, run.in_words()
+    assert not run.bad, run.in_words()
+
+
+@pytest.mark.physics
 def test_after_a_drop_no_fact_of_hand_or_seat_is_wrong(physical) -> None:
     """The hand fails while the module is half out of its slot, and goes on opening after the report."""
     for sentence in (GRASP, f"LIFT {MODULE} BY 10 CM"):

@@ -29,6 +29,9 @@ TWIST = 0.25  # minimum fraction of a tilted bar's torque that determines the si
 NO_TORQUE_NM = 0.02
 FREE_M, FREE_RAD = 0.04, 0.25  # how far a closing hand moves and turns a free module: up to 34 mm and 12 deg in physics
 
+CAUGHT_M, CAUGHT_RAD = 0.004, 0.05  # maximum distance from the seated pose at which a catch holds an object
+TURNED_M, TURNED_RAD = 0.008, 0.15  # how far a seat moves and turns an object in the hand: up to 4.3 mm and 4.9 deg
+
 
 def touched(query: WorldQuery, data: AnalyzerInput) -> Found:
     """A contact stopped a straight search; it was expected `beyond_m` before the end.
@@ -113,6 +116,20 @@ def seat_of(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[f
     inside = query.cell.seat(seat).module_frame.pose
     place = geometry.normalise(geometry.compose(frame, geometry.inverse(inside)))
     return place, pose_spread.spread_at(widened(spread, even(play_m, 0.0)), geometry.inverse(inside))
+
+
+def set_down(query: WorldQuery, thing: str, seat: str) -> Found:
+    """Pose of an object that was let go of in a seat: from its catch or from the hand, whichever is narrower.
+
+    A catch holds the object near the seated pose. The hand had it where it is, but a seat may have turned it.
+    """
+    hand = widened(query.spread(f"{thing}.frame"), even(TURNED_M, TURNED_RAD))
+    in_seat = query.cell.seat(seat)
+    if in_seat.detent_n <= 0.0:
+        return query.frame(thing), hand
+    bounds = pose_spread.spread_at(query.spread(f"{seat}.frame"), in_seat.module_frame.pose)
+    caught = widened(bounds, even(CAUGHT_M, CAUGHT_RAD))
+    return min((query.seated_pose(seat), caught), (query.frame(thing), hand), key=lambda found: sum(found[1]))
 
 
 Tilt = tuple[float, float]  # angle and half-width (rad)

@@ -125,7 +125,9 @@ def let_go(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Change
     seat = data.evaluation.step.args.get("seat")
     if isinstance(seat, str) and seat:
         changes.append(WorldChange(key=f"{context.object}.seat", value=seat, validity=validity))
-        return changes
+        frame, spread = touch.set_down(query, context.object, seat)
+        key = f"{context.object}.frame"
+        return [*changes, WorldChange(key=key, value=frame.tolist(), validity=validity, spread=spread)]
     if query.hinge(context.object) is not None:  # its hinge holds it
         return changes
     near, off_m = _nearest_seat(query, context.object)
