@@ -49,6 +49,7 @@ PRESSED = frozenset(
 )
 SHORT_M = 0.003  # the direction of a shorter way means nothing
 AWAY_CM = 5  # by how much an arm is to move away from what it has pressed on
+STILL_RAD, TRAVEL_RAD = 0.001, 0.02  # turn of a joint that is stuck, and of one that has moved
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
 #: figures that the program must define
@@ -89,6 +90,10 @@ def run(
     reason = compiled.derived.get(row, {}).get(wrong, data.report.reason)
     if not wrong and data.report.reason in evaluation.step.expect:
         return _success(compiled, query, data)
+    if still := _unmoved_joint(query, data):
+        reason = StopReason.FOLLOWING_ERROR
+        words = f"{still} of {evaluation.arm} has not moved while others have; {data.report.message}".rstrip("; ")
+        data = msgspec.structs.replace(data, report=msgspec.structs.replace(data.report, message=words))
     return _failure(compiled, query, data, reason, compiled.classes[compiled.outcomes[row][reason]])
 
 
@@ -118,6 +123,28 @@ def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
         if _off_m(data) > program.values["position_m"] or turned > program.values["angle_rad"]:
             return "off_goal"
     return ""
+
+
+def _unmoved_joint(query: WorldQuery, data: AnalyzerInput) -> str:
+    """The joint that a jammed motion into a seat has not moved although its path needs it; empty if there is none.
+
+    A compliant arm whose joint is stuck does not follow its path, as if the seat were blocked.
+    """
+    evaluation, report = data.evaluation, data.report
+    start, goal = evaluation.start_joints, evaluation.goal_pose
+    jammed = report.reason in (StopReason.FORCE_LIMIT, StopReason.TIMEOUT) and evaluation.context.target
+    if not jammed or goal is None or not start or len(report.joints) != len(start):
+        return ""
+    ends = query.model.arms[evaluation.arm].nearest_ik(goal, start)
+    if ends is None:
+        return ""
+    moved = [abs(a - b) for a, b in zip(report.joints, start, strict=True)]
+    if max(moved) < TRAVEL_RAD:
+        return ""  # the arm is back where it began
+    needed = [abs(a - b) for a, b in zip(ends, start, strict=True)]
+    still = [n for n, rad in enumerate(moved) if rad < STILL_RAD and needed[n] > TRAVEL_RAD]
+    names = query.cell.arm(evaluation.arm).joints
+    return names[max(still, key=needed.__getitem__)] if still else ""
 
 
 def _dropped(query: WorldQuery, data: AnalyzerInput) -> bool:

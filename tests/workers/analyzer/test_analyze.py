@@ -620,3 +620,28 @@ def test_what_is_held_is_known_less_with_every_step_and_stays_valid(bench):
 def test_a_stated_pose_has_the_accuracy_of_an_observation(bench):
     assert bench.do("SET MACS-NEW FRAME 80 -80 61 CM").succeeded
     assert bench.world.get("MACS-NEW.frame").spread == pytest.approx([0.005] * 3 + [0.035] * 3)
+
+
+def test_a_joint_that_does_not_move_is_named_instead_of_the_seat(bench):
+    for sentence in (GRASP, "LIFT MACS-NEW BY 20 CM"):
+        assert bench.do(sentence).succeeded
+    script = bench.elaborate("INSERT MACS-NEW INTO RACK-1")
+    n = next(n for n, step in enumerate(script.steps) if step.stop == "insert")
+    for step in script.steps[:n]:
+        bound = bench.bind(script, step)
+        bench.world = bench.world.overlay(bench.analyze(bound, bench.subsystem.perform(bound.primitive, bound)).changes)
+    bound = bench.bind(script, script.steps[n])
+    done = bench.subsystem.perform(bound.primitive, bound)
+
+    stuck = list(done.joints)
+    stuck[1] = bound.evaluation.start_joints[1]
+    short = [0.5 * (a + b) for a, b in zip(bound.evaluation.start_joints, done.joints, strict=True)]
+    for reason in (StopReason.FORCE_LIMIT, StopReason.TIMEOUT):
+        made = judged(bench, bound, ended(done, reason, joints=stuck))
+        assert made.verdict == "abort"
+        assert "joint_2 of RIGHT-ARM" in made.message
+        assert "RACK-1" not in made.clears.partition("RETRACT")[0]
+        assert change(made, "RACK-1.frame") is None
+        blocked = judged(bench, bound, ended(done, reason, joints=short))
+        assert "joint" not in blocked.message
+        assert change(blocked, "RACK-1.frame").validity is Validity.SUSPECT
