@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from broker.decisions import action_stack
 from rtc.cells.cell import Cell
+from rtc.cells.scene import SceneView
 from rtc.programs import loader
 from rtc.protocol.messages import (
     AnalyzerInput,
@@ -26,11 +27,12 @@ from rtc.protocol.messages import (
     WorkerKind,
     WorldChange,
 )
-from rtc.protocol.primitive import Primitive
+from rtc.protocol.primitive import Look, Primitive
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.arm import TICK_S
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.control.executor import Executor
+from tests.workers.eyes import Ideal
 from workers.analyzer import analyze
 from workers.binder import bind
 from workers.elaborator import elaborate
@@ -74,6 +76,7 @@ class Scenario:
         self._sim = KinematicCell(self._cell)
         self._executors = {name: Executor(arm) for name, arm in self._sim.arms.items()}
         self._commands = 0
+        self._eyes = Ideal(self._cell)
         self.world = World().overlay(initial_facts(self._cell))
         self.jobs: list[WorkerJob] = []
         for thing in self._cell.objects:
@@ -111,6 +114,9 @@ class Scenario:
         return self._workers.do(self.jobs[-1])
 
     def _perform(self, primitive: Primitive, limit_s: float) -> EndReport:
+        if isinstance(primitive.trajectory, Look):
+            seen = {name: self._sim.truth()[name] for name in ("poses", "seats", "tcp")}
+            return self._eyes.perform(primitive, SceneView(**seen))
         messages: list[Any] = list(self._executors[primitive.performer].accept(primitive, 0.0))
         for tick in range(round(limit_s / TICK_S)):
             for message in messages:

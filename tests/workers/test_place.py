@@ -169,9 +169,11 @@ def test_on_physics_a_module_short_of_its_seat_is_not_placed_until_its_pose_is_s
     assert physical.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
 
     x, y, z = (100 * n for n in true_pose(physical)[:3])
+    seat = " ".join(f"{100 * n:g}" for n in CELL.seat("BAY-2").frame.xyz)
     for sentence in (
         f"SET MACS-NEW FRAME {x:.2f} {y:.2f} {z:.2f} CM 0 0 0 DEG",
         "LIFT MACS-NEW BY 30 CM",
+        f"SET BAY-2 FRAME {seat} CM",  # the arm hides its tags
         "PLACE MACS-NEW ON BAY-2",
     ):
         run = physical.do(sentence)
