@@ -52,7 +52,7 @@ def test_halt_at_the_subsystem_itself_is_understood():
 
 
 @pytest.mark.parametrize("at_subsystem", [True, False])
-def test_a_halted_arm_that_pressed_is_told_how_to_leave(at_subsystem):
+def test_a_halted_arm_that_pressed_gets_advice_how_to_leave(at_subsystem):
     s = Harness()
     s.executing()
     if not at_subsystem:
