@@ -357,5 +357,5 @@ def test_a_push_moves_a_soft_arm_by_what_its_stiffness_says(physical, push) -> N
     physical.subsystem.disturb = lambda tick: (pushed(tick), off.append(arm.tcp_pose(arm._sample.joints)[1]))
     run = physical.do(f"{LINE} STIFFNESS 600 N/M AND SPEED 1 CM/S")
     assert run.reports, run.refusal
-    moving = off[: round(1000 * run.primitives[-1].trajectory.times_s[-1])]  # at rest the command follows what presses
+    moving = off[: round(1000 * run.primitives[-1].trajectory.time_s[-1])]  # at rest the command follows what presses
     assert max(moving) - moving[0] == pytest.approx(6.0 / 600.0, rel=0.15)
