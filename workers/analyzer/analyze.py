@@ -57,7 +57,7 @@ VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
     *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
     *("struck_n", "struck_m", "struck_rad", "twisted_n", "twisted_rad", "pressed_m", "pressed_rad"),
-    *("tilted_m", "unforeseen_m"),
+    *("tilted_m", "unforeseen_m", "rolled_m"),
 )
 #: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
 OF_CELL = {"creep_m_s", "creep_rad_s"}
@@ -440,9 +440,11 @@ def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInpu
     fact = query.world.get(f"{thing}.grasp")
     if fact is None or fact.value is None:
         return changes
-    held_s = max(report.at_s - fact.at_s, report.duration_s)
-    spread = pose_spread.crept_spread(query.spread(fact.key), held_s, query.cell.numbers)
-    if query.hinge(thing) is None:  # else its hinge keeps it in place
+    if query.hinge(thing) is not None:
+        spread = _rolled(program, query, thing, changes)
+    else:
+        held_s = max(report.at_s - fact.at_s, report.duration_s)
+        spread = pose_spread.crept_spread(query.spread(fact.key), held_s, query.cell.numbers)
         spread = pose_spread.struck_spread(spread, report.peak_force_n, program.values)
         if report.peak_force_n > program.values["twisted_n"]:
             spread = pose_spread.twisted_spread(spread, fact.value, program.values["twisted_rad"])
@@ -453,6 +455,21 @@ def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInpu
         else change
         for change in changes
     ]
+
+
+def _rolled(program: AnalyzerProgram, query: WorldQuery, thing: str, changes: Changes) -> list[float]:
+    """The spread of a held object with a hinge: it keeps its place, and a round bar rolls when its hand turns it."""
+    hinge, fact = query.hinge(thing), query.world.get(f"{thing}.grasp")
+    turned = next((change.value for change in changes if change.key == f"{thing}.frame"), None)
+    assert hinge is not None and fact is not None
+    spread = query.spread(fact.key)
+    points = query.cell.object(thing).grasp_points
+    point = min(points, key=lambda one: geometry.distance(one.frame.pose, geometry.inverse(fact.value)), default=None)
+    if turned is None or point is None or not point.round:
+        return list(spread)
+    lever_m = float(np.linalg.norm(np.cross(point.frame.xyz, hinge.axis)))
+    rolled_m = 0.5 * point.width_m * geometry.angle(query.frame(thing), turned)
+    return pose_spread.rolled_spread(spread, hinge.axis, rolled_m, program.values["rolled_m"], lever_m)
 
 
 def _moved_in_hand(

@@ -30,14 +30,15 @@ def advise_on_collision(
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
     other = str(refusal.detail.get(IN_THE_WAY, ""))
     seated = bool(seat) and held in bodies
-    if not (seated or other or LEAVING in refusal.detail) and (unsure := _unsure(refusal, query, bodies, limits)):
+    hinged = _hinged(refusal, query, arm, body)
+    if not (seated or other or hinged or LEAVING in refusal.detail) and (unsure := _unsure(refusal, query, bodies, limits)):
         return msgspec.structs.replace(refusal, clears=query.narrows(unsure, clears))
     row = (
         ("way_seated" if seated else "")
         or ("way_unsure" if not other and LEAVING in refusal.detail else "")
         or _kept_out(refusal, body, limits)
         or ("way_other" if other else "")
-        or _hinged(refusal, query, arm, body)
+        or hinged
         or _at_goal(refusal, query, body)
         or ("way_shared" if query.sharers(arm) else "way")
     )

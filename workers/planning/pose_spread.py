@@ -82,3 +82,16 @@ def struck_spread(spread: Spread, peak_force_n: float, values: Mapping[str, floa
     """Spread of a held object after a motion: a force above `struck_n` displaces it."""
     struck = peak_force_n > values["struck_n"]
     return widened(spread, even(values["struck_m"], values["struck_rad"])) if struck else list(spread)
+
+
+def rolled_spread(spread: Spread, axis: Floats, rolled_m: float, most_m: float, lever_m: float) -> list[float]:
+    """Spread of an object with a hinge after its hand has turned it: its bar rolls between the pads by up to `rolled_m`.
+
+    A bar cannot be farther than `most_m` aside, however often it rolls. `axis`: of the hinge, in the object's axes.
+    `lever_m`: from the hinge to the bar.
+    """
+    more, most = (abs(rolled / lever_m) for rolled in (rolled_m, most_m))
+    return [
+        *spread[:3],
+        *(max(now, min(now + more * abs(n), most * abs(n))) for now, n in zip(spread[3:], axis, strict=True)),
+    ]

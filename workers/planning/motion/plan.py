@@ -162,11 +162,16 @@ def may_touch_at_start(request: PlanningRequest) -> bool:
     """Whether the arm is nearer to a body than that is uncertain, so that they may touch.
 
     Then it leaves on a line, which moves away from that body (`CollisionWorld.check_path`). A search would not know
-    which way out is free, a hand at a handle for example."""
+    which way out is free, a hand at a handle for example. A body with a hinge is known but for its angle, so a way on
+    which its distance only grows leads away from it."""
     if not request.scene.unsure_m:
         return False
+    hinged = {thing.name for thing in request.world.cell.objects if thing.hinge is not None}
     hits = request.world.too_near(request.joints, request.scene)
-    return any(hit.margin_m > request.scene.clearance_m for hit in hits)
+    return any(
+        hit.margin_m > request.scene.clearance_m and hinged.isdisjoint((hit.body_a.split()[0], hit.body_b.split()[0]))
+        for hit in hits
+    )
 
 
 def with_more_room(request: PlanningRequest, goal: Array, more_m: Sequence[float]) -> PlanningRequest:
