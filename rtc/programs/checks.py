@@ -79,12 +79,11 @@ def _path(step: ScriptStep, place: str) -> Problems:
 def failure_words(program: AnalyzerProgram) -> Problems:
     """Unknown placeholders in the messages of failure classes."""
     for name, row in program.classes.items():
-        for field, text in (("message", row.message), ("clears", row.clears), ("again", row.again)):
-            for word in PLACEHOLDER.findall(text):
-                yield from _known("placeholder", word, extension_names.FAILURE_PLACEHOLDERS, f"classes.{name}.{field}")
-        for word in PLACEHOLDER.findall(row.pressing):
-            known = (*extension_names.FAILURE_PLACEHOLDERS, "away")
-            yield from _known("placeholder", word, known, f"classes.{name}.pressing")
+        fields = (("message", ()), ("clears", ()), ("again", ("target_cure",)), ("pressing", ("away",)))
+        for field, more in fields:
+            known = (*extension_names.FAILURE_PLACEHOLDERS, *more)
+            for word in PLACEHOLDER.findall(getattr(row, field)):
+                yield from _known("placeholder", word, known, f"classes.{name}.{field}")
 
 
 def unknown_verbs(program: ElaboratorProgram, grammar: str) -> Problems:

@@ -192,3 +192,29 @@ def test_on_physics_what_no_catch_holds_is_not_let_go(physical):
     assert run.labels[-1].startswith("tug at MACS-NEW")
     assert not run.succeeded
     assert physical.world.value("RIGHT-ARM.holding") == "MACS-NEW"
+
+
+@pytest.mark.physics
+def test_on_physics_a_bay_that_is_14_mm_off_is_named_and_the_advice_leads_in(physical):
+    """The cameras know the bay within 8 mm only, and the module hides it while it is before the bay."""
+    bay = physical.subsystem.sim.world.seats["BAY-2"]
+    bay.home = geometry.translate(bay.home, [0.0, 0.014, 0.0])
+    physical.subsystem.sim.world.place(bay, bay.home)
+    lifted(physical)
+    x, y, z = (100 * n for n in bay.home[:3])
+
+    failed = physical.do("PLACE MACS-NEW ON BAY-2")
+
+    clears = failed.assessments[-1].clears
+    assert clears.index("LIFT MACS-NEW BY 30 CM") < clears.index("LOCATE BAY-2") < clears.index("SET BAY-2 FRAME")
+    assert physical.world.get("BAY-2.frame").validity is Validity.SUSPECT
+    for sentence in ("LIFT MACS-NEW BY 30 CM", "STOW RIGHT-ARM", "LOCATE BAY-2"):
+        assert physical.do(sentence).succeeded, sentence
+    again = physical.do("PLACE MACS-NEW ON BAY-2")
+    assert not again.succeeded
+    assert "LOCATE BAY-2" not in again.assessments[-1].clears  # the cameras have said what they can
+    stated = f"SET BAY-2 FRAME {x:.1f} {y:.1f} {z:.1f} CM 0 0 0 DEG"
+    for sentence in (stated, "LIFT MACS-NEW BY 30 CM", "PLACE MACS-NEW ON BAY-2"):
+        run = physical.do(sentence)
+        assert run.succeeded, (sentence, run.refusal, run.failure)
+    assert physical.world.value("MACS-NEW.seat") == "BAY-2"

@@ -263,7 +263,11 @@ def _failure(
     cures = _ways_to_clear(program, query, changes, misplaced)
     pressing = failure.pressing.replace("{away}", _away(query, data)) if _pressing_n(program, data) else ""
     advice = (*_feel(query, data, reason), pressing, failure.clears, *_higher_limit(data))
-    todo = (*advice, *cures, failure.again) if asked is None else tuple(cures)
+    again = failure.again
+    if "{target_cure}" in again:
+        cure = cures.pop(f"{evaluation.context.target}.frame", "")
+        again = again.replace("{target_cure}; ", f"{cure}; " if cure else "")
+    todo = (*advice, *cures.values(), again) if asked is None else tuple(cures.values())
     return Assessment(
         verdict="trim" if trim else "abort",
         reason=reason,
@@ -311,8 +315,8 @@ def _higher_limit(data: AnalyzerInput) -> list[str]:
     return [f"a FORCE-LIMIT above {limit_n:g} N, if nothing is in the way"] if own else []
 
 
-def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes, misplaced: bool) -> list[str]:
-    """The advice that clears the facts made suspect by these changes, without duplicates."""
+def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes, misplaced: bool) -> dict[str, str]:
+    """The advice that clears each fact made suspect by these changes, by the first fact that it clears."""
     after = WorldQuery(query.model, query.world.overlay(changes))
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
     clears = program.clears
@@ -320,8 +324,11 @@ def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes
         held = next((change.key for change in changes if change.key.endswith(".grasp")), "").rpartition(".")[0]
         row = "seen" if "seen" in clears and held and after.cameras(held) else "misplaced"
         clears = {**clears, "grasp": clears[row]}
-    advice = [after.clears(key, clears) for key in suspect if key.rpartition(".")[2] in clears]
-    return list(dict.fromkeys(advice))
+    first: dict[str, str] = {}
+    for key in suspect:
+        if key.rpartition(".")[2] in clears:
+            first.setdefault(after.clears(key, clears), key)
+    return {key: advice for advice, key in first.items()}
 
 
 # --- trim ------------------------------------------------------------------------------------------------
@@ -461,7 +468,8 @@ def _rolled(program: AnalyzerProgram, query: WorldQuery, thing: str, changes: Ch
     """The spread of a held object with a hinge: it keeps its place, and a round bar rolls when its hand turns it."""
     hinge, fact = query.hinge(thing), query.world.get(f"{thing}.grasp")
     turned = next((change.value for change in changes if change.key == f"{thing}.frame"), None)
-    assert hinge is not None and fact is not None
+    assert hinge is not None
+    assert fact is not None
     spread = query.spread(fact.key)
     points = query.cell.object(thing).grasp_points
     point = min(points, key=lambda one: geometry.distance(one.frame.pose, geometry.inverse(fact.value)), default=None)

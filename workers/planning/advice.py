@@ -31,7 +31,8 @@ def advise_on_collision(
     other = str(refusal.detail.get(IN_THE_WAY, ""))
     seated = bool(seat) and held in bodies
     hinged = _hinged(refusal, query, arm, body)
-    if not (seated or other or hinged or LEAVING in refusal.detail) and (unsure := _unsure(refusal, query, bodies, limits)):
+    obvious = seated or other or hinged or LEAVING in refusal.detail
+    if not obvious and (unsure := _unsure(refusal, query, bodies, limits)):
         return msgspec.structs.replace(refusal, clears=query.narrows(unsure, clears))
     row = (
         ("way_seated" if seated else "")

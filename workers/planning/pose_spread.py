@@ -85,10 +85,10 @@ def struck_spread(spread: Spread, peak_force_n: float, values: Mapping[str, floa
 
 
 def rolled_spread(spread: Spread, axis: Floats, rolled_m: float, most_m: float, lever_m: float) -> list[float]:
-    """Spread of an object with a hinge after its hand has turned it: its bar rolls between the pads by up to `rolled_m`.
+    """Spread of an object with a hinge after its hand has turned it.
 
-    A bar cannot be farther than `most_m` aside, however often it rolls. `axis`: of the hinge, in the object's axes.
-    `lever_m`: from the hinge to the bar.
+    Its bar rolls between the pads by up to `rolled_m`. A bar cannot be farther than `most_m` aside, however often it
+    rolls. `axis`: of the hinge, in the object's axes. `lever_m`: from the hinge to the bar.
     """
     more, most = (abs(rolled / lever_m) for rolled in (rolled_m, most_m))
     return [

@@ -285,7 +285,7 @@ class WorldQuery:
         row = attribute
         if attribute in ("frame", "angle"):
             row = "grasp" if holder else "angle" if self.hinge(location) and "angle" in clears else attribute
-        if row == "frame" and "seen" in clears and self.cameras(location):
+        if row == "frame" and "seen" in clears and self._look_helps(location):
             row = "seen"
         words = clears.get(row, "sense {location} again")
         if "{position}" in words:
@@ -302,10 +302,15 @@ class WorldQuery:
         keys = [f"{body}.grasp" if self.held_by(body) else f"{body}.frame", *(f"{name}.frame" for name in inside)]
         return max((key for key in keys if any(self.spread(key))), key=lambda key: max(self.spread(key)), default="")
 
+    def _look_helps(self, body: str) -> bool:
+        """Whether a camera can see the body, and a look may say more than is known: a seat stays where one saw it."""
+        seen = any(seat.name == body for seat in self.cell.seats) and self.world.get(f"{body}.sighting") is not None
+        return not seen and bool(self.cameras(body))
+
     def narrows(self, key: str, clears: Mapping[str, str]) -> str:
         """The remedy that makes the spread of the pose of an object or seat smaller."""
         location, _, _ = key.rpartition(".")
-        row = "spread_seen" if "spread_seen" in clears and self.cameras(location) else "spread"
+        row = "spread_seen" if "spread_seen" in clears and self._look_helps(location) else "spread"
         return clears.get(row, "sense {location} again").replace("{location}", location)
 
     # --- for motions ---------------------------------------------------------------------------------------
