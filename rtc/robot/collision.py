@@ -8,6 +8,7 @@ which contacts are intended.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -69,9 +70,11 @@ class PathCollision:
 
 
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
-GROUP = 3  # configurations of a path that one check may prove free
-FINER = 4  # parts of a step that is checked more finely
-LEAST_GROUPED = 7  # a shorter path is checked one by one
+GROUP = 3  # steps of a path, or its configurations in a search, that one check may prove free
+LEAST_M = 0.0005  # by which a pair may come nearer between two measured distances at least
+FEW = 5  # pairs that are followed along a group
+SECTION = 120  # configurations of a path with the same wider margins
+LEAST_GROUPED = 7  # a search checks a shorter line one by one
 PROBES = 7  # configurations of a path that may show at once that it is blocked
 STRIDE = 4  # configurations between two measurements of the room along a path
 WIDER_M = 1e-4  # tolerance of distances in the check of a group
@@ -100,6 +103,18 @@ class _WiderMargins:
         """Whether any pair is nearer than its margin."""
         return bool(pin.computeCollisions(self._bodies.model, data, self._manager, self._callback, q))
 
+    def pairs_within(self, data: pin.Data, q: Array) -> list[int]:
+        """The pairs that are nearer than their margin."""
+        found: list[int] = []
+        touch = self.touch(data, q)
+        while touch:
+            found.append(self._callback.collisionPairIndex)
+            self._data.deactivateCollisionPair(found[-1])
+            touch = pin.computeCollisions(self._manager, self._callback)
+        for pair in found:
+            self._data.activateCollisionPair(pair)
+        return found
+
 
 class CollisionWorld:
     """The bodies of one cell. Not thread-safe: it keeps the last scene."""
@@ -116,9 +131,7 @@ class CollisionWorld:
         )
         self._callback = pin.CollisionCallBackDefault(self._bodies.geometry, self._geometry_data, True)
         self._active = np.ones(len(self._bodies.pairs), dtype=bool)
-        # Further sets of margins, wide enough to prove that a group of configurations is free, or the way between two.
-        self._large, self._group, self._step = (_WiderMargins(self._bodies) for _ in range(3))
-        self._nearer_in_step, self._step_is_set = np.zeros(len(self._bodies.pairs)), False
+        self._wider = _WiderMargins(self._bodies)  # enough to prove that a group of configurations is free
         self._q = pin.neutral(self._bodies.model)
         self._scene: Scene | None = None
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
@@ -151,56 +164,69 @@ class CollisionWorld:
         `DEEPER_M`. After separation it is checked like all others. So a world model with an error of millimetres can
         start a path in contact, but a path never moves deeper into contact.
 
-        Groups of neighbouring configurations are checked at once, with a margin as wide as any pair can come nearer
-        within the group (`rtc.robot.levers`). Only a group that is not free at that margin is checked one by one, and
-        between its configurations too. So the whole path is free, not only the configurations.
+        Groups of neighbouring configurations are checked at once in their middle, with a margin as wide as any pair can
+        come nearer within the group (`rtc.robot.levers`). Only the pairs that are nearer than that are followed along
+        the group, by their distances. So the whole path is free, not only the configurations.
         """
         if not len(configurations):
             return None
         if scene.hung:
             return self._first_while_turning(arm, configurations, others, scene)
         self._set({**others, arm: configurations[0]}, scene)
-        slots = self._bodies.arms[arm].joints
+        slots, rows = self._bodies.arms[arm].joints, np.asarray(configurations, dtype=float)
         leaving: dict[int, float] = {}  # pair -> greatest distance so far
-        grouped, proven = len(configurations) >= LEAST_GROUPED, True  # before the first there is nothing to prove
-        self._widen(slots, np.asarray(configurations), group)
-        index, large_from = 0, 0
+        index, size, widened = 1, group, 0
         try:
-            while index < len(configurations):
-                count, free = 1 if index == 0 else GROUP, False
-                if grouped and not leaving:
-                    if group > GROUP and index >= large_from:
-                        large_from = index + group
-                        free = self._all_free(slots, configurations[index : index + group], self._large)
-                        count = group if free else count
-                    if not free and self._all_free(slots, configurations[index : index + GROUP], self._group):
-                        free, count = True, GROUP
-                last = min(index + count, len(configurations))
-                for n in range(index, last) if not free else [] if proven else [index]:
-                    hit = self._at(slots, configurations, n, leaving)
-                    if hit is not None:
-                        return PathCollision(n, hit)
-                index, proven = last, free
+            self._q[slots] = rows[0]
+            leaving.update(self._let_leave() if self._touches_any() else {})
+            while index < len(rows):
+                if not leaving:
+                    if index >= widened:
+                        size, widened = group, min(index + SECTION, len(rows))
+                        self._widen(slots, rows[index - 1 : widened], size)
+                    last = min(index + size, widened)
+                    part = rows[index - 1 : last]
+                    near = self._near_pairs(slots, part)
+                    if len(near) > FEW and size > 1:  # shorter groups, up to the end of this section
+                        size = 1
+                        self._widen(slots, rows[index - 1 : widened], size)
+                        continue
+                    found = self._first_too_near(slots, part, near) if near else None
+                    if found is None:
+                        index = last
+                        continue
+                    place, pair = found
+                    self._put(slots, part, place)
+                    hit = self._describe(pair)
+                    if not self._touched_at(slots, rows[0], pair, hit, leaving):
+                        return PathCollision(index - 1 + math.ceil(place), hit)
+                left = self._at(slots, rows, index, leaving)
+                if left is not None:
+                    return PathCollision(index, left)
+                index += 1
         finally:
             for pair in leaving:
                 self._geometry_data.activateCollisionPair(pair)
         return None
 
-    def is_blocked(self, arm: str, path: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> bool:
-        """True only if `check_path` would find a collision. A few configurations are checked, spread over the path."""
+    def probe(
+        self, arm: str, path: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT
+    ) -> PathCollision | None:
+        """A collision, only if `check_path` would find one. A few configurations are checked, spread over the path."""
         if scene.hung:
-            return False
+            return None
         self._set({**others, arm: path[0]}, scene)
         slots = self._bodies.arms[arm].joints
         for n in _halfway(len(path)):
             self._q[slots] = path[n]
             if self._touches_any():
                 pair = self._callback.collisionPairIndex
+                found = self._describe(pair)
                 self._q[slots] = path[0]
                 self._place()
-                if self._describe(pair).distance_m > max(float(self._pairs.margin[pair]), 0.0):
-                    return True  # it is no contact at the start, which may last
-        return False
+                if self._distance_m(pair) > max(float(self._pairs.margin[pair]), 0.0):
+                    return PathCollision(n, found)  # it is no contact at the start, which may last
+        return None
 
     def free_until(self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> int:
         """The index of the first configuration in collision; their number if all are free.
@@ -236,7 +262,8 @@ class CollisionWorld:
     def _first_hit(self, slots: list[int], configurations: Array, first: int, grouped: bool) -> int | None:
         """The first configuration in collision of the group that begins at `first`; None if all of it are free."""
         group = configurations[first : first + GROUP]
-        if grouped and self._all_free(slots, group, self._group):
+        self._q[slots] = group[len(group) // 2]
+        if grouped and not self._wider.touch(self._data, self._q):  # in the middle, for all of them
             return None
         for n, configuration in enumerate(group, first):
             self._q[slots] = configuration
@@ -346,46 +373,54 @@ class CollisionWorld:
             self._placed.pop(name, None)  # elsewhere than in the scene
             self._place_body(name, "", hinges.at_hand(hung.home, hung.axis, hung.range_rad, hung.point, tcp))
 
-    def _at(
-        self, slots: list[int], configurations: Sequence[Floats] | Array, index: int, leaving: dict[int, float]
-    ) -> Collision | None:
+    def _at(self, slots: list[int], rows: Array, index: int, leaving: dict[int, float]) -> Collision | None:
         """What is wrong with one configuration of a path and with the way to it; `leaving` is brought up to date."""
-        configuration = configurations[index]
-        if index == 0:
-            self._q[slots] = configuration
-            leaving.update(self._let_leave() if self._touches_any() else {})
-            return None
-        before = configurations[index - 1]
-        if not leaving and self._is_proven(slots, before, configuration):
-            return None
-        hit = None if leaving else self._between(slots, before, configuration)
-        if hit is not None and not self._touched_at(slots, configurations[0], configuration, hit, leaving):
-            return hit
-        self._q[slots] = configuration
+        self._q[slots] = rows[index]
         hit = self._ask()
-        while hit is not None and self._touched_at(slots, configurations[0], configuration, hit, leaving):
+        while hit is not None and self._touched_at(slots, rows[0], self._callback.collisionPairIndex, hit, leaving):
+            self._q[slots] = rows[index]
             hit = self._ask()
-        if hit is None and leaving:
-            hit = self._left(slots, before, configuration, leaving)
-        return hit
+        return hit or self._left(slots, rows[index - 1], rows[index], leaving)
 
-    def _is_proven(self, slots: list[int], before: Floats, after: Floats) -> bool:
-        """True if one check in the middle of two neighbouring configurations proves that the way is free, ends too."""
-        if not self._step_is_set:
-            margins = self._pairs.margin + self._nearer_in_step + WIDER_M
-            self._step.put_in_force(self._pairs, self._table.as_matrix(margins))
-            self._step_is_set = True
-        self._q[slots] = 0.5 * (np.asarray(before, dtype=float) + after)
-        return not self._step.touch(self._data, self._q)
+    def _near_pairs(self, slots: list[int], rows: Array) -> list[int]:
+        """The pairs that may be too near on the way along these configurations."""
+        self._q[slots] = 0.5 * (rows[(len(rows) - 1) // 2] + rows[len(rows) // 2])
+        return self._wider.pairs_within(self._data, self._q)
 
-    def _between(self, slots: list[int], before: Floats, after: Floats) -> Collision | None:
-        """What is too near between two neighbouring configurations, in finer steps."""
-        way = np.asarray(after, dtype=float) - before
-        for n in range(1, FINER):
-            self._q[slots] = before + n / FINER * way
-            if (hit := self._ask()) is not None:
-                return hit
-        return None
+    def _first_too_near(self, slots: list[int], rows: Array, pairs: list[int]) -> tuple[float, int] | None:
+        """Where on the way along these configurations a pair is nearer than its margin: (number of the configuration,
+        with a fraction between two; pair)."""
+        steps = self._levers_of_pairs(slots)[pairs] @ np.abs(rows[1:] - rows[:-1]).T
+        reach = np.hstack((np.zeros((len(pairs), 1)), np.cumsum(steps, axis=1))).tolist()
+        places = ((self._where_too_near(slots, rows, pair, far), pair) for pair, far in zip(pairs, reach, strict=True))
+        return min(((place, pair) for place, pair in places if place is not None), default=None)
+
+    def _where_too_near(self, slots: list[int], rows: Array, pair: int, reach: list[float]) -> float | None:
+        """`_first_too_near` of one pair. `reach`: how much nearer it can be at each configuration than at the first.
+
+        What its distance exceeds its margin by is free on the way, as far as the pair can come nearer by that."""
+        margin = max(float(self._pairs.margin[pair]), 0.0)
+        at = 0.0
+        while True:
+            n = min(bisect_right(reach, at), len(reach) - 1)
+            width = reach[n] - reach[n - 1]
+            place = n - 1 + ((at - reach[n - 1]) / width if width > 0.0 else 0.0)
+            self._put(slots, rows, place)
+            room = self._distance_m(pair) - margin
+            if room < 0.0:
+                return place
+            if at + room >= reach[-1]:
+                return None
+            at = at + room if room > LEAST_M else min(at + LEAST_M, reach[n])
+
+    def _put(self, slots: list[int], rows: Array, place: float) -> None:
+        """Moves all pieces to a place on the way along these configurations."""
+        n = min(int(place), len(rows) - 2)
+        self._q[slots] = rows[n] + (place - n) * (rows[n + 1] - rows[n])
+        self._place()
+
+    def _distance_m(self, pair: int) -> float:
+        return float(pin.computeDistance(self._bodies.geometry, self._geometry_data, pair).min_distance)
 
     def _touches_any(self) -> bool:
         model = self._bodies.model
@@ -395,19 +430,10 @@ class CollisionWorld:
         return self._describe(self._callback.collisionPairIndex) if self._touches_any() else None
 
     def _widen(self, slots: list[int], configurations: Array, group: int = GROUP) -> None:
-        """Sets the wider margins: by as much as each pair can come nearer within half a group, or half a step.
-
-        Half a step before and after the group belongs to it."""
+        """Sets the wider margins: by as much as each pair can come nearer within half a group of this many steps."""
         steps = np.abs(configurations[1:] - configurations[:-1]).max(axis=0, initial=0.0)
-        nearer = self._levers_of_pairs(slots) @ steps
-        self._nearer_in_step = 0.5 * nearer
-        self._step_is_set = False
-        for margins, count in (
-            [(self._group, GROUP)] if group == GROUP else [(self._large, group), (self._group, GROUP)]
-        ):
-            margins.put_in_force(
-                self._pairs, self._table.as_matrix(self._pairs.margin + 0.5 * count * nearer + WIDER_M)
-            )
+        nearer = 0.5 * group * (self._levers_of_pairs(slots) @ steps)
+        self._wider.put_in_force(self._pairs, self._table.as_matrix(self._pairs.margin + nearer + WIDER_M))
 
     def _levers_of_pairs(self, slots: list[int]) -> Array:
         """The levers of an arm's joints on the distance of each pair, [pairs][joints]."""
@@ -417,14 +443,9 @@ class CollisionWorld:
             known = self._pair_levers[slots[0]] = of_pairs(levers[self._table.first], levers[self._table.second])
         return known
 
-    def _all_free(self, slots: list[int], group: Sequence[Floats] | Array, margins: _WiderMargins) -> bool:
-        """True if one check in the middle of neighbouring configurations proves that all of them are free."""
-        self._q[slots] = group[len(group) // 2]
-        return not margins.touch(self._data, self._q)
-
     def _let_leave(self) -> dict[int, float]:
         """The pairs that are too near at the present configuration, with distances (m); `_ask` skips them."""
-        leaving = {n: self._describe(n).distance_m for n in self._hits()}
+        leaving = {n: self._distance_m(n) for n in self._hits()}
         for pair in leaving:
             self._geometry_data.deactivateCollisionPair(pair)
         return leaving
@@ -437,18 +458,15 @@ class CollisionWorld:
         return [n for n in active if data.collisionResults[n].isCollision()]
 
     def _touched_at(
-        self, slots: list[int], start: Floats, here: Floats, hit: Collision, leaving: dict[int, float]
+        self, slots: list[int], start: Floats, pair: int, hit: Collision, leaving: dict[int, float]
     ) -> bool:
-        """True if the pair just found was in contact at the start too; it may separate then.
+        """True if the pair of a hit was in contact at the start too; it may separate then.
 
         coal misses some pairs of boxes with coplanar faces, and finds them one millimetre later.
         """
-        pair = self._callback.collisionPairIndex
         self._q[slots] = start
         self._place()
-        start_m = self._describe(pair).distance_m
-        self._q[slots] = here
-        self._place()
+        start_m = self._distance_m(pair)
         if start_m > max(float(self._pairs.margin[pair]), 0.0) or hit.distance_m < start_m - DEEPER_M:
             return False
         leaving[pair] = hit.distance_m
@@ -474,11 +492,11 @@ class CollisionWorld:
     def _nearer_again(self, leaving: dict[int, float]) -> Collision | None:
         """The first of these pairs whose distance has decreased; separated pairs return to the normal check."""
         for pair, greatest_m in list(leaving.items()):
-            found = self._describe(pair)
-            if found.distance_m < greatest_m - DEEPER_M:
-                return found
-            leaving[pair] = max(greatest_m, found.distance_m)
-            if found.distance_m > max(float(self._pairs.margin[pair]), 0.0) + DEEPER_M:
+            distance_m = self._distance_m(pair)
+            if distance_m < greatest_m - DEEPER_M:
+                return self._describe(pair)
+            leaving[pair] = max(greatest_m, distance_m)
+            if distance_m > max(float(self._pairs.margin[pair]), 0.0) + DEEPER_M:
                 del leaving[pair]
                 self._geometry_data.activateCollisionPair(pair)
         return None
