@@ -75,7 +75,7 @@ def check_segment(
 
 
 def plan_segment(request: PlanningRequest, space: str, target: Target, known: Way | None = None) -> Motion | Refusal:
-    """The segment as a timed motion. `known`: a way found before; used only if it was found for an equal request."""
+    """The segment as a timed motion. `known`: a way found before; of another request it is tested again."""
     return SPACES[space](request, target, known)
 
 
@@ -96,9 +96,12 @@ def _timed_joint(request: PlanningRequest, target: Target, known: Way | None) ->
     if target.via:
         spline = _through(request, target, goal)
         return spline if isinstance(spline, Refusal) else in_time(request, spline)
-    if known is not None and known.asked == path_reuse.request_digest(request, "move_joint", goal):
-        return in_time(request, path_reuse.from_message(known))
-    return plan_joint_motion(request, goal)
+    if known is None:
+        return plan_joint_motion(request, goal)
+    before = path_reuse.from_message(known)
+    if known.asked == path_reuse.request_digest(request, "move_joint", goal):
+        return in_time(request, before)
+    return plan_joint_motion(request, goal, before.path)
 
 
 def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:

@@ -27,7 +27,7 @@ class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 class Way(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A way of an arm that an elaborator has found free. A binder may use it if its own planning request has the same
-    digest; otherwise it plans anew (`workers.planning.motion.path_reuse`)."""
+    digest; otherwise it tests the way again or plans anew (`workers.planning.motion.path_reuse`)."""
 
     asked: bytes  # digest of the planning request: joints of all arms, goal, scene, rules
     space: Literal["joint", "task"]

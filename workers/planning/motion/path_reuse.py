@@ -1,7 +1,8 @@
 """Hand a way that the elaborator has found free to the binder, so that the binder need not plan it again. Pure.
 
 A way is free for one planning request only: the arm, the joints of all arms, the goal, the scene and the rules. The
-digest covers all of these. A worker uses the way if its own request has the same digest; otherwise it plans anew.
+digest covers all of these. A worker uses the way if its own request has the same digest. Otherwise it plans anew, and
+a way aside between the same postures is tested again before others are searched.
 Versions of facts are not needed, because the digest covers the values of the facts.
 """
 

@@ -18,7 +18,7 @@ from rtc.robot.collision_scene import in_hands
 from rtc.robot.geometry import Array, Floats
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
-from workers.planning.motion.request import FreeWay, PlanningRequest, blocked, fault, free_posture, is_free
+from workers.planning.motion.request import FreeWay, PlanningRequest, blocked, fault, free_posture, is_free, obstacle
 from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside
 from workers.planning.motion.timing import Timed, slower, time_path
 
@@ -73,18 +73,20 @@ def find_spline(request: PlanningRequest, postures: Sequence[Floats]) -> FreeWay
     return fault(request, way, least_room=True) or FreeWay(way, ["generated a spline through the places; tested: free"])
 
 
-def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusal:
-    """Plan a motion to the joint values `goal` (rad) on any path, with more clearance than asked for where possible."""
-    found = find_joint_way(request, goal)
+def plan_joint_motion(request: PlanningRequest, goal: Floats, before: Path | None = None) -> Motion | Refusal:
+    """Plan a motion to the joint values `goal` (rad) on any path, with more clearance than asked for where possible.
+
+    `before`: a path that was free for a similar request. It is tested like any other."""
+    found = find_joint_way(request, goal, before)
     return found if isinstance(found, Refusal) else in_time(request, found)
 
 
-def find_joint_way(request: PlanningRequest, goal: Floats) -> FreeWay | Refusal:
+def find_joint_way(request: PlanningRequest, goal: Floats, before: Path | None = None) -> FreeWay | Refusal:
     """The path of `plan_joint_motion`, without its timing."""
     goal = np.asarray(goal, dtype=float)
     request = before_contact(request, goal)
     problem = request.arm.why_not_within(goal, request.margin_rad) or _occupied(request, goal)
-    return _generate_and_test(request, goal) if problem is None else problem
+    return _generate_and_test(request, goal, before) if problem is None else problem
 
 
 def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> FreeWay | Refusal | None:
@@ -184,17 +186,19 @@ def with_more_room(request: PlanningRequest, goal: Array, more_m: Sequence[float
     return request
 
 
-def _generate_and_test(request: PlanningRequest, goal: Array) -> FreeWay | Refusal:
+def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | None) -> FreeWay | Refusal:
     """Ways with more room come first, as far as they cost little: those that need no search."""
     leaves = may_touch_at_start(request)
     roomy = request if leaves else with_more_room(request, goal, MORE_M)
     direct = paths.joint_line(request.start, goal)
-    first = fault(roomy, direct)
+    first = obstacle(roomy, direct)
     if first is None:
         return FreeWay(direct, [DIRECT])
     notes = [f"generated a line in joint space; tested: {first.message}"]
+    if before is not None and not leaves and _leads_aside(before, request.start, goal) and is_free(roomy, before):
+        return FreeWay(before, [*notes, "modified: the way found for the script; tested: free"])
     straight = _straight(request, goal)
-    problem = straight if isinstance(straight, Refusal) else fault(roomy, straight)
+    problem = straight if isinstance(straight, Refusal) else obstacle(roomy, straight)
     notes.append(f"modified: a straight line of the hand; tested: {problem.message if problem else 'free'}")
     if isinstance(straight, Path) and problem is None:
         return FreeWay(straight, notes)
@@ -216,6 +220,12 @@ def _generate_and_test(request: PlanningRequest, goal: Array) -> FreeWay | Refus
         message=f"{first.message}; no way round it was found in {sampled} samples",
         detail={**first.detail, "samples": float(sampled)},
     )
+
+
+def _leads_aside(way: Path, start: Array, goal: Array) -> bool:
+    """Whether a path has these ends, and is not the line in joint space."""
+    ends = np.array_equal(way.knots[0], start) and np.array_equal(way.knots[-1], goal)
+    return ends and way.curve is not None
 
 
 def _straight(request: PlanningRequest, goal: Array) -> Path | Refusal:

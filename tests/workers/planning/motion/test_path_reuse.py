@@ -45,7 +45,8 @@ def untested(monkeypatch):
         raise AssertionError("a way that was found already is planned again")
 
     def forbid():
-        monkeypatch.setattr(plan, "fault", planned_again)
+        for test in ("fault", "obstacle"):
+            monkeypatch.setattr(plan, test, planned_again)
 
     return forbid
 
@@ -63,13 +64,13 @@ def test_the_motion_is_the_same_and_nothing_is_tested_again(asked, goal, space, 
 
 
 def test_a_way_with_detours_is_handed_on_too(asked, goal, monkeypatch, untested):
-    fault, times = plan.fault, []
+    obstacle, times = plan.obstacle, []
 
     def blocked_at_first(request, path):
         times.append(1)
-        return plan.Refusal(reason="infeasible", message="blocked") if len(times) <= 1 else fault(request, path)
+        return plan.Refusal(reason="infeasible", message="blocked") if len(times) <= 1 else obstacle(request, path)
 
-    monkeypatch.setattr(plan, "fault", blocked_at_first)
+    monkeypatch.setattr(plan, "obstacle", blocked_at_first)
     segment = segments.check_segment(asked, "move_joint", Target(joints=goal), detours=True, first=True)
     way = segment.way(asked, "move_joint")
     assert len(way.knots) > 2
@@ -126,6 +127,36 @@ def test_a_way_of_another_request_is_not_used(asked, goal, untested):
     untested()
     with pytest.raises(AssertionError, match="planned again"):
         segments.plan_segment(replace(asked, margin_rad=0.01), "move_joint", Target(joints=goal), way)
+
+
+def beside_a_wall(request, goal, cell):
+    """The request with a module in the middle of the direct line, and the way round it."""
+    middle = request.arm.fk(0.5 * (request.start + goal))
+    blocked = replace(request, scene=replace(request.scene, poses={"MACS-NEW": middle}))
+    found = plan.find_joint_way(blocked, goal)
+    assert isinstance(found, FreeWay)
+    assert len(found.path.knots) > 2
+    return blocked, path_reuse.to_message(path_reuse.request_digest(blocked, "move_joint", goal), found)
+
+
+def test_after_a_change_elsewhere_a_way_aside_is_tested_again_and_no_other_is_searched(asked, goal, cell, monkeypatch):
+    request, way = beside_a_wall(asked, goal, cell)
+    joints = {**request.joints, "LEFT-ARM": [q + 0.01 for q in request.joints["LEFT-ARM"]]}
+    elsewhere = replace(request, joints=joints)
+    monkeypatch.setattr(plan, "find_way_aside", lambda *_: pytest.fail("a way that is still free is searched again"))
+    motion = segments.plan_segment(elsewhere, "move_joint", Target(joints=goal), sent(way))
+    assert np.array_equal(motion.path.knots, np.array(way.knots))
+    assert plan.is_free(elsewhere, motion.path)
+
+
+def test_a_way_aside_that_is_no_longer_free_is_not_used(asked, goal, cell):
+    request, way = beside_a_wall(asked, goal, cell)
+    before = path_reuse.from_message(way).path
+    on_it = request.arm.fk(before.joints_at(np.array([0.5 * before.length]))[0])
+    moved = replace(request, scene=replace(request.scene, poses={**request.scene.poses, "MACS-OLD": on_it}))
+    motion = segments.plan_segment(moved, "move_joint", Target(joints=goal), sent(way))
+    assert not plan.is_free(moved, before)
+    assert plan.is_free(moved, motion.path)
 
 
 def test_a_way_to_the_pose_is_not_used_for_joints_of_another_turn(asked):
