@@ -90,13 +90,13 @@ class _WiderMargins:
         self._data = made.geometry.createData()
         self._manager = pin.BroadPhaseManager_NaiveCollisionManager(made.model, made.geometry, self._data)
         self._callback = pin.CollisionCallBackDefault(made.geometry, self._data, True)
-        self._active = np.ones(len(made.pairs), dtype=bool)
+        self._pairs: Pairs | None = None
 
     def put_in_force(self, pairs: Pairs, margins: np.ndarray) -> None:
         """The active pairs of a scene, with these margins (m) [piece][piece]."""
-        if not np.array_equal(self._active, pairs.active):
+        if pairs is not self._pairs:
             self._data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
-            self._active = pairs.active
+            self._pairs = pairs
         self._data.setSecurityMargins(self._bodies.geometry, margins)
 
     def touch(self, data: pin.Data, q: Array) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -33,7 +34,11 @@ CURVE_RAMP_S = 0.5  # duration of dense knots at each end of a curve
 GRID = 61  # grid points of the curve solver
 CORNER_GRID = 4  # grid points between the edges of two rounded corners
 GRID_STEP = 1e-7  # minimum distance of two grid points, as a share of the path's length
+STILL = 1e-8  # a joint that turns less than this along the path has no speed limit
 SAMPLES = 33  # path samples at which limits are evaluated
+
+# toppra looks for further solvers on the disk for each path.
+toppra.solverwrapper.available_solvers = cache(toppra.solverwrapper.available_solvers)
 
 
 @dataclass(frozen=True)
@@ -128,16 +133,7 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace, torques: Torques | None =
     # Joint speeds are limited by the joints and by the tcp speed (2 % reserve between samples).
     tcp = np.abs(path.curve(grid, 1)) * 0.98 * pace.speed_m_s / np.interp(grid, s, rate)[:, None] + 1e-6
     most = np.minimum(velocity, tcp)
-    speed_limits = np.stack((-most, most), axis=2)  # [grid][joints][least, most]
-
-    constraints = [
-        # toppra evaluates this limit only at the grid points.
-        toppra.constraint.JointVelocityConstraintVarying(lambda at: speed_limits[np.searchsorted(grid, at)]),
-        toppra.constraint.JointAccelerationConstraint(
-            np.stack((-acceleration, acceleration), axis=1),
-            discretization_scheme=toppra.constraint.DiscretizationType.Interpolation,
-        ),
-    ]
+    constraints = [_MostSpeeds(most), _MostAccelerations(acceleration)]
     if torques is not None:
         constraints.append(torques.constraint())
     whole = path.curve if isinstance(path.curve, Blended) else toppra.SplineInterpolator(path.s, path.knots)
@@ -146,6 +142,28 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace, torques: Torques | None =
     assert curve is not None, "a rest-to-rest profile always exists at a low speed"
     time_s = _knot_times(curve.duration, CURVE_RAMP_S, KNOT_M / pace.speed_m_s)
     return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
+
+
+class _MostSpeeds(toppra.constraint.LinearConstraint):
+    """The speed limits (rad/s) of the joints at each grid point, [grid][joints]."""
+
+    def __init__(self, most: Array) -> None:
+        super().__init__()
+        self.dof, self._most = most.shape[1], most
+
+    def compute_constraint_params(self, path: Blended, gridpoints: Array) -> tuple[Array | None, ...]:
+        """Bounds of the squared pace."""
+        pace = (self._most / np.maximum(np.abs(path(gridpoints, 1)), STILL)).min(axis=1)
+        return *[None] * 6, np.stack((np.zeros(len(pace)), pace * pace), axis=1)
+
+
+class _MostAccelerations(toppra.constraint.JointAccelerationConstraint):
+    """As its base, whose constructor takes most of its time to put the limits (rad/s^2) in words."""
+
+    def __init__(self, most: Array) -> None:
+        toppra.constraint.LinearConstraint.__init__(self)
+        self.dof, self.alim, self.identical = len(most), np.stack((-most, most), axis=1), True
+        self.set_discretization_type(toppra.constraint.DiscretizationType.Interpolation)
 
 
 def _grid(path: Path) -> Array:
