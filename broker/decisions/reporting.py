@@ -25,6 +25,7 @@ def at_end(command: Command, report: EndReport) -> Measured | None:
         arm=report.performer,
         tcp_pose=report.tcp_pose if asked.pose else None,
         joints=report.joints if asked.joints else None,
+        slides=report.slides if asked.joints else [],
         wrench=report.wrench if asked.forces else None,
         peak_force_n=report.peak_force_n if asked.forces else None,
         peak_torque_nm=report.peak_torque_nm if asked.forces else None,
@@ -60,6 +61,7 @@ def note_of(command: Command, report: ProgressReport, at_s: float) -> ProgressNo
         arm=command.performers[0],
         tcp_pose=report.tcp_pose if (asked.pose or everything) and report.tcp_pose else None,
         joints=report.joints if (asked.joints or everything) and report.joints else None,
+        slides=report.slides if asked.joints or everything else [],
         wrench=report.wrench if (asked.forces or everything) and report.wrench else None,
         sighting=report.sighting if asked.pose or everything else None,
     )

@@ -40,8 +40,17 @@ def in_words(measured: Measured) -> list[str]:
     if measured.sighting is not None:
         lines += _sighting(measured.arm, measured.sighting)
     if measured.joints is not None:
-        lines.append(f"{measured.arm} joints: {_numbers(map(math.degrees, measured.joints), '.1f')} deg")
+        lines.append(f"{measured.arm} joints: {_joints(measured.joints, measured.slides)}")
     return lines + (in_words(measured.partner) if measured.partner else [])
+
+
+def _joints(values: list[float], slides: list[int]) -> str:
+    """-63.0 110.0 deg; with joints that slide each has its unit."""
+    if not slides:
+        return _numbers(map(math.degrees, values), ".1f") + " deg"
+    return ", ".join(
+        f"{1e3 * value:z.1f} mm" if n in slides else f"{math.degrees(value):z.1f} deg" for n, value in enumerate(values)
+    )
 
 
 def _sighting(camera: str, seen: Sighting) -> list[str]:

@@ -188,7 +188,8 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc
 
     arm: str  # or the camera
     tcp_pose: list[float] | None = None  # [x y z qx qy qz qw]: m, world axes
-    joints: list[float] | None = None  # rad
+    joints: list[float] | None = None  # rad; m for those of `slides`
+    slides: list[int] = []  # numbers of the joints that slide
     wrench: list[float] | None = None  # [Fx Fy Fz Tx Ty Tz]: N, N.m, tool axes; at rest, or in the tick of a report
     peak_force_n: float | None = None  # maximum during the last primitive
     peak_torque_nm: float | None = None

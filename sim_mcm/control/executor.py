@@ -658,6 +658,7 @@ class Executor:
             primitive=self.primitive_id,
             at_s=now_s,
             joints=self.sample.joints,
+            slides=self._seen.slides,
             wrench=self._seen.wrench,
             tcp_pose=self._seen.tcp().tolist(),
         )

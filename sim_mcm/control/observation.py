@@ -43,6 +43,11 @@ class Observation:
         self._moment = self._first_moment()
         self.stands_at = self.sample.joints  # without a primitive
 
+    @property
+    def slides(self) -> list[int]:
+        """Numbers of the joints that slide."""
+        return [n for n, sliding in enumerate(self.arm.traits.slides) if sliding]
+
     def read(self) -> None:
         """Take the sample of this tick."""
         self.sample = self.arm.read()

@@ -43,6 +43,7 @@ def end_report(
         at_s=at_s,
         duration_s=duration_s,
         joints=sample.joints,
+        slides=seen.slides,
         tcp_pose=seen.tcp().tolist(),
         wrench=seen.wrench,
         hand_width_m=seen.width_m,

@@ -56,3 +56,8 @@ def test_a_hand_that_points_straight_has_one_spelling() -> None:
     """A simulator is never exactly at the pole."""
     pose = geometry.from_rpy([0.45, 0.885, 0.6], [1.8, math.pi / 2 - 2e-6, 1.8]).tolist()
     assert "roll 0.0 pitch 90.0 yaw 0.0 deg" in in_words(Measured(arm="LEFT-ARM", tcp_pose=pose))[0]
+
+
+def test_a_joint_that_slides_is_in_millimetres():
+    measured = Measured(arm="PORTAL-ARM", joints=[0.25, -0.0312, 1.5707963], slides=[0, 1])
+    assert in_words(measured) == ["PORTAL-ARM joints: 250.0 mm, -31.2 mm, 90.0 deg"]

@@ -27,9 +27,10 @@ def test_an_arm_on_a_moving_base_takes_lifts_and_carries_in_physics():
     try:
         do(bench, "GRASP MACS-NEW HANDLE-A", "LIFT MACS-NEW BY 15 CM", "MOVE ARM GANTRY BY 10 CM ALONG LEFT")
         true = bench.subsystem.sim.truth()["poses"]["MACS-NEW"]
+        assert geometry.distance(bench.world.value("MACS-NEW.frame"), true) < 0.005
+        assert bench.do("MOVE ARM GANTRY BY 2 CM ALONG UP").reports[-1].slides == [0, 1]  # m, not rad
     finally:
         bench.subsystem.close()
-    assert geometry.distance(bench.world.value("MACS-NEW.frame"), true) < 0.005
 
 
 def test_a_battery_of_the_second_satellite_goes_to_a_rack():

@@ -101,6 +101,7 @@ class ProgressReport(Message, frozen=True, kw_only=True):
     primitive: str
     at_s: float
     joints: list[float] = []
+    slides: list[int] = []  # as in EndReport
     wrench: list[float] = []
     tcp_pose: list[float] = []
     condition: int | None = None  # number of the condition; None: a periodic report
@@ -119,7 +120,8 @@ class EndReport(Message, frozen=True, kw_only=True):
     reason: StopReason
     at_s: float
     duration_s: float  # in the time of the simulation, pauses included
-    joints: list[float] = []  # rad, after coming to rest
+    joints: list[float] = []  # rad, after coming to rest; m for those of `slides`
+    slides: list[int] = []  # numbers of the joints that slide
     tcp_pose: list[float] = []  # at rest
     wrench: list[float] = []  # at rest
     hand_width_m: float = 0.0
