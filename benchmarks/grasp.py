@@ -6,11 +6,13 @@
 In physics, sentence by sentence in one process, without a broker. The module and its seat are displaced along and about
 all six axes, by up to 25 mm and 4 degrees; the world believes them within what the cell file states. The runs take
 turns over both arms, both handles, rack and bay, three masses, three frictions, with and without cameras. Every fourth
-displacement is along or about one axis alone. One that would make the module overlap another body is halved. A run
-grasps the module, lifts it, and puts it back; every third run puts it into the other seat. After each sentence all
-valid facts are compared with the truth. After a failure the advised sentences are given, at most four of them; SET
+displacement is along or about one axis alone. One is halved if the module would overlap another body, or if its
+straight way out of its seat would come nearer than 5 mm to one: the seat is displaced, the satellite around it is not.
+A run grasps the module, lifts it, and puts it back; every third run puts it into the other seat. After each sentence
+all valid facts are compared with the truth. After a failure the advised sentences are given, at most four of them; SET
 states the true pose. Then the failed sentence must succeed.
-`--short`: the grasp alone. A shard (`--seed-from`) writes its runs into a file (`--out`), and `--join` adds shards up.
+`--short`: the grasp alone. A shard (`--seed-from`) writes its runs into a file (`--out`), after each run;
+`--join` adds shards up.
 
     within_straddle_rate  share of grasps in runs with x, y, z within 14 mm
     wrong_valid_facts     valid facts that are off by more than 5 mm or 2 deg beyond their spread
@@ -31,12 +33,13 @@ import multiprocessing
 import random
 import re
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import pybullet
 
 from benchmarks.report import finish, question
 from rtc.cells.cell import Cell
@@ -46,6 +49,7 @@ from tests.campaigns.against_truth import judge
 from tests.workers.conftest import CELL, GRAMMAR, Bench, Physical, Run
 from workers.parser.parse import parse_job
 from workers.planning.robot_models import CellModel
+from workers.planning.world_query import CLEARANCE_M
 
 SEED = 7
 MODULES = {"RIGHT-ARM": ("MACS-NEW", "RACK-1"), "LEFT-ARM": ("MACS-OLD", "RACK-2")}
@@ -59,6 +63,7 @@ SEATED_M, SEATED_RAD = 0.005, math.radians(2.0)
 MOST_ADVISED = 4
 REST_TICKS, REST_RAD = 200, 1e-3  # an arm at rest turns by less in this time
 SETTLE_TICKS, SETTLE_M = 100, 1e-4
+WAY_STEP_M = 0.01
 VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET"
 ADVISED = re.compile(rf"\b((?:{VERBS})(?: (?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?|x y z|roll pitch yaw))+)")
 STATED = re.compile(r"SET ([A-Z0-9-]+) FRAME")
@@ -152,7 +157,7 @@ class Scene:
         self.module, self.rack = MODULES[run.arm]
         self.seat = BAY if run.bay else self.rack
         self._set_up()
-        while self._is_pushed_out():
+        while self._is_pushed_out() or self._is_shut_in():
             self.subsystem.close()
             run.offset = [0.5 * part for part in run.offset]
             self._set_up()
@@ -172,6 +177,25 @@ class Scene:
         for _ in range(SETTLE_TICKS):
             self.sim.step()
         return geometry.distance(before, self.truth()["poses"][self.module]) > SETTLE_M
+
+    def _is_shut_in(self) -> bool:
+        """Whether another body than its seat is in the straight way of the module out of the seat."""
+        world, seat = self.sim.world, self.cell.seat(self.seat)
+        here = world.pose(self.module)
+        out = geometry.rotate(geometry.compose(here, geometry.inverse(seat.module_frame.pose)), seat.way_out)
+        module = world.objects[self.module]
+        others = [part for name, body in world.objects.items() if name != self.module for part, _ in body.parts]
+        near = False
+        for n in range(math.ceil(seat.depth_m / WAY_STEP_M) + 1):
+            world.place(module, geometry.translate(here, n * WAY_STEP_M * out))
+            near = near or any(self._distance_m(module.parts[0][0], other) < CLEARANCE_M for other in others)
+        world.place(module, here)
+        return near
+
+    def _distance_m(self, body: int, other: int) -> float:
+        """The distance of two bodies in physics; beyond 10 cm infinite."""
+        points = pybullet.getClosestPoints(body, other, 0.1, physicsClientId=self.sim.world.client)
+        return min((point[8] for point in points), default=math.inf)
 
     @property
     def cell(self) -> Cell:
@@ -343,9 +367,11 @@ def main() -> None:
         rows = [row for file in given.join for row in json.loads(file.read_text())]
         done = list({row["number"]: GraspRun(**row) for row in rows}.values())
     else:
-        done = list(_made(_wanted(given), given.processes, given.short))
-    if given.out:
-        given.out.write_text(json.dumps([asdict(run) for run in done]))
+        done = []
+        for run in _made(list(_wanted(given)), given.processes, given.short):
+            done.append(run)
+            if given.out:  # after each run: a series that is ended early keeps its results
+                _write(given.out, done)
     if given.join or not (given.out or given.only or given.cameras_only or given.touch_only or given.short):
         finish("grasp", metrics_of(done))
     else:
@@ -361,10 +387,18 @@ def _wanted(given: argparse.Namespace) -> Iterator[GraspRun]:
             yield run
 
 
-def _made(wanted: Iterable[GraspRun], processes: int, short: bool) -> Iterator[GraspRun]:
+def _write(file: Path, done: Sequence[GraspRun]) -> None:
+    """Replace the file at once, so that it is never half written."""
+    part = file.with_name(file.name + ".part")
+    part.write_text(json.dumps([asdict(run) for run in done]))
+    part.replace(file)
+
+
+def _made(wanted: Sequence[GraspRun], processes: int, short: bool) -> Iterator[GraspRun]:
+    began = time.monotonic()
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        for run in pool.imap_unordered(functools.partial(perform, short=short), wanted):
-            print(f"  {run.in_words()}", flush=True)
+        for n, run in enumerate(pool.imap_unordered(functools.partial(perform, short=short), wanted), 1):
+            print(f"  {n}/{len(wanted)} in {time.monotonic() - began:.0f} s: {run.in_words()}", flush=True)
             yield run
 
 

@@ -70,6 +70,12 @@ def _path(step: ScriptStep, place: str) -> Problems:
             yield place, f"{step.space} needs {name}"
     if "about" in step.words and "about" not in needed:
         yield f"{place}.words.about", f"about is the axis of a move_circle, not of {step.space or 'no space'}"
+    if step.words.get("axis") == extension_names.WAY_OUT:
+        if step.to != "HERE" or step.space != "move_task" or "by_m" not in step.args:
+            yield f"{place}.words.axis", "WAY-OUT is for a move_task from HERE by_m"
+        for name in ("by_rad", "press_n", "spin_m"):
+            if name in step.args:
+                yield f"{place}.args.{name}", f"{name} has no effect along WAY-OUT"
     if "through" in step.words and (needed or step.to == "HERE" or not step.space):
         yield f"{place}.words.through", "a way through places leads to a pose or to joint values of the plan"
     if "press_n" in step.args and "about" in needed:

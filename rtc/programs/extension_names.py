@@ -17,9 +17,11 @@ NEEDS = (
 )
 #: elaborator: anchors of plan lines
 ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge")
-#: directions; WAY-OUT is the exit direction of the target seat, for plans only
+#: directions; WAY_OUT is the exit direction of a seat: in a plan of the target, in a line from HERE
+#: of the one that the object is in (up without one)
 AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
-PLAN_AXES = (*AXES, "WAY-OUT")
+WAY_OUT = "WAY-OUT"
+PLAN_AXES = (*AXES, WAY_OUT)
 #: values of the column `space` of a script, and the args of a step that shape its path
 SPACE_ARGS = {
     "move_joint": ("by_m", "by_rad"),
@@ -44,6 +46,7 @@ FIGURES = (
     "hinged",  # 1: the object has a hinge; 0: it has none
     "held_elsewhere",  # 1: another hand holds the object; 0: none does
     *("hinge_rad", "hinge_least_rad", "hinge_most_rad"),  # its angle, and its stops
+    "held_unsure_m",  # how far any point of the object for the target may be from its believed place
     *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # spread of the grasp point, in tool axes at that point
     "seen",  # 1: a camera can see the object, and the last look has found it; 0: it must be felt
     *(f"{clause}_{unit}" for clause in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),

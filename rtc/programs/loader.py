@@ -375,7 +375,7 @@ def _step_problems(step: ScriptStep, place: str, entries: int, bindings: set[str
         if effect := step.words.get(word):
             yield from _known("effect", effect, extension_names.EFFECTS, f"{place}.words.{word}")
     if "{" not in (axis := step.words.get("axis", "X")):
-        yield from _known("axis", axis, extension_names.AXES, f"{place}.words.axis")
+        yield from _known("axis", axis, extension_names.PLAN_AXES, f"{place}.words.axis")
     for name, expression in step.args.items():
         yield from _expression(expression, f"{place}.args.{name}")
     if step.value:

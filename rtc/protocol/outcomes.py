@@ -152,7 +152,7 @@ class OutcomeKind(StrEnum):
 
 
 IN_THE_WAY = "in_the_way"  # key of `Refusal.detail`: name of the arm that blocks a motion, now or on its way
-LEAVING = "leaving"  # key of `Refusal.detail`: the arm may touch a body where it is, and cannot leave it this way
+LEAVING = "leaving"  # key of `Refusal.detail`: the body that the arm may touch where it is; it cannot leave it this way
 
 
 class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

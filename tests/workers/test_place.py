@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import numpy as np
 import pytest
 
-from rtc.protocol.messages import Limits, Validity
+from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.robot import geometry
+from rtc.world.spread import even
 from workers.planning.motion.request import free_posture
 from workers.planning.motion.timing import Pace
 from workers.planning.robot_models import CellModel
@@ -218,3 +221,55 @@ def test_on_physics_a_bay_that_is_14_mm_off_is_named_and_the_advice_leads_in(phy
         run = physical.do(sentence)
         assert run.succeeded, (sentence, run.refusal, run.failure)
     assert physical.world.value("MACS-NEW.seat") == "BAY-2"
+
+
+# --- a seat that is tilted -------------------------------------------------------------------------------------
+
+TILTED = [0.0, math.radians(4.0), 0.0]
+STATED = even(0.005, 0.035)  # of a pose that a SET has stated
+
+
+def tilt(bench, seat, thing):
+    """The seat stands tilted, with its module, and both are believed where they are."""
+    frame = geometry.make_pose(bench.model.cell.seat(seat).frame.pose[:3])
+    frame = geometry.compose(frame, geometry.from_rpy([0.0, 0.0, 0.0], TILTED))
+    frame = geometry.compose(frame, geometry.make_pose([0.0, 0.0, 0.0], bench.model.cell.seat(seat).frame.pose[3:]))
+    bench.set_fact(f"{seat}.frame", frame.tolist())
+    if thing:
+        inside = geometry.compose(frame, bench.model.cell.seat(seat).module_frame.pose)
+        bench.set_fact(f"{thing}.frame", inside.tolist())
+        bench.subsystem.poses[thing] = inside
+    return frame
+
+
+def test_lift_takes_a_module_out_along_the_walls_of_its_tilted_seat(bench):
+    frame = tilt(bench, "RACK-1", "MACS-NEW")
+    assert bench.do(GRASP).succeeded
+    before = np.array(bench.world.value("MACS-NEW.frame")[:3])
+    assert bench.do(LIFT).succeeded
+    way = np.array(bench.world.value("MACS-NEW.frame")[:3]) - before
+    out = geometry.rotate(frame, CELL.seat("RACK-1").way_out)
+    assert np.linalg.norm(way - 0.15 * out) < 0.001
+    assert abs(way[0]) > 0.009  # straight up would press on a wall
+
+
+def test_a_module_whose_pose_was_stated_goes_from_afar_into_the_tilted_bay(bench):
+    """Before the mouth of the bay it keeps as much distance as it is uncertain, and comes near in a line."""
+    bench.without_cameras()
+    lifted(bench)
+    assert bench.do("MOVE RIGHT-ARM TO POSITION 40 -20 95 CM").succeeded
+    tilt(bench, "BAY-2", "")
+    for name in ("frame", "grasp"):
+        fact = bench.world.get(f"MACS-NEW.{name}")
+        bench.world = bench.world.overlay([WorldChange(key=fact.key, value=fact.value, spread=STATED)])
+    made = bench.elaborate("PLACE MACS-NEW ON BAY-2")
+    assert not isinstance(made, Refusal), made
+
+
+def test_a_module_whose_way_out_is_blocked_is_not_sent_the_same_way_again(bench):
+    assert bench.do(GRASP).succeeded
+    above = geometry.translate(bench.world.value("MACS-NEW.frame"), [0.0, 0.0, 0.20])
+    bench.set_fact("MACS-OLD.frame", above.tolist())
+    bench.set_fact("MACS-OLD.seat", "")
+    refusal = bench.do("LIFT MACS-NEW BY 15 CM").refusal
+    assert refusal.clears == "RELEASE MACS-NEW: MACS-OLD is in its way out of RACK-1"

@@ -116,7 +116,9 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     if not isinstance(motion, Refusal) and "takes_s" in step.args:
         motion = plans.lasting(motion, float(step.args["takes_s"]))
     if isinstance(motion, Refusal):
-        return advice.advise_on_collision(motion, query, task.arm, clears, context.limits)
+        return advice.advise_on_collision(
+            motion, query, task.arm, clears, context.limits, leaves_seat=step.args.get("leaves") == "seat"
+        )
     remarks = [*filter(None, (keep.remark, speed_not_kept(context.limits, values), detour(task, motion)))]
     evaluation = EvaluationContext(
         context=context,

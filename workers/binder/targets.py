@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from rtc.programs.extension_names import SPACE_ARGS
+from rtc.programs.extension_names import SPACE_ARGS, WAY_OUT
 from rtc.protocol.messages import Binding
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import Vector
@@ -35,6 +35,9 @@ def target_of(task: BindTask) -> Target | Refusal:
         assert isinstance(goal, Target)
         return replace(goal, via=tuple(via for via in vias if isinstance(via, Target)))
     axis = str(step.args.get("axis", "TOOL-Z"))
+    if axis == WAY_OUT:
+        out = task.query.leaves_along(task.data.context.object)
+        return Target(pose=geometry.translate(pose, float(step.args.get("by_m", 0.0)) * out).tolist())
     if axis not in axes.AXES:
         return suggestions.unknown("axis", axis, axes.AXES)
     if step.space in curves.CURVES:
@@ -107,7 +110,7 @@ def turn_line(task: BindTask) -> stop_conditions.Line:
     """The line about which the step turns; of a step without an axis any change of attitude counts."""
     step, query = task.data.step, task.query
     axis, name = step.args.get("axis"), str(step.args.get("about", "HERE"))
-    if not isinstance(axis, str) and name == "HERE":
+    if (not isinstance(axis, str) or axis == WAY_OUT) and name == "HERE":
         return stop_conditions.Line(None, None)
     here = query.tcp(task.arm)
     found = world_pose(task, task.data.bindings[name], name) if name in task.data.bindings else here.tolist()

@@ -121,7 +121,7 @@ def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor |
     pose = anchor.pose or candidate.query.model.arms[candidate.arm.name].fk(anchor.joints or ()).tolist()
     frame = candidate.query.pose(anchor.frame) if anchor.frame else geometry.IDENTITY
     world = geometry.compose(frame, pose)
-    if line.along == "WAY-OUT":
+    if line.along == extension_names.WAY_OUT:
         if candidate.target is None:
             return _program("WAY-OUT is the way out of a seat, and the sentence names none")
         out = geometry.rotate(candidate.query.seat_frame(candidate.target.name), candidate.target.way_out)
@@ -129,7 +129,7 @@ def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor |
     elif line.along in axes.AXES:
         moved = axes.turned(axes.shifted(world, line.along, by_m), line.along, turn_rad)
     else:
-        return suggestions.unknown("axis", line.along, [*axes.AXES, "WAY-OUT"])
+        return suggestions.unknown("axis", line.along, extension_names.PLAN_AXES)
     return replace(anchor, joints=None, pose=geometry.relative(frame, moved).tolist())
 
 
@@ -179,7 +179,8 @@ def _search(
     assert first is not None
     clears, limits = candidate.program.clears, candidate.limits
     goal = (candidate.parsed.place.name if candidate.parsed.place else None) or ""
-    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits, goal)
+    out = any(step.words.get("leaves") == "seat" for step in script.steps)
+    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits, goal, out)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
 
 
@@ -366,14 +367,17 @@ def _target(
     if step.to != "HERE":
         return _program(f"nothing binds {step.to}")
     axis = candidate.fill_in(step.words.get("axis", "TOOL-Z"))
-    if axis not in axes.AXES:
-        return suggestions.unknown("axis", axis, axes.AXES)
+    if axis not in extension_names.PLAN_AXES:
+        return suggestions.unknown("axis", axis, extension_names.PLAN_AXES)
     if step.space in curves.CURVES:
         return _curve(step, candidate, lines, now, axis)
     try:
         by_m, by_rad = (expressions.number(step.args.get(name, 0.0), candidate.figures) for name in ("by_m", "by_rad"))
     except expressions.ExpressionError as error:
         return _program(str(error))
+    if axis == extension_names.WAY_OUT:
+        out = candidate.query.leaves_along(candidate.thing.name if candidate.thing else "")
+        return Target(pose=geometry.translate(now.arm.fk(now.start), by_m * out).tolist())
     pose = axes.shifted(now.arm.fk(now.start), axis, by_m)
     return Target(pose=axes.turned(pose, axis, by_rad).tolist())
 

@@ -18,8 +18,9 @@ from rtc.language.units import in_words
 from rtc.programs.schema import ElaboratorProgram, TableRow
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.world.spread import narrowest
 from workers.planning import pose_spread
-from workers.planning.world_query import WorldQuery
+from workers.planning.world_query import AHEAD_S, WorldQuery
 
 #: unit of a quantity -> suffix of the figure's name
 SUFFIX = {"m": "_m", "rad": "_rad", "turn": "_turns", "s": "_s", "N": "_n"}
@@ -162,12 +163,21 @@ def figures_of(
             figures |= {"hinge_rad": query.angle(thing.name), "hinge_least_rad": least, "hinge_most_rad": most}
     if target is not None:
         figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
+        figures["held_unsure_m"] = _held_unsure_m(query, thing, target) if thing is not None else 0.0
     figures |= _figure_of("amount", parsed.amount)
     figures |= _figure_of("by", parsed.place.by if parsed.place else None)
     figures |= _figure_of("to", parsed.to_value)
     if parsed.duration_s is not None:
         figures["duration_s"] = parsed.duration_s
     return figures
+
+
+def _held_unsure_m(query: WorldQuery, thing: parts.Object, target: parts.Seat) -> float:
+    """How far any point of the held object may be from its believed place when it is before the seat.
+
+    With a wider spread than the seat permits it does not get there."""
+    spread = query.grasp_spread(thing.name, AHEAD_S)
+    return query.off_m(thing.name, narrowest(spread, target.needs_within.spread) if target.needs_within else spread)
 
 
 def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:

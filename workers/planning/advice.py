@@ -18,10 +18,16 @@ SHARE_OF_RANGE = 0.9  # of a hinge, that advised sentences use
 
 
 def advise_on_collision(
-    refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str], limits: Limits = UNLIMITED, goal: str = ""
+    refusal: Refusal,
+    query: WorldQuery,
+    arm: str,
+    clears: Mapping[str, str],
+    limits: Limits = UNLIMITED,
+    goal: str = "",
+    leaves_seat: bool = False,
 ) -> Refusal:
     """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged. `limits`: of
-    the command. `goal`: the place that it names."""
+    the command. `goal`: the place that it names. `leaves_seat`: it takes the held object out of its seat."""
     if refusal.detail.get("cause") != "collision":
         return refusal
     bodies = [str(refusal.detail[name]).split()[0] for name in ("body_a", "body_b")]
@@ -29,14 +35,15 @@ def advise_on_collision(
     seat = query.seat(held) or query.seat_around(held) if held else ""
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
     other = str(refusal.detail.get(IN_THE_WAY, ""))
+    leaves = str(refusal.detail.get(LEAVING, ""))  # first: other arms are passed by ways that are not sought before
     seated = bool(seat) and held in bodies
     hinged = _hinged(refusal, query, arm, body)
-    obvious = seated or other or hinged or LEAVING in refusal.detail
-    if not obvious and (unsure := _unsure(refusal, query, bodies, limits)):
+    if not (seated or other or hinged or leaves) and (unsure := _unsure(refusal, query, bodies, limits)):
         return msgspec.structs.replace(refusal, clears=query.narrows(unsure, clears))
     row = (
-        ("way_seated" if seated else "")
-        or ("way_unsure" if not other and LEAVING in refusal.detail else "")
+        ("way_out" if seated and leaves_seat else "")
+        or ("way_seated" if seated else "")
+        or ("way_unsure" if leaves else "")
         or _kept_out(refusal, body, limits)
         or ("way_other" if other else "")
         or hinged
@@ -50,7 +57,7 @@ def advise_on_collision(
         "held": held,
         "seat": seat,
         "lift": in_seat.way_out_in_words(query, arm, seat) if seat else "",
-        "body": body,
+        "body": leaves or body,
         "other": hand_in_words(other),
         "places": ", ".join(places),
         "or_arm": "" if held else ", or another arm",

@@ -106,6 +106,18 @@ class WorldQuery:
         seat = self.seat(thing) or self.seat_around(thing)
         return self.way_out_of(seat) if seat else "UP"
 
+    def leaves_along(self, thing: str) -> Array:
+        """Unit vector (world) along which an object leaves the seat that it is in or partly in; up without a seat.
+
+        A seat holds its object up to a small play, so the better known attitude of the two is that of both."""
+        seat = self.seat(thing) or self.seat_around(thing)
+        if not seat:
+            return np.array((0.0, 0.0, 1.0))
+        inside = geometry.compose(self.frame(thing), geometry.inverse(self.cell.seat(seat).module_frame.pose))
+        known = [(self.spread(f"{seat}.frame"), self.seat_frame(seat)), (self.spread(f"{thing}.frame"), inside)]
+        _, attitude = min(known, key=lambda one: max(one[0][3:]))
+        return geometry.rotate(attitude, self.cell.seat(seat).way_out)
+
     def way_out_of(self, seat: str) -> str:
         """Name of the direction in which an object leaves this seat."""
         return axes.name_of(geometry.rotate(self.seat_frame(seat), self.cell.seat(seat).way_out).tolist())
@@ -394,14 +406,14 @@ class WorldQuery:
     def _unsure_m(self, poses: Iterable[str], held: Iterable[str]) -> dict[str, float]:
         """How far any point of a body may be from its believed place: of objects, of the seats that hold them, and of
         held objects."""
-        found = {name: self._off_m(name, self.spread(f"{name}.frame")) for name in poses}
-        found |= {name: self._off_m(name, self.grasp_spread(name, AHEAD_S)) for name in held}
+        found = {name: self.off_m(name, self.spread(f"{name}.frame")) for name in poses}
+        found |= {name: self.off_m(name, self.grasp_spread(name, AHEAD_S)) for name in held}
         for name in list(found):
             if (seat := self.seat(name)) and name not in held:
                 found[seat] = max(found[name], found.get(seat, 0.0))
         return {name: off_m for name, off_m in found.items() if off_m > 0.0}
 
-    def _off_m(self, body: str, spread: Spread) -> float:
+    def off_m(self, body: str, spread: Spread) -> float:
         """How far a point of a body is from its place at most, if its pose has this spread."""
         off_m = math.hypot(*spread[:3]) + math.hypot(*spread[3:]) * self.model.collision.radius_m(body)
         return UNSURE_STEP_M * math.ceil(off_m / UNSURE_STEP_M - 1e-9)

@@ -6,8 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc.protocol.messages import Validity
+from rtc.protocol.messages import Script, Validity, WorldChange
 from rtc.protocol.outcomes import IN_THE_WAY
+from rtc.robot import geometry
+from rtc.world.spread import even
 from tests.workers.conftest import CELL, Bench
 from workers.planning.robot_models import CellModel
 
@@ -64,3 +66,35 @@ def test_no_sentence_is_stated_for_an_arm_that_may_not_leave(in_the_way):
     clears = in_the_way.do(TO_BAY).refusal.clears
     assert "STOW" not in clears
     assert "LEFT-ARM" in clears
+
+
+def test_no_arm_is_sent_away_from_a_way_that_would_not_be_free_without_it(bench: Bench) -> None:
+    """A module that may touch the satellite leaves in a straight line only: that is why no way round is sought."""
+    bench.without_cameras()
+    bench.set_fact("LEFT-ARM.joints", [-0.574600, 1.058195, -3.602150, -0.666767, 1.062702, 0.299029])
+    bench.set_fact("RIGHT-ARM.joints", [0.679806, 1.510722, -3.134227, 1.505713, 0.681516, -1.487073])
+    place = geometry.from_rpy([0.6268, -0.0001, 0.6793], [-0.0564, 0.0159, -0.0037])
+    tcp = bench.model.arms["LEFT-ARM"].fk(bench.world.value("LEFT-ARM.joints"))
+    grasp = geometry.normalise(geometry.relative(tcp, place))
+    stated = even(0.005, 0.036)
+    holds = {
+        "LEFT-ARM.hand_width": 0.02,
+        "LEFT-ARM.holding": "MACS-OLD",
+        "MACS-OLD.held_by": "LEFT-ARM",
+        "MACS-OLD.seat": "",
+    }
+    for key, value in holds.items():
+        bench.set_fact(key, value)
+    for key, pose in (("MACS-OLD.frame", place), ("MACS-OLD.grasp", grasp)):
+        change = WorldChange(key=key, value=pose.tolist(), spread=stated)
+        bench.world = bench.world.overlay([change])
+    wanted = "PLACE MACS-OLD ON RACK-2 WITH LEFT-ARM"
+
+    refusal = bench.elaborate(wanted)
+
+    assert refusal.clears.startswith("RETRACT LEFT-ARM first: SATELLITE")
+    assert "no way round is sought from so near to SATELLITE" in refusal.message
+    bench.subsystem.widths["LEFT-ARM"] = 0.02
+    bench.subsystem.joints["LEFT-ARM"] = np.array(bench.world.value("LEFT-ARM.joints"))
+    assert bench.do("RETRACT LEFT-ARM").succeeded
+    assert isinstance(bench.elaborate(wanted), Script)

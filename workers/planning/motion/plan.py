@@ -154,26 +154,36 @@ def _ours(request: PlanningRequest) -> set[str]:
 
 
 def _leaving(request: PlanningRequest, refusal: Refusal) -> Refusal:
-    """The refusal, with a remark if the arm may touch something already."""
-    if not may_touch_at_start(request):
+    """The refusal, with the body that the arm may touch already: it is why no way round the obstacle was sought."""
+    body = may_touch_at_start(request)
+    if not body:
         return refusal
-    return msgspec.structs.replace(refusal, detail={**refusal.detail, LEAVING: 1.0})
+    obstacle = {str(refusal.detail.get(name, "")).split(" ")[0] for name in ("body_a", "body_b")}
+    words = "" if body in obstacle else f"; no way round is sought from so near to {body}"
+    return msgspec.structs.replace(refusal, message=refusal.message + words, detail={**refusal.detail, LEAVING: body})
 
 
-def may_touch_at_start(request: PlanningRequest) -> bool:
-    """Whether the arm is nearer to a body than that is uncertain, so that they may touch.
+def may_touch_at_start(request: PlanningRequest) -> str:
+    """The body to which the arm is nearer than that is uncertain, so that they may touch; empty if there is none.
 
     Then it leaves on a line, which moves away from that body (`CollisionWorld.check_path`). A search would not know
     which way out is free, a hand at a handle for example. A body with a hinge is known but for its angle, so a way on
     which its distance only grows leads away from it."""
     if not request.scene.unsure_m:
-        return False
+        return ""
     hinged = {thing.name for thing in request.world.cell.objects if thing.hinge is not None}
     hits = request.world.too_near(request.joints, request.scene)
-    return any(
-        hit.margin_m > request.scene.clearance_m and hinged.isdisjoint((hit.body_a.split()[0], hit.body_b.split()[0]))
+    found = [
+        hit
         for hit in hits
-    )
+        if hit.margin_m > request.scene.clearance_m
+        and hinged.isdisjoint((hit.body_a.split()[0], hit.body_b.split()[0]))
+    ]
+    if not found:
+        return ""
+    hit, ours = min(found, key=lambda one: one.distance_m), _ours(request)
+    bodies = [body.split()[0] for body in (hit.body_a, hit.body_b)]
+    return next((body for body in bodies if body not in ours), bodies[1])
 
 
 def with_more_room(request: PlanningRequest, goal: Array, more_m: Sequence[float]) -> PlanningRequest:
