@@ -57,7 +57,7 @@ VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
     *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
     *("struck_n", "struck_m", "struck_rad", "twisted_n", "twisted_rad", "pressed_m", "pressed_rad"),
-    *("tilted_m", "unforeseen_m", "rolled_m"),
+    *("tilted_m", "unforeseen_m", "rolled_m", "pad_m"),
 )
 #: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
 OF_CELL = {"creep_m_s", "creep_rad_s"}
@@ -455,6 +455,9 @@ def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInpu
         spread = pose_spread.struck_spread(spread, report.peak_force_n, program.values)
         if report.peak_force_n > program.values["twisted_n"]:
             spread = pose_spread.twisted_spread(spread, fact.value, program.values["twisted_rad"])
+        wider_m = max(map(abs, _widened_m(query, data).values()))
+        if wider_m <= program.values["opened_m"]:  # else they have let go of it
+            spread = pose_spread.askew_spread(spread, fact.value, wider_m, program.values["pad_m"])
     keys = {f"{thing}.frame", f"{thing}.grasp"}
     return [
         msgspec.structs.replace(change, spread=spread)

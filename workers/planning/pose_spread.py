@@ -72,6 +72,15 @@ def twisted_spread(spread: Spread, grasp: Floats, turn_rad: float) -> list[float
     return widened(spread, spread_at([0.0, 0.0, 0.0, 0.5 * turn_rad, turn_rad, 0.0], grasp))
 
 
+def askew_spread(spread: Spread, grasp: Floats, wider_m: float, pad_m: float) -> list[float]:
+    """Spread of a held object after the fingers have moved by `wider_m`: its bar, which is `pad_m` deep, has turned
+    between the pads, about the bar (tool x) or about the approach (tool z).
+
+    `grasp`: the frame of the object in the axes of the tcp."""
+    turn_rad = abs(wider_m) / pad_m
+    return widened(spread, spread_at([0.0, 0.0, 0.0, turn_rad, 0.0, turn_rad], grasp))
+
+
 def crept_spread(spread: Spread, seconds: float, numbers: Numbers) -> list[float]:
     """Spread of an object held for `seconds` more: it creeps in the grip."""
     for_s = max(0.0, seconds)

@@ -617,6 +617,23 @@ def test_what_is_held_is_known_less_with_every_step_and_stays_valid(bench):
     assert fact.validity is Validity.VALID
 
 
+@pytest.mark.parametrize("wider_m", [0.0007, -0.0007])
+def test_fingers_that_move_while_they_hold_have_turned_the_bar_between_them(bench, wider_m):
+    """A hand that closed askew on a seated module with friction 1.5 turned by 2 degrees, and widened by 0.7 mm."""
+    assert bench.do(GRASP).succeeded
+    bound, done = bound_and_done(bench, "LIFT MACS-NEW BY 15 CM", 1)
+    as_before = change(judged(bench, bound, done), "MACS-NEW.grasp")
+    moved = ended(done, done.reason, hand_width_m=done.hand_width_m + wider_m)
+
+    after = change(judged(bench, bound, moved), "MACS-NEW.grasp")
+
+    more = [math.degrees(b - a) for a, b in zip(as_before.spread[3:], after.spread[3:], strict=True)]
+    turned = geometry.rotate(geometry.inverse(bench.world.value("MACS-NEW.grasp")), [2.0, 0.0, 2.0])
+    assert more == pytest.approx([abs(n) for n in turned], abs=0.02)
+    assert after.spread[2] > as_before.spread[2] + 0.0025  # at the origin, 8.5 cm beside the bar
+    assert after.validity is Validity.VALID
+
+
 def test_a_stated_pose_has_the_accuracy_of_an_observation(bench):
     assert bench.do("SET MACS-NEW FRAME 80 -80 61 CM").succeeded
     assert bench.world.get("MACS-NEW.frame").spread == pytest.approx([0.005] * 3 + [0.035] * 3)
