@@ -16,7 +16,7 @@ from rtc.language.refuse import SentenceError, quoted
 from rtc.language.units import KINDS, UNITS, such_as, to_si
 from rtc.language.words import WrittenNumber
 
-Sense = Literal["any", "not negative", "more than nothing"]
+Sense = Literal["any", "not nothing", "not negative", "more than nothing"]
 
 
 class QuantityRule(NamedTuple):
@@ -31,10 +31,10 @@ LENGTH = QuantityRule(("m",))
 TIME = QuantityRule(("s",))
 ANYTHING = QuantityRule(tuple(KINDS), "any")  # for words of a grammar that is loaded later
 
-#: verb -> quantities for BY. A negative MOVE or TURN reverses the direction; a negative LIFT is refused.
+#: verb -> quantities for BY. A negative MOVE, TURN or LIFT reverses the direction.
 AMOUNTS: dict[str, QuantityRule] = {
     "RETRACT": LENGTH,
-    "LIFT": LENGTH,
+    "LIFT": QuantityRule(("m",), "not nothing"),
     "PUSH": LENGTH,
     "PULL": LENGTH,
     "OPEN": QuantityRule(("rad", "m")),  # a door, or a drawer
@@ -82,7 +82,8 @@ def checked(given: WrittenNumber, takes: QuantityRule, by: str) -> Quantity:
         message = f"{by} takes {kinds}; {quoted(given.text)} is {KINDS[si].word}."
         raise SentenceError(given.column, message, map(such_as, takes.units))
     value = to_si(given.number, given.unit)
-    if (value < 0 and takes.sense != "any") or (value == 0 and takes.sense == "more than nothing"):
+    negative, nothing = takes.sense in ("any", "not nothing"), takes.sense in ("any", "not negative")
+    if (value < 0 and not negative) or (value == 0 and not nothing):
         message = f"{by} {quoted(given.text)} makes no sense: it must be {takes.sense}."
         raise SentenceError(given.column, message, [such_as(si)])
     if si == "rad" and abs(value) > math.radians(takes.most_deg) + ROUNDING_RAD:
