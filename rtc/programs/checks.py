@@ -85,7 +85,7 @@ def _path(step: ScriptStep, place: str) -> Problems:
 def failure_words(program: AnalyzerProgram) -> Problems:
     """Unknown placeholders in the messages of failure classes."""
     for name, row in program.classes.items():
-        fields = (("message", ()), ("clears", ()), ("again", ("target_cure",)), ("pressing", ("away",)))
+        fields = (("message", ()), ("clears", ()), ("again", ("target_cure",)), ("pressing", ("away", "leave")))
         for field, more in fields:
             known = (*extension_names.FAILURE_PLACEHOLDERS, *more)
             for word in PLACEHOLDER.findall(getattr(row, field)):

@@ -207,7 +207,7 @@ class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
     """A failure class: its message, the facts that become suspect, and how to clear them.
 
     Texts may contain placeholders: {reason} {measured} {limit} {unit} {message} {arm} {object} {point} {target};
-    in `pressing` also {away}.
+    in `pressing` also {away} and {leave}.
     """
 
     message: str
@@ -216,7 +216,8 @@ class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
     suspect: list[Literal["object", "if_touched", "held", "near", "target"]] = []
     drops: bool = False  # the hand is empty afterwards
     misplaced: bool = False  # the held object is not where the world has it; only vision can locate it
-    pressing: str = ""  # first hint for an arm that pressed on something when it was stopped
+    # first hint for an arm that pressed on something when it was stopped; the hint for what it holds precedes it
+    pressing: str = ""
     clears: str = ""  # next hint; the hints of `clears` of the program for each suspect fact follow
     again: str = ""  # last hint: what to do after that
     retriable: bool = True  # a trim may be tried

@@ -48,7 +48,10 @@ PRESSED = frozenset(
     }
 )
 SHORT_M = 0.003  # the direction of a shorter way means nothing
-AWAY_CM = 5  # by how much an arm is to move away from what it has pressed on
+AWAY_CM = 5.0  # by how much an arm is to move away from what it has pressed on
+BACK = "leave_back"  # row of `clears`
+IN_SLOT_M = 0.010  # a shorter way back into a slot frees nothing
+BACKWARDS = 0.7  # cosine of the angle between the way of a hand and its tool axis from which on it went back
 STILL_RAD, TRAVEL_RAD = 0.001, 0.02  # turn of a joint that is stuck, and of one that has moved
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
@@ -258,31 +261,38 @@ def _failure(
         words = f"{words}; it is where it is believed to be"
     if evaluation.remark and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
         words = f"{words}; {evaluation.remark}"
-    # A seat needs a better known pose in the hand than VERIFY leaves after that.
+    # A seat needs a better known pose in the hand than VERIFY leaves after that, and a free motion more room.
     misplaced = failure.misplaced or _is_held_askew(data) or (pressed and bool(evaluation.context.target))
-    cures = _ways_to_clear(program, query, changes, misplaced)
-    pressing = failure.pressing.replace("{away}", _away(query, data)) if _pressing_n(program, data) else ""
-    advice = (*_feel(query, data, reason), pressing, failure.clears, *_higher_limit(data))
-    again = failure.again
+    cures = _ways_to_clear(program, query, changes, moved=pressed or misplaced, misplaced=misplaced)
+    template = failure.pressing if asked is None else program.clears.get("asked", "")
+    pressing, doubtful = _leaving(program, query, data, template)
+    held = [cure for key, cure in cures.items() if doubtful and key.rpartition(".")[0] == evaluation.held]
+    own: tuple[str, ...] = (*held, pressing)
+    again = ""
+    if asked is None:
+        own += (_felt(program, query, data, reason) or failure.clears, *_higher_limit(data))
+        again = "" if _is_held_askew(data) else failure.again  # the fingers close no further
     if "{target_cure}" in again:
         cure = cures.pop(f"{evaluation.context.target}.frame", "")
         again = again.replace("{target_cure}; ", f"{cure}; " if cure else "")
-    todo = (*advice, *cures.values(), again) if asked is None else tuple(cures.values())
+    todo = dict.fromkeys(word for word in (*own, *cures.values(), again) if word)
     return Assessment(
         verdict="trim" if trim else "abort",
         reason=reason,
         message=f"{evaluation.step.label}: {words}",
         trim=trim,
         changes=changes,
-        clears=_words("; ".join(word for word in todo if word), data, reason, short),
+        clears=_words("; ".join(todo), data, reason, short),
     )
 
 
-def _feel(query: WorldQuery, data: AnalyzerInput, reason: StopReason) -> list[str]:
-    """The advice if a body that cameras do not see is believed in a hand: they looked only where that hand is."""
+def _felt(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, reason: StopReason) -> str:
+    """The advice if cameras do not see a body that is believed in a hand: to look again would not help, its fingers
+    tell whether it is there."""
     body = data.evaluation.body
-    holder = query.held_by(body) if body and reason is StopReason.NOT_SEEN else ""
-    return [f"VERIFY {body} AT {hand_in_words(holder)}"] if holder else []
+    if reason is not StopReason.NOT_SEEN or not body or not query.held_by(body):
+        return ""
+    return query.clears(f"{body}.grasp", {"grasp": program.clears.get("unseen_in_hand", "")})
 
 
 def _pressing_n(program: AnalyzerProgram, data: AnalyzerInput) -> float:
@@ -315,14 +325,19 @@ def _higher_limit(data: AnalyzerInput) -> list[str]:
     return [f"a FORCE-LIMIT above {limit_n:g} N, if nothing is in the way"] if own else []
 
 
-def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes, misplaced: bool) -> dict[str, str]:
-    """The advice that clears each fact made suspect by these changes, by the first fact that it clears."""
+def _ways_to_clear(
+    program: AnalyzerProgram, query: WorldQuery, changes: Changes, *, moved: bool, misplaced: bool
+) -> dict[str, str]:
+    """The advice that clears the facts made suspect by these changes, by the first fact that it clears.
+
+    `moved`: what is held may have moved in the hand. `misplaced`: its fingers do not help."""
     after = WorldQuery(query.model, query.world.overlay(changes))
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
     clears = program.clears
-    if misplaced:
+    if moved:
         held = next((change.key for change in changes if change.key.endswith(".grasp")), "").rpartition(".")[0]
-        row = "seen" if "seen" in clears and held and after.cameras(held) else "misplaced"
+        seen = "seen" in clears and held and after.cameras(held)
+        row = "seen" if seen else "misplaced" if misplaced else "grasp"
         clears = {**clears, "grasp": clears[row]}
     first: dict[str, str] = {}
     for key in suspect:
@@ -631,22 +646,50 @@ def _excess(data: AnalyzerInput) -> str:
     return f"{value} {unit} where {report.limit:.5g} {unit} is the limit"
 
 
+def _leaving(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, template: str) -> tuple[str, bool]:
+    """The advice for an arm that pressed on something, and whether it moves no object in the hand that is in doubt."""
+    if not template or not _pressing_n(program, data):
+        return "", False
+    row, back = _way_to_leave(query, data)
+    words = template.replace("{leave}", program.clears.get(row, "")).replace("{back}", back)
+    return words.replace("{away}", _away(query, data)), row != BACK or "{leave}" not in template
+
+
+def _way_to_leave(query: WorldQuery, data: AnalyzerInput) -> tuple[str, str]:
+    """How an arm leaves what it presses on where it may touch something: the row of `clears`, and the way (cm).
+
+    Back along its tool. Where it came to a stop on that way: back into the slot that an object was leaving, or along
+    another line."""
+    evaluation, report = data.evaluation, data.report
+    if evaluation.start_joints is None:
+        return BACK, ""
+    came = query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(report.tcp_pose[:3])
+    came_m, held = float(np.linalg.norm(came)), evaluation.held
+    frame = query.in_hand(held, report.tcp_pose) if held and evaluation.step.args.get("leaves") == "seat" else None
+    if frame is not None and query.slot_at(frame) and came_m >= IN_SLOT_M:
+        return "leave_slot", f"{min(AWAY_CM, 100.0 * came_m):.2g}"
+    backwards = float(came @ geometry.rotate(report.tcp_pose, [0.0, 0.0, 1.0])) > BACKWARDS * came_m
+    return "leave_line" if came_m > SHORT_M and backwards else BACK, ""
+
+
 def _away(query: WorldQuery, data: AnalyzerInput) -> str:
     """The line along an axis of the world that leads away from what the arm presses on, in words.
 
-    It goes back the way that the hand came, rather than with the force: an object that turns in the hand may press
-    aside."""
+    It goes back the way that the hand came, and not beyond its start, rather than with the force: an object that turns
+    in the hand may press aside."""
     evaluation, report = data.evaluation, data.report
     assert report.trip_wrench is not None
     pose = report.trip_pose or report.tcp_pose
     force = geometry.rotate(pose, report.trip_wrench[:3])
-    away = force / np.linalg.norm(force)
+    away, most_m = force / np.linalg.norm(force), np.full(3, math.inf)
     if evaluation.start_joints is not None:
         came = query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(pose[:3])
         if (came_m := float(np.linalg.norm(came))) > SHORT_M:
             away = away + 2.0 * came / came_m
+            most_m = np.where(came * away > SHORT_M * np.abs(away), np.abs(came), math.inf)
     axis = int(np.abs(away).argmax())
-    return f"{math.copysign(AWAY_CM, away[axis]):.0f} CM ALONG {'XYZ'[axis]}"
+    way_cm = min(AWAY_CM, 100.0 * float(most_m[axis]))
+    return f"{math.copysign(way_cm, away[axis]):.2g} CM ALONG {'XYZ'[axis]}"
 
 
 def _words(message: str, data: AnalyzerInput, reason: StopReason, short: str = "") -> str:

@@ -46,6 +46,12 @@ def _object_free(candidate: TaskCandidate) -> UnmetPrecondition | None:
     name = candidate.thing.name
     if holder := candidate.query.held_by(name):
         return UnmetPrecondition(f"{name} is held by {holder}", holder, thing=name)
+    return _perhaps_held(candidate)
+
+
+def _perhaps_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    assert candidate.thing is not None
+    name = candidate.thing.name
     perhaps = next((arm.name for arm in candidate.query.cell.arms if _may_hold(candidate, arm.name)), "")
     return UnmetPrecondition(f"{perhaps} may hold {name}", perhaps, "object_perhaps_held", name) if perhaps else None
 
@@ -98,7 +104,7 @@ def _object_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
         return UnmetPrecondition(
             f"{candidate.thing.name} is not held, and {candidate.arm.name} holds {other}", other, "hand_full"
         )
-    return UnmetPrecondition(f"{candidate.thing.name} is not held", candidate.thing.name)
+    return _perhaps_held(candidate) or UnmetPrecondition(f"{candidate.thing.name} is not held", candidate.thing.name)
 
 
 def _object_seated(candidate: TaskCandidate) -> UnmetPrecondition | None:

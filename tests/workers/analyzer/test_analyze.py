@@ -561,7 +561,7 @@ def test_a_motion_that_pressed_until_its_time_ended_reports_how_far_it_came_and_
 
     assert "40 mm" in pressed.message
     assert "16 N" in pressed.message
-    assert pressed.clears.startswith("look what is in the way")
+    assert pressed.clears.startswith("VERIFY MACS-NEW AT RIGHT-ARM; look what is in the way, then MOVE RIGHT-ARM BY")
     assert "40 mm" in free.message
     assert free.clears.startswith("a TIME-LIMIT above 20 S")
 
@@ -581,6 +581,95 @@ def test_a_laden_arm_that_pressed_at_its_stop_is_sent_back_the_way_it_came(bench
     assert "MOVE RIGHT-ARM BY -5 CM ALONG Z" in judged(bench, bound, pressed).clears
     free = ended(pressed, reason, trip_wrench=[0.0] * 6)
     assert "BY -5 CM" not in judged(bench, bound, free).clears
+
+
+def test_a_laden_arm_is_sent_back_along_a_line_after_its_hand_was_sensed(bench):
+    """Before, the line is refused: the grasp is suspect, and no camera helps."""
+    bench.without_cameras()
+    assert bench.do(GRASP).succeeded
+    assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
+    bound, report = bound_and_done(bench, "MOVE RIGHT-ARM BY 8 CM ALONG UP")
+    made = judged(bench, bound, pressed_down(report, StopReason.HALT))
+    first, then = made.clears.split("; ")
+    assert then == "look what is in the way, then MOVE RIGHT-ARM BY -5 CM ALONG Z"
+    bench.world = bench.world.overlay(made.changes)
+    line = then.partition(", then ")[2]
+    assert bench.elaborate(line).clears == first
+    for sentence in (first, line):
+        assert bench.do(sentence).succeeded, sentence
+
+
+def pressed_down(report: EndReport, reason: StopReason, **fields) -> EndReport:
+    in_tool = geometry.rotate(geometry.inverse(report.tcp_pose), [0.0, 0.0, -25.0]).tolist()
+    return ended(report, reason, trip_pose=report.tcp_pose, trip_wrench=[*in_tool, 0.0, 0.0, 0.0], **fields)
+
+
+WHILE_LIFTING = [StopReason.HALT, StopReason.FORCE_LIMIT, StopReason.CONTACT, StopReason.TIMEOUT]
+
+
+@pytest.mark.parametrize("reason", WHILE_LIFTING)
+def test_an_arm_that_pressed_above_the_slot_is_sent_back_along_its_tool(bench, reason):
+    assert bench.do(GRASP).succeeded
+    bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 14 CM", n=1)
+    made = judged(bench, bound, pressed_down(report, reason))
+    assert made.clears.startswith("look what is in the way, then RETRACT RIGHT-ARM; ")
+    bench.world = bench.world.overlay(made.changes)
+    assert bench.elaborate("RETRACT RIGHT-ARM").steps
+
+
+@pytest.mark.parametrize("reason", WHILE_LIFTING)
+@pytest.mark.parametrize(("lifted", "back"), [("8 CM", "-5 CM"), ("1.2 CM", "-1.2 CM")])
+def test_an_arm_that_pressed_in_a_slot_is_sent_back_into_it(bench, reason, lifted, back):
+    """Back along the tool would be the same way, or against the slot; and below its start is the bottom of the seat."""
+    bench.without_cameras()
+    assert bench.do(GRASP).succeeded
+    bound, report = bound_and_done(bench, f"LIFT MACS-NEW BY {lifted}", n=1)
+    made = judged(bench, bound, pressed_down(report, reason))
+    first, then, *_ = made.clears.split("; ")
+    assert first == "VERIFY MACS-NEW AT RIGHT-ARM"
+    assert then == f"look what is in the way, then LIFT MACS-NEW BY {back} WITH RIGHT-ARM"
+    bench.world = bench.world.overlay(made.changes)
+    height_m = bench.world.value("MACS-NEW.frame")[2]
+    for sentence in (first, then.partition(", then ")[2]):
+        assert bench.do(sentence).succeeded, sentence
+    assert bench.world.value("MACS-NEW.frame")[2] == pytest.approx(height_m + 0.01 * float(back.split()[0]), abs=1e-3)
+
+
+def test_a_hand_is_sent_back_no_further_than_it_came(bench):
+    bound, report = bound_and_done(bench, "MOVE RIGHT-ARM BY 2 CM ALONG UP")
+    assert "MOVE RIGHT-ARM BY -2 CM ALONG Z" in judged(bench, bound, pressed_down(report, StopReason.HALT)).clears
+
+
+def test_an_arm_whose_retreat_is_blocked_is_sent_another_way(bench):
+    bound, report = bound_and_done(bench, "RETRACT RIGHT-ARM BY 5 CM")
+    made = judged(bench, bound, pressed_down(report, StopReason.FORCE_LIMIT))
+    assert "then MOVE RIGHT-ARM BY " in made.clears
+    assert "RETRACT" not in made.clears
+
+
+@pytest.mark.parametrize(("off_m", "verdict"), [(0.010, "continue"), (0.020, "abort")])
+def test_what_an_arm_leaves_may_push_it_aside(bench, off_m, verdict):
+    bound, report = bound_and_done(bench, "RETRACT RIGHT-ARM")
+    aside = geometry.translate(report.tcp_pose, [off_m, 0.0, 0.0]).tolist()
+    assert judged(bench, bound, ended(report, StopReason.GOAL, tcp_pose=aside)).verdict == verdict
+
+
+def test_a_stop_that_was_asked_for_names_the_way_out_of_what_the_arm_presses_on(bench):
+    bound, report = bound_and_done(bench, "MOVE RIGHT-ARM BY 8 CM ALONG UP UNLESS FORCE EXCEEDS 20 N THEN STOP")
+    stopped = pressed_down(report, StopReason.FORCE_LIMIT, measured=25.0, limit=20.0)
+    made = judged(bench, bound, stopped)
+    assert "as asked" in made.message
+    assert made.clears == "RETRACT RIGHT-ARM, if it should leave what it pressed on"
+    free = judged(bench, bound, ended(stopped, StopReason.FORCE_LIMIT, trip_wrench=[0.0] * 6))
+    assert free.clears == ""
+
+
+def test_fingers_that_hold_an_object_askew_are_not_advised_to_close_again(bench):
+    assert bench.do(GRASP).succeeded
+    bound, report = bound_and_done(bench, "VERIFY MACS-NEW AT RIGHT-ARM")
+    wide = judged(bench, bound, ended(report, StopReason.GOAL, hand_width_m=report.hand_width_m + 0.005))
+    assert "SET MACS-NEW FRAME" in wide.clears
+    assert "again" not in wide.clears
 
 
 def test_an_empty_hand_that_moves_freely_puts_nothing_in_doubt(bench):

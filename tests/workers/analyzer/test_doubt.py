@@ -107,6 +107,16 @@ def test_an_object_that_a_hand_may_hold_is_not_taken_as_free(bench) -> None:
     assert bench.do(GRASP).succeeded
 
 
+def test_an_object_that_a_hand_may_hold_is_not_advised_to_be_grasped(bench) -> None:
+    """Its report was lost while the hand opened: the hand may not be open."""
+    bench.do("MOVE RIGHT-ARM TO-GRASP-POINT-OF MACS-NEW")
+    doubt(bench, "RIGHT-ARM.holding", "RIGHT-ARM.hand_width", "MACS-NEW.held_by")
+    for sentence in ("RELEASE MACS-NEW WITH RIGHT-ARM", "LIFT MACS-NEW BY 5 CM"):
+        refusal = bench.elaborate(sentence)
+        assert "RIGHT-ARM may hold MACS-NEW" in refusal.message
+        assert "OPEN RIGHT-ARM" in refusal.clears
+
+
 def test_a_hand_far_away_cannot_hold_it(bench) -> None:
     doubt(bench, "RIGHT-ARM.holding", "RIGHT-ARM.hand_width", "MACS-NEW.held_by")
     assert bench.do(GRASP).succeeded
