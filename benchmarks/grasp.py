@@ -66,6 +66,7 @@ SETTLE_TICKS, SETTLE_M = 100, 1e-4
 WAY_STEP_M = 0.01
 VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET"
 ADVISED = re.compile(rf"\b((?:{VERBS})(?: (?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?|x y z|roll pitch yaw))+)")
+PARTS = re.compile(r"; |, then ")
 STATED = re.compile(r"SET ([A-Z0-9-]+) FRAME")
 
 
@@ -222,8 +223,15 @@ class Scene:
         after = self.sim.arms[self.run.arm].read().joints
         return max(abs(a - b) for a, b in zip(before, after, strict=True)) < REST_RAD
 
-    def advised(self, text: str) -> Iterator[str]:
-        """The sentences of an advice, in their order. SET states the true pose."""
+    def advised(self, text: str) -> Iterator[list[str]]:
+        """The sentences of an advice, in their order, each with its alternatives."""
+        for part in PARTS.split(text):
+            alternatives = list(self._sentences(part))
+            if alternatives:
+                yield alternatives
+
+    def _sentences(self, text: str) -> Iterator[str]:
+        """The sentences in a text. SET states the true pose."""
         for sentence in ADVISED.findall(text):
             stated = STATED.match(sentence)
             if stated is None:
@@ -288,10 +296,13 @@ def _cleared(scene: Scene, text: str, done: Run) -> bool:
         advised = list(scene.advised(_clears(done)))
         if not advised:
             break
-        for sentence in advised[: MOST_ADVISED - given]:
-            given += 1
-            answer = scene.do(sentence)
-            history.append(f"{sentence}: {_why(answer)}")
+        for alternatives in advised:
+            for sentence in alternatives[: MOST_ADVISED - given]:
+                given += 1
+                answer = scene.do(sentence)
+                history.append(f"{sentence}: {_why(answer)}")
+                if answer.succeeded:
+                    break
         done = scene.do(text)
         history.append(f"again: {_why(done)}")
         if done.succeeded:

@@ -209,7 +209,7 @@ def test_on_physics_a_bay_that_is_14_mm_off_is_named_and_the_advice_leads_in(phy
     failed = physical.do("PLACE MACS-NEW ON BAY-2")
 
     clears = failed.assessments[-1].clears
-    assert clears.index("LIFT MACS-NEW BY 30 CM") < clears.index("LOCATE BAY-2") < clears.index("SET BAY-2 FRAME")
+    assert clears.index("LIFT MACS-NEW BY 30 CM") < clears.index("SET BAY-2 FRAME") < clears.index("LOCATE BAY-2")
     assert physical.world.get("BAY-2.frame").validity is Validity.SUSPECT
     for sentence in ("LIFT MACS-NEW BY 30 CM", "STOW RIGHT-ARM", "LOCATE BAY-2"):
         assert physical.do(sentence).succeeded, sentence

@@ -298,7 +298,7 @@ class WorldQuery:
         if attribute in ("frame", "angle"):
             row = "grasp" if holder else "angle" if self.hinge(location) and "angle" in clears else attribute
         if row == "frame" and "seen" in clears and self._look_helps(location):
-            row = "seen"
+            row = "seat_seen" if "seat_seen" in clears and self._is_seat(location) else "seen"
         words = clears.get(row, "sense {location} again")
         if "{position}" in words:
             frame = self.pose(location)
@@ -316,8 +316,11 @@ class WorldQuery:
 
     def _look_helps(self, body: str) -> bool:
         """Whether a camera can see the body, and a look may say more than is known: a seat stays where one saw it."""
-        seen = any(seat.name == body for seat in self.cell.seats) and self.world.get(f"{body}.sighting") is not None
+        seen = self._is_seat(body) and self.world.get(f"{body}.sighting") is not None
         return not seen and bool(self.cameras(body))
+
+    def _is_seat(self, body: str) -> bool:
+        return any(seat.name == body for seat in self.cell.seats)
 
     def narrows(self, key: str, clears: Mapping[str, str]) -> str:
         """The remedy that makes the spread of the pose of an object or seat smaller."""
