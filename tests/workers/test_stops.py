@@ -45,7 +45,7 @@ def test_an_arm_leaves_what_has_stopped_it(cause: str, laden: bool) -> None:
     assert run.moved, run.story
 
 
-@pytest.mark.parametrize("n", [0, 1, 2])
+@pytest.mark.parametrize("n", [0, 1, 2, 83])
 def test_runs_of_the_campaign(n: int) -> None:
     run = stops.run(n)
     assert run.moved, run.story

@@ -1,7 +1,7 @@
 """The last analysis of a command whose motion was stopped or lost: it updates the world facts (R138, R151). Pure.
 
-Its verdict is ignored, but not its advice for an arm that was halted. If it takes too long, it is deferred and the
-command ends.
+Its verdict is ignored, but not its advice for an arm that was halted or lost. If it takes too long, it is deferred and
+the command ends.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from broker.decisions.state import NIL, AssessmentHead, Command, PendingOutcome
 from rtc.protocol import wire
 from rtc.protocol.messages import EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
+
+WHEN_BACK = "when the subsystem is back"
+AGAIN = "then give the sentence again"
 
 read_assessment = wire.decoder(AssessmentHead)
 
@@ -45,15 +48,17 @@ def stop_after_analysis(context: DecisionContext, command: Command, ending: Pend
 
 
 def finish_closing(context: DecisionContext, command: Command, product: Any) -> None:
-    """End after the last analysis. `product`: its verdict, of which only the advice after a halt counts; or None."""
+    """End after the last analysis. `product`: its verdict, of which only the advice counts; or None."""
     assert command.pending_outcome is not None
     context.stop_timer(command)
     cancel(context, command)
     ending = command.pending_outcome
     refusal = ending.refusal
-    if ending.kind is OutcomeKind.HALTED and refusal is None and isinstance(product, msgspec.Raw):
-        clears = read_assessment(product).clears
-        refusal = Refusal(reason=RefusalReason.STATE, message=ending.message, clears=clears) if clears else None
+    clears = read_assessment(product).clears if isinstance(product, msgspec.Raw) else ""
+    if clears and ending.kind is OutcomeKind.HALTED and refusal is None:
+        refusal = Refusal(reason=RefusalReason.STATE, message=ending.message, clears=clears)
+    elif clears and ending.kind is OutcomeKind.LOST_SUBSYSTEM and refusal is not None:
+        refusal = msgspec.structs.replace(refusal, clears=f"{WHEN_BACK}: {clears}; {AGAIN}")
     end(context, command, ending.kind, message=ending.message, stop=ending.stop, refusal=refusal)
 
 

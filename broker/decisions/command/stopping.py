@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from broker.decisions import reporting
-from broker.decisions.command.closing import close, stop_after_analysis
+from broker.decisions.command.closing import AGAIN, WHEN_BACK, close, stop_after_analysis
 from broker.decisions.command.limits import await_rest, rest_limit_s
 from broker.decisions.command.termination import stop
 from broker.decisions.context import DecisionContext
@@ -20,8 +20,7 @@ from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReaso
 STOP = "stop-"  # prefix of the halt that stops a command's primitive; the command's number follows
 
 
-RETRY_ADVICE = "give the sentence again when the subsystem is back"
-AGAIN = "then give the sentence again"
+RETRY_ADVICE = f"give the sentence again {WHEN_BACK}"
 UNCONFIRMED_ADVICE = f"look whether the arm rests, and see in rtc status whether the subsystem is back; {AGAIN}"
 
 

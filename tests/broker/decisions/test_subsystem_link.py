@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from broker.decisions.command import stopping
 from broker.decisions.resources import WORLD
+from rtc.protocol.messages import Assessment
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from tests.broker.harness import Harness, bound, go_on
 
@@ -18,6 +19,16 @@ def test_a_lost_subsystem_says_what_leads_on():
     assert (s.outcome("C-1").kind, s.outcome("C-1").refusal.clears) == (
         OutcomeKind.LOST_SUBSYSTEM,
         stopping.RETRY_ADVICE,
+    )
+
+
+def test_a_lost_subsystem_says_how_the_facts_are_trusted_again_before_the_sentence_is_repeated():
+    s = Harness()
+    s.executing()
+    s.mcm_gone()
+    s.answers("C-1", Assessment(verdict="abort", reason=StopReason.SUBSYSTEM_LOST, clears="VERIFY X AT RIGHT-ARM"))
+    assert s.outcome("C-1").refusal.clears == (
+        "when the subsystem is back: VERIFY X AT RIGHT-ARM; then give the sentence again"
     )
 
 
