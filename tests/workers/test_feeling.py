@@ -112,10 +112,13 @@ def test_pads_that_are_held_apart_do_not_tell_about_which_axis(bench, feel):
     assert pitch == pytest.approx(math.radians(5.0), rel=0.1)  # nothing measures it
 
 
-def test_without_a_twist_the_width_only_bounds_how_askew_it_may_be(bench, feel):
+@pytest.mark.parametrize("twist_nm", [0.0, 0.06])
+def test_without_a_clear_twist_the_width_only_bounds_how_askew_it_may_be(bench, feel, twist_nm):
+    """An arm that gave way has shown 0.06 N.m of the wrong sign at 10 N, with friction 1.5."""
     here = at_the_handle(bench, [0.0, 0.0, 0.0])
+    wrench = [0.0, 0.0, 0.0, twist_nm, 0.0, 0.0]
 
-    feel("press", tcp_pose=here, hand_width_m=0.02 * (1.0 + 0.5 * TURNED), hand_force_n=10.0)
+    feel("press", tcp_pose=here, hand_width_m=0.02 * (1.0 + 0.5 * TURNED), hand_force_n=10.0, wrench=wrench)
 
     turned = geometry.relative(bench.model.cell.object_pose("MACS-NEW"), believed(bench).value)
     assert geometry.angle(geometry.IDENTITY, turned) < 1e-6

@@ -215,7 +215,7 @@ def test_on_physics_a_bay_that_is_14_mm_off_is_named_and_the_advice_leads_in(phy
         assert physical.do(sentence).succeeded, sentence
     again = physical.do("PLACE MACS-NEW ON BAY-2")
     assert not again.succeeded
-    assert "LOCATE BAY-2" not in again.assessments[-1].clears  # the cameras have said what they can
+    assert "LOCATE BAY-2" not in again.assessments[-1].clears  # the cameras know no better
     stated = f"SET BAY-2 FRAME {x:.1f} {y:.1f} {z:.1f} CM 0 0 0 DEG"
     for sentence in (stated, "LIFT MACS-NEW BY 30 CM", "PLACE MACS-NEW ON BAY-2"):
         run = physical.do(sentence)

@@ -25,7 +25,8 @@ ALONG_BAR = (1.0, 0.0, 0.0)
 CENTRED_M = 0.001  # uncertainty of the centre between two fingers
 ASKEW_RAD = 0.012  # uncertainty of a bar's tilt derived from the hand width
 STRAIGHT_RAD = 0.005  # the sign of a smaller tilt cannot be measured
-TWIST = 0.25  # minimum fraction of a tilted bar's torque that determines the sign
+# Minimum fraction of a tilted bar's torque that determines the sign. An arm that gives way has shown -0.3.
+TWIST = 0.5
 NO_TORQUE_NM = 0.02
 FREE_M, FREE_RAD = 0.04, 0.25  # how far a closing hand moves and turns a free module: up to 34 mm and 12 deg in physics
 
