@@ -10,7 +10,8 @@ displacement is along or about one axis alone. One is halved if the module would
 straight way out of its seat would come nearer than 5 mm to one: the seat is displaced, the satellite around it is not.
 A run grasps the module, lifts it, and puts it back; every third run puts it into the other seat. After each sentence
 all valid facts are compared with the truth. After a failure the advised sentences are given, at most four of them; SET
-states the true pose. Then the failed sentence must succeed.
+states the true pose. Then the failed sentence must succeed, or another obstacle be named, and so on: the same advice
+twice, or four obstacles, are stuck. What the true scene does not allow is counted apart.
 `--short`: the grasp alone. A shard (`--seed-from`) writes its runs into a file (`--out`), after each run;
 `--join` adds shards up.
 
@@ -18,6 +19,7 @@ states the true pose. Then the failed sentence must succeed.
     wrong_valid_facts     valid facts that are off by more than 5 mm or 2 deg beyond their spread
     outside_spread        valid poses whose truth lies outside their stated spread
     stuck                 failures that their advice did not clear
+    infeasible            sentences that the planner refuses with the true poses
     restless              arms that moved after a failed command
     false_successes       PLACE that succeeded with the module more than 5 mm or 2 deg from its seat
 """
@@ -44,6 +46,7 @@ import pybullet
 from benchmarks.report import finish, question
 from rtc.cells.cell import Cell
 from rtc.language.record import ParsedCommand
+from rtc.protocol.outcomes import RefusalReason
 from rtc.robot import geometry
 from tests.campaigns.against_truth import judge
 from tests.workers.conftest import CELL, GRAMMAR, Bench, Physical, Run
@@ -60,7 +63,7 @@ FAR_M, FAR_RAD = 0.025, math.radians(4.0)
 STRADDLE_M = 0.014
 NARROW_M = 0.010
 SEATED_M, SEATED_RAD = 0.005, math.radians(2.0)
-MOST_ADVISED = 4
+MOST_ADVISED, MOST_OBSTACLES = 4, 4
 REST_TICKS, REST_RAD = 200, 1e-3  # an arm at rest turns by less in this time
 SETTLE_TICKS, SETTLE_M = 100, 1e-4
 WAY_STEP_M = 0.01
@@ -90,6 +93,7 @@ class GraspRun:
     outside: list[str] = field(default_factory=list)
     failed: str = ""
     stuck: str = ""
+    infeasible: str = ""
     restless: str = ""
     false_success: str = ""
     trims: int = 0
@@ -114,9 +118,8 @@ class GraspRun:
         how = f"{'grasped' if self.grasped else 'NOT grasped'}, {'placed' if self.placed else 'not placed'}"
         labels = ("WRONG", self.wrong), ("OUTSIDE", self.outside)
         bad = [f"{label} {len(found)}: {found[0]}" for label, found in labels if found]
-        bad += [
-            f"{n.upper()}: {t}" for n in ("failed", "stuck", "restless", "false_success") if (t := getattr(self, n))
-        ]
+        names = ("failed", "stuck", "infeasible", "restless", "false_success")
+        bad += [f"{name.upper()}: {text}" for name in names if (text := getattr(self, name))]
         return (
             f"run {self.number}: {scene}, {'cameras' if self.cameras else 'touch'}, mass {self.mass:g} "
             f"friction {self.friction:g}, {where}: {how}, {self.trims} trims, {self.seconds:.1f} s"
@@ -286,19 +289,18 @@ def _chain(scene: Scene, short: bool) -> None:
 
 
 def _cleared(scene: Scene, text: str, done: Run) -> bool:
-    """Whether a failed sentence succeeds after its advice, of at most four sentences."""
+    """Whether a failed sentence succeeds after its advice, of at most four sentences for each obstacle."""
     run = scene.run
     history = [f"{text}: {_why(done)}"]
     run.failed = run.failed or f"{text}: {_why(done)}"
     run.restless = run.restless or ("" if scene.rests() else f"after {text}")
-    given = 0
-    while given < MOST_ADVISED:
-        advised = list(scene.advised(_clears(done)))
-        if not advised:
-            break
-        for alternatives in advised:
-            for sentence in alternatives[: MOST_ADVISED - given]:
-                given += 1
+    given: list[str] = []
+    for _ in range(MOST_OBSTACLES):
+        before, left = _clears(done), MOST_ADVISED
+        for alternatives in scene.advised(before):
+            for sentence in alternatives[:left]:
+                left -= 1
+                given.append(sentence)
                 answer = scene.do(sentence)
                 history.append(f"{sentence}: {_why(answer)}")
                 if answer.succeeded:
@@ -307,7 +309,13 @@ def _cleared(scene: Scene, text: str, done: Run) -> bool:
         history.append(f"again: {_why(done)}")
         if done.succeeded:
             return True
-    run.stuck = " | ".join(history)
+        if _clears(done) == before or left == MOST_ADVISED:
+            break
+    known = any(sentence.startswith(f"SET {scene.module} ") for sentence in given)
+    if known and done.refusal is not None and done.refusal.reason is RefusalReason.INFEASIBLE:
+        run.infeasible = " | ".join(history)
+    else:
+        run.stuck = " | ".join(history)
     return False
 
 
@@ -352,6 +360,7 @@ def metrics_of(done: Sequence[GraspRun]) -> dict[str, float | None]:
         "wrong_valid_facts": sum(len(run.wrong) for run in done),
         "outside_spread": sum(len(run.outside) for run in done),
         "stuck": sum(bool(run.stuck) for run in done),
+        "infeasible": sum(bool(run.infeasible) for run in done),
         "restless": sum(bool(run.restless) for run in done),
         "false_successes": sum(bool(run.false_success) for run in done),
         "placed": sum(run.placed for run in done),

@@ -333,6 +333,8 @@ def _ways_to_clear(
     `moved`: what is held may have moved in the hand. `misplaced`: its fingers do not help."""
     after = WorldQuery(query.model, query.world.overlay(changes))
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
+    if any(key.endswith(".holding") for key in suspect):  # what it may hold is neither looked for nor taken before that
+        suspect = [key for key in suspect if not key.endswith(".frame") or after.held_by(key.rpartition(".")[0])]
     clears = program.clears
     if moved:
         held = next((change.key for change in changes if change.key.endswith(".grasp")), "").rpartition(".")[0]

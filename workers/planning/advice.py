@@ -48,7 +48,7 @@ def advise_on_collision(
         or ("way_other" if other else "")
         or hinged
         or _at_goal(refusal, query, body)
-        or ("way_shared" if query.sharers(arm) else "way")
+        or ("way_shared" if query.sharers(arm) else "way_far" if _far(refusal) and "way_far" in clears else "way")
     )
     known = [place for place in query.places if arm in place.poses or arm in place.joints_deg]
     places = [place.name for place in known if place.name != goal]
@@ -105,6 +105,11 @@ def _turn_in_words(query: WorldQuery, body: str) -> str:
     if math.degrees(query.angle(body)) > 0.5 * (closed_deg + open_deg):
         return f"CLOSE {body}"
     return f"OPEN {body} TO {SHARE_OF_RANGE * open_deg:.0f} DEG"
+
+
+def _far(refusal: Refusal) -> bool:
+    """Whether the way is blocked in its second half: to draw the arm back would not clear it."""
+    return 0.5 < float(refusal.detail.get("fraction", 0.0)) < 1.0
 
 
 def _at_goal(refusal: Refusal, query: WorldQuery, body: str) -> str:

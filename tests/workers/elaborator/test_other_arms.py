@@ -71,4 +71,5 @@ def test_the_advice_for_a_body_that_no_camera_saw_begins_with_a_sentence(bench: 
     program = analyzer.compile(bench.programs["analyzer"])
     outcome = program.classes[advice]
     sentence, _, _ = (outcome.again or outcome.clears).partition(",")
-    assert record(sentence.replace("{object}", "MACS-OLD")).object == "MACS-OLD"
+    typed = sentence.replace("{object}", "MACS-OLD").replace("x y z", "80 -80 60")
+    assert record(typed).object == "MACS-OLD"
