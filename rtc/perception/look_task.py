@@ -47,6 +47,7 @@ class _Side:
         self.first_s: float | None = None  # exposure of the first picture
         self.unseen = ""  # why the body is not in the latest picture
         self.failure = ""  # why there is not a picture
+        self.motion = Motion()  # of the body, by the pictures of this camera: their common errors do not matter
 
     def unseen_s(self) -> float | None:
         """It counts pictures without the body, not the time without pictures: a busy machine hides nothing."""
@@ -66,7 +67,6 @@ class LookTask:
         self.halted = False
         self.over = False  # its end report is out
         self._sides = {camera: _Side(now_s) for camera in primitive.performers}
-        self._motion = Motion()
         self._predicts = False  # the latest picture shows the body
         self._report_s = now_s + (primitive.reporting.every_s or 0.0)  # beat of the exposures that are reported
         self._reported_s = now_s  # exposure of the latest picture that was reported
@@ -81,8 +81,9 @@ class LookTask:
 
     def windows(self, camera: str, now_s: float) -> Windows:
         """Where the tags of a body that it follows are expected in a picture; empty: it needs the whole picture."""
-        view, pose = self._sides[camera].view, self._motion.predicted(now_s)
-        if view is None or pose is None or not self._predicts:
+        side = self._sides[camera]
+        view, pose = side.view, side.motion.predicted(now_s)
+        if not self.follows or view is None or pose is None or not self._predicts:
             return {}
         return windows(self.tags, pose, view)
 
@@ -96,14 +97,16 @@ class LookTask:
         if picture.image is None and not shown:  # it may be elsewhere in the picture
             self._predicts = False
             return
-        # The beat is kept, unless a picture is too late for it.
-        side.due_s = max(side.due_s, picture.at_s - 0.5 * self.look.every_s) + self.look.every_s
+        # A look that follows keeps its beat, unless a picture is too late for it.
+        beat_s = max(side.due_s, picture.at_s - 0.5 * self.look.every_s) if self.follows else picture.at_s
+        side.due_s = beat_s + self.look.every_s
         side.view, side.latest_s = picture.view, picture.at_s
         side.first_s = picture.at_s if side.first_s is None else side.first_s
         new = Seen(picture.view, picture.marks)
         kept = [new] if self.follows else [*side.seen, new]
         others = [one for other in self._sides.values() if other is not side for one in other.seen]
-        found = self._located([*others, *kept], picture.at_s) if shown else None
+        expected = side.motion.predicted(picture.at_s)
+        found = self._located([*others, *kept], expected if self.follows else None) if shown else None
         self._predicts = found is not None
         if found is None:
             assert picture.image is not None or shown
@@ -112,8 +115,9 @@ class LookTask:
         side.seen, side.seen_s, side.unseen = kept, picture.at_s, ""
         self.fit = found
         self.pictures += 1
-        if self.follows:
-            self._motion.take(picture.at_s, found.pose)
+        alone = found if len(others) + len(kept) == 1 else self._located([new], expected)
+        if alone is not None:
+            side.motion.take(picture.at_s, alone.pose)
 
     def fail(self, camera: str, why: str, retry_s: float) -> None:
         """The camera gave no picture. It tries again at `retry_s`, until the time limit."""
@@ -144,7 +148,7 @@ class LookTask:
             age_s=max(0.0, now_s - seen_s),
             pictures=self.pictures,
             ambiguous=self.fit.ambiguous,
-            velocity=self._motion.velocity(),
+            velocity=self._velocity(),
             cameras=cameras if len(cameras) > 1 else [],
         )
 
@@ -189,8 +193,12 @@ class LookTask:
     def _seen_s(self) -> float | None:
         return max((side.seen_s for side in self._sides.values() if side.seen_s is not None), default=None)
 
-    def _located(self, pictures: Sequence[Seen], at_s: float) -> Fit | None:
-        expected = self._motion.predicted(at_s)
+    def _velocity(self) -> list[float] | None:
+        """By the camera that sees the body move fastest; None: no camera has seen it for long enough."""
+        found = [one for side in self._sides.values() if (one := side.motion.velocity()) is not None]
+        return max(found, key=lambda one: float(np.linalg.norm(one[:3])), default=None)
+
+    def _located(self, pictures: Sequence[Seen], expected: Array | None) -> Fit | None:
         return locate(self.tags, pictures, {} if expected is None else {BODY: expected}).get(BODY)
 
     def _absence(self, picture: Evaluated) -> str:

@@ -10,7 +10,7 @@ from rtc.robot import geometry
 from rtc.robot.geometry import Array
 
 KEPT_S = 1.0  # age of the oldest pose
-LEAST_S = 0.3  # span of poses below which a velocity would be noise
+LEAST_S = 0.25  # span of poses below which a velocity would be noise
 
 
 class Motion:

@@ -64,7 +64,7 @@ PLACEHOLDERS = (
 #: placeholders in the failure texts of the analyzer
 FAILURE_PLACEHOLDERS = (
     *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
-    *("width", "wanted", "off", "or_load", "excess", "short", "jam"),
+    *("width", "wanted", "off", "or_load", "excess", "speed", "short", "jam"),
     *("camera", "turned"),
 )
 #: keys of `words` of a step that have an effect
@@ -91,7 +91,7 @@ ARGS = (
     "spin_m",  # of a compliant step: stiffness in rotation about its axis = stiffness * this squared
     *("press_from_n", "press_s"),  # that set-point at the start, and the time in which it changes
     *("needs_m", "needs_rad"),  # required accuracy of the held object's pose
-    *("within_rad", "pictures", "seen_m", "seen_rad", "seated_m"),  # of a look
+    *("within_rad", "pictures", "seen_m", "seen_rad", "seated_m", "at_rest"),  # of a look
 )
 #: performers of steps
 PERFORMERS = ("active_arm", "camera")

@@ -66,13 +66,14 @@ def at(cell, body: str, by: list[float], yaw_deg: float = 0.0) -> tuple[SceneVie
 
 def test_a_body_is_found_where_it_is_and_not_where_it_is_believed_to_be(cell, eyes, look) -> None:
     scene, true = at(cell, MODULE, [0.01, -0.02, 0.0], yaw_deg=5.0)
-    report = eyes.perform(look(pictures=2), scene)
+    report = eyes.perform(look(pictures=2, every_s=0.3), scene)
     assert report.reason is StopReason.FOUND
     assert report.joints == report.tcp_pose == []
     seen = report.sighting
     assert geometry.distance(seen.pose, true) < 1e-6
     assert geometry.angle(seen.pose, true) < 1e-6
-    assert (seen.pictures, seen.ambiguous, seen.velocity) == (2, False, None)
+    assert (seen.pictures, seen.ambiguous) == (2, False)
+    assert seen.velocity == pytest.approx([0.0] * 6, abs=1e-6)
     assert {0, 1, 2, 3} <= set(seen.tags)
     assert 0.0 <= seen.age_s < 2 * PERIOD_S
     assert 0.0 < math.sqrt(seen.covariance[0]) < 0.002
@@ -145,6 +146,22 @@ def test_a_slowly_turning_body_is_followed_ten_times_a_second(cell, eyes, look) 
     assert end.sighting.velocity == pytest.approx([0, speed, 0, rate, 0, 0], abs=1e-4)
     turned = [geometry.angle(one.sighting.pose, cell.object_pose(FACE)) for one in progress]
     assert np.all(np.diff(turned) > 0.0)
+
+
+def test_a_look_for_a_body_at_rest_measures_that_it_moves(cell, eyes, look) -> None:
+    camera, speed = Camera("CAMERA-1"), 0.003
+    camera.accept(look(pictures=2, every_s=0.3), eyes.now_s)
+    begun_s, messages = eyes.now_s, []
+    while not messages:
+        eyes.now_s += 0.02
+        if camera.due_s is not None and eyes.now_s >= camera.due_s:
+            scene, _ = at(cell, MODULE, [0.0, 0.0, speed * (eyes.now_s - begun_s)])
+            camera.take(eyes.picture("CAMERA-1", scene))
+        messages += camera.tick(eyes.now_s)
+    (end,) = messages
+    assert end.reason is StopReason.FOUND
+    assert end.sighting.pictures == 2
+    assert end.sighting.velocity == pytest.approx([0.0, 0.0, speed, 0.0, 0.0, 0.0], abs=1e-5)
 
 
 def test_a_body_that_goes_out_of_sight_ends_the_following(cell, eyes, look) -> None:

@@ -17,7 +17,7 @@ from rtc.client.client import Client
 from rtc.client.handle import CommandHandle
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
-from rtc.protocol.faults import BlindCamera
+from rtc.protocol.faults import BlindCamera, Drifting
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.robot import geometry
 from rtc.runtime.chaos import Chaos
@@ -90,6 +90,18 @@ def test_a_blind_camera_states_that_it_is_dark(rtc: Client) -> None:
     assert outcome.kind is OutcomeKind.FAILED
     assert outcome.stop is StopReason.NOT_SEEN
     assert "too dark" in outcome.message
+
+
+def test_a_module_that_drifts_is_not_grasped(rtc: Client) -> None:
+    rtc.inject(Drifting(object="MACS-NEW", velocity=[0.0, 0.0, 0.003, 0.0, 0.0, 0.0]))
+    try:
+        outcome = rtc.run("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", timeout_s=LIMIT_S).outcome
+    finally:
+        rtc.undo_fault("ALL")
+    assert outcome.kind is OutcomeKind.FAILED
+    assert "mm/s" in outcome.message
+    (fact,) = rtc.world.view(keys=["MACS-NEW.frame"]).facts
+    assert fact.validity is m.Validity.SUSPECT
 
 
 def test_a_satellite_that_turns_by_itself_is_followed(rtc: Client, run_dir: Path) -> None:

@@ -8,11 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from rtc.cells.scene import SceneView
+from rtc.perception.look_task import Evaluated
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.robot import geometry
 from rtc.world.spread import even
 from tests.workers.conftest import CELL
+from tests.workers.eyes import Ideal
 from workers.planning.robot_models import CellModel
 
 MODULE, OTHER = "MACS-NEW", "MACS-OLD"
@@ -39,6 +42,34 @@ def test_locate_writes_the_pose_with_its_uncertainty_and_the_seat_that_moved_wit
 
     again = bench.elaborate("GRASP LEFT-END-EFF MACS-OLD HANDLE-B")
     assert again.context.script == "grasp-centering"  # no need to feel for it any more
+
+
+class Drifting(Ideal):
+    """A module moves along its handle while cameras look."""
+
+    def __init__(self, speed_m_s: float) -> None:
+        super().__init__(CELL)
+        self._speed_m_s, self._begun_s = speed_m_s, self.now_s
+
+    def picture(self, name: str, scene: SceneView) -> Evaluated:
+        pose = geometry.translate(scene.poses[MODULE], [0.0, 0.0, self._speed_m_s * (self.now_s - self._begun_s)])
+        return super().picture(name, msgspec.structs.replace(scene, poses={**scene.poses, MODULE: pose.tolist()}))
+
+
+def test_a_module_that_moves_is_not_grasped_and_its_pose_is_not_trusted(bench) -> None:
+    bench.unsurveyed()
+    bench.subsystem.eyes = Drifting(0.003)
+    run = bench.do(GRASP)
+    assert run.failure.reason is StopReason.OUT_OF_RANGE
+    assert "3.0 mm/s" in run.failure.message
+    assert f"TRACK {MODULE}" in run.failure.clears
+    assert [made.performer for made in run.primitives] == ["CAMERA-1"]  # no arm has moved
+    assert frame(bench, MODULE).validity is Validity.SUSPECT
+    assert bench.do(f"LOCATE {MODULE}").succeeded  # it measures a body that moves too
+    assert frame(bench, MODULE).validity is Validity.SUSPECT
+
+    bench.subsystem.eyes = Drifting(0.0)
+    assert bench.do(GRASP).succeeded
 
 
 def test_a_primitive_for_a_camera_has_tags_and_no_names(bench) -> None:

@@ -39,6 +39,7 @@ UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE
 
 CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
 SEEN = "sighted"  # effect of steps that look
+MOVES = "moves"  # finding of a look that needs the body at rest
 BOTH = "move_both"  # space of the steps that move both arms
 #: stop reasons of a hand that pressed on something: this may turn a held object between the fingers
 PRESSED = frozenset(
@@ -117,6 +118,8 @@ def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
         return "displaced" if _is_displaced(data) else ""
     if evaluation.step.args.get("effect") == SEEN and report.reason is StopReason.GOAL and report.sighting is None:
         return "unseen"
+    if evaluation.step.args.get("at_rest") and report.sighting is not None and sighting.moves(report.sighting):
+        return MOVES
     within_m = evaluation.step.args.get("within_m")
     if isinstance(within_m, float):  # instead of the tolerance of the program
         return "elsewhere" if _off_m(data) > within_m else ""
@@ -243,8 +246,8 @@ def _failure(
     changes += _touched_object_changes(program, query, data, failure)
     changes += nearby.doubtful(query, data) if "near" in failure.suspect else []
     changes += _target_changes(query, data) if "target" in failure.suspect else []
-    if evaluation.step.args.get("effect") == SEEN and not _wrong(program, data):
-        changes += EFFECTS[SEEN](query, data, Validity.VALID)  # it was stopped, but has seen the body
+    if evaluation.step.args.get("effect") == SEEN and _wrong(program, data) in ("", MOVES):
+        changes += EFFECTS[SEEN](query, data, Validity.VALID)  # it was stopped, or the body moves, but it was seen
     missed = evaluation.step.args.get("missed")
     if isinstance(missed, str) and missed in EFFECTS and failure.retriable and not data.closing and not data.trims_used:
         changes += EFFECTS[missed](query, data, Validity.SUSPECT)
@@ -713,6 +716,7 @@ def _words(message: str, data: AnalyzerInput, reason: StopReason, short: str = "
         "wanted": f"{least * 1000:.0f} to {most * 1000:.0f}",
         "off": f"{_off_m(data) * 1000:.1f}",
         "turned": f"{math.degrees(_turned_rad(data)):.1f}",
+        "speed": sighting.speed_in_words(report.sighting),
         "jam": _jam(report),
         "excess": _excess(data),
         "short": short,

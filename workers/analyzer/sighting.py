@@ -85,16 +85,26 @@ def _doubt(query: WorldQuery, data: AnalyzerInput, sighting: Sighting) -> str:
     A busy machine needs seconds to find the tags in a picture. A look reserves the hand that holds its body, so a held
     body has not moved since. The hand is free to move after a TRACK has lost its body.
     """
-    if _moves(sighting):
+    if moves(sighting):
         return "it moves"
     rests = data.report.reason is StopReason.FOUND and query.held_by(data.evaluation.body)
     return "" if rests or sighting.age_s <= OLD_S else f"it was seen {sighting.age_s:.1f} s ago"
 
 
-def _moves(sighting: Sighting) -> bool:
-    if sighting.velocity is None:
-        return False
-    return math.hypot(*sighting.velocity[:3]) > MOVES_M_S or math.hypot(*sighting.velocity[3:]) > MOVES_RAD_S
+def moves(sighting: Sighting) -> bool:
+    metres, radians = _speeds(sighting)
+    return metres > MOVES_M_S or radians > MOVES_RAD_S
+
+
+def speed_in_words(sighting: Sighting | None) -> str:
+    metres, radians = _speeds(sighting)
+    return f"{1e3 * metres:.1f} mm/s, {math.degrees(radians):.1f} deg/s"
+
+
+def _speeds(sighting: Sighting | None) -> tuple[float, float]:
+    """m/s and rad/s; 0 if nothing has measured them."""
+    velocity = sighting.velocity if sighting is not None else None
+    return (math.hypot(*velocity[:3]), math.hypot(*velocity[3:])) if velocity is not None else (0.0, 0.0)
 
 
 def _content(query: WorldQuery, seat: str, frame: Array, spread: list[float], validity: Validity) -> Changes:
