@@ -1,7 +1,4 @@
-"""The broker is stopped by SIGSTOP during a guarded move: the MCM stops at the contact by itself (R55).
-
-A real cluster with pybullet in real time.
-"""
+"""A real cluster with pybullet in real time: guarded moves without a broker (R55), an arm that is pushed at rest."""
 
 from __future__ import annotations
 
@@ -15,6 +12,8 @@ import pytest
 
 from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
+from rtc.protocol import messages as m
+from rtc.protocol.faults import Drifting
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.robot import geometry
 from rtc.runtime.process_table import processes
@@ -58,3 +57,26 @@ def test_a_guarded_move_stops_at_the_contact_without_the_broker(run_dir: Path) -
         assert end.outcome.kind is OutcomeKind.FAILED
         assert end.outcome.stop is StopReason.CONTACT
         assert "as asked: UNLESS CONTACT THEN STOP" in end.outcome.message
+
+
+def test_an_arm_that_is_pushed_at_rest_is_braked_and_reported_and_can_leave(run_dir: Path) -> None:
+    with Client(run_dir) as rtc:
+        before = rtc.truth().joints
+        events = rtc.events(silence_s=LIMIT_S)
+        rtc.inject(Drifting(object="SATELLITE", velocity=[-0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        ended = next(one for one in events if isinstance(one, m.CommandEnded))
+        rtc.undo_fault("ALL")
+        assert ended.outcome.kind is OutcomeKind.FAILED
+        arm, other = sorted(before, key=lambda name: name in ended.outcome.message, reverse=True)
+        assert ended.outcome.message.startswith(f"{arm} moved without a command")
+        (mcm,) = (row for row in rtc.status()["subsystems"] if row["name"] == "MCM")
+        assert any(arm in words for words in mcm["strayed"])
+        facts = {fact.key: fact for fact in rtc.world.view(keys=[arm]).facts}
+        assert facts[f"{arm}.joints"].validity is m.Validity.SUSPECT
+
+        rtc.displace("SATELLITE", [0.6, 0.0, 0.0, 0.0, 0.0, 0.0])
+        assert rtc.truth().joints[arm] != pytest.approx(before[arm], abs=0.01)
+        for sentence in (f"STOW {other}", f"STOW {arm}"):  # each reads the joints of the arm that was pushed
+            assert rtc.run(sentence, timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+        (mcm,) = (row for row in rtc.status()["subsystems"] if row["name"] == "MCM")
+        assert not mcm["strayed"]
