@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from broker.decisions.decide import CLIENTS_KEPT
 from rtc.protocol.outcomes import RefusalReason
 from tests.broker.harness import Harness, bound, give_up, go_on, record
@@ -54,6 +56,21 @@ def test_after_last_without_one_before_is_refused():
     refusal = s.outcome("C-2").refusal
     assert (refusal.reason, refusal.where) == (RefusalReason.NAME, "LAST")
     assert "AFTER C-n" in refusal.clears
+
+
+@pytest.mark.parametrize(("relation", "word"), [("after", "AFTER"), ("together_with", "TOGETHER-WITH")])
+def test_last_in_another_rtc_do_is_refused_with_the_reason_and_what_to_write(relation, word):
+    """The second `rtc do` of one person has a client of its own; the first one's command is still under way."""
+    s = Harness()
+    s.analyzing()
+    s.says(f"STOW {word} LAST", client="another rtc do")
+    s.answers("C-2", record(**{relation: "LAST"}))
+
+    refusal = s.outcome("C-2").refusal
+    assert refusal.message.startswith(f"{word} LAST: this client has given no command before")
+    assert "each `rtc do` is a client of its own" in refusal.message
+    assert refusal.clears.startswith("both sentences in one `rtc do`")
+    assert f"{word} C-n" in refusal.clears
 
 
 def test_the_latest_commands_of_many_clients_are_bounded():
