@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,11 +35,19 @@ class Typist:
         self.definitions: list[str] = []  # NAME=VALUE lines, for the lines after them
         self.beside: list[tuple[str, subprocess.Popen[str]]] = []
         binaries = Path(sys.executable).parent
-        self.environment = os.environ | {
+        environment = os.environ | {
             "RTC_RUN_DIR": str(place / "run"),
             "PATH": f"{binaries}{os.pathsep}{os.environ['PATH']}",
             "COLUMNS": "200",
             "XDG_DATA_HOME": str(place / "data"),
+        }
+        self.terminal: dict[str, Any] = {
+            "cwd": place,
+            "env": environment,
+            "stdin": subprocess.DEVNULL,
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.STDOUT,
+            "text": True,
         }
 
     def type_block(self, block: str) -> None:
@@ -67,31 +76,13 @@ class Typist:
 
     def run(self, command: str) -> tuple[int, str]:
         """Type one line and wait. Returns exit status and output."""
-        done = subprocess.run(
-            self._shell(command),
-            cwd=self.place,
-            env=self.environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-        )
+        done = subprocess.run(self._shell(command), timeout=LIMIT_S, check=False, **self.terminal)
         self.printed += done.stdout
         return done.returncode, done.stdout
 
     def start(self, command: str, until: str = "") -> None:
         """Type one line in another terminal. With `until`, wait for a line of output that contains it."""
-        child = subprocess.Popen(
-            self._shell(f"exec {command}"),
-            cwd=self.place,
-            env=self.environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
+        child = subprocess.Popen(self._shell(f"exec {command}"), **self.terminal)
         self.beside.append((command, child))
         assert child.stdout is not None
         while until:
