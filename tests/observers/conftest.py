@@ -34,7 +34,7 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.02)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")  # not "session": it would run beside all later tests
 def watched(tmp_path_factory) -> Iterator[Watched]:
     recordings = tmp_path_factory.mktemp("recordings")
     with TemporaryDirectory(prefix="rtc-") as run_dir:  # a short path: sockets are in it
