@@ -4,6 +4,8 @@
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
 VENV := .venv
+# Many images set it. Every process of a test or a cluster would compile its modules anew: a second per cluster.
+unexport PYTHONDONTWRITEBYTECODE
 BIN := $(VENV)/bin
 # For tests that judge no time; the last ones are divided anew. One worker needs up to 0.4 GB.
 FAST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
