@@ -18,7 +18,7 @@ from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyRing
 from tests.processes.test_gateway import free_ports
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 LIMIT_S = 60.0
 
 

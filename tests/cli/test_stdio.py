@@ -104,6 +104,7 @@ def rtc(words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 @pytest.mark.parametrize(
     ("words", "status", "message"),
     [

@@ -111,6 +111,7 @@ def test_version_and_help_as_people_try_them(
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_bash_completes_commands_and_options() -> None:
     script = """
     eval "$(rtc --show-completion bash)"

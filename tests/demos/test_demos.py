@@ -21,6 +21,7 @@ def test_an_arm_is_judged_over_several_samples_however_quickly_the_broker_is_bac
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 @pytest.mark.timeout(400)
 def test_the_grasp_demo_passes_all_its_checks_and_leaves_its_pictures(tmp_path):
     command = [sys.executable, "-m", "rtc.cli.main", "demo", "grasp", "--speed", "max"]
@@ -31,6 +32,7 @@ def test_the_grasp_demo_passes_all_its_checks_and_leaves_its_pictures(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 @pytest.mark.timeout(400)
 def test_the_door_demo_opens_takes_out_inserts_and_closes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(door, "FRAME_S", 20.0)  # a film of a few frames: drawing them all takes a minute

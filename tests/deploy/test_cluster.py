@@ -19,7 +19,7 @@ from rtc.protocol.messages import Telemetry, Validity
 from rtc.protocol.outcomes import ClusterError, NoCluster, OutcomeKind
 from rtc.runtime.settings import Settings
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 LIMIT_S = 90.0
 WORKERS = ["parser@0", "elaborator@1", "binder@2", "analyzer@3"]

@@ -17,7 +17,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from rtc import Client
 from tests.observers.conftest import RTC, rtc, until
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 TRACE = "0af7651916cd43dd8448eb211c80319c"
 TRACEPARENT = f"00-{TRACE}-b7ad6b7169203331-01"
 

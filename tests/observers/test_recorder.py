@@ -21,7 +21,7 @@ from rtc.observers import extras, playback, recorder
 from rtc.runtime import process_table
 from tests.observers.conftest import RTC, rtc, until
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 
 def json_messages(path: Path) -> list[tuple[str, dict]]:

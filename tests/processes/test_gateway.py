@@ -32,7 +32,7 @@ from rtc.runtime.keys import KeyFile, KeyRing, endpoint_address
 from rtc.runtime.process_table import processes
 from tests.campaigns.fuzz import Others
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 LIMIT_S = 60.0
 QUIET_MS = 300  # who has got nothing by then gets nothing

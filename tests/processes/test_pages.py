@@ -141,9 +141,9 @@ def test_pages_that_are_typed_have_blocks_of_commands_and_of_python():
     ("page", "typist"),
     [
         ("README.md", "2"),
-        ("docs/tutorial.md", "max"),
-        ("docs/own-arm.md", "max"),
-        ("docs/observing.md", "max"),
+        pytest.param("docs/tutorial.md", "max", marks=pytest.mark.untimed),
+        pytest.param("docs/own-arm.md", "max", marks=pytest.mark.untimed),
+        pytest.param("docs/observing.md", "max", marks=pytest.mark.untimed),
     ],
     indirect=["typist"],
 )

@@ -19,6 +19,7 @@ print(matplotlib.pyplot.figure.__module__)
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_motions_are_imported_without_plotting():
     done = subprocess.run([sys.executable, "-c", LOOK], capture_output=True, text=True, timeout=60)
     assert done.stdout == "[]\nmatplotlib.pyplot\n", done.stderr

@@ -49,6 +49,7 @@ def test_a_worker_makes_what_its_kind_needs_and_no_more():
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_the_first_job_of_a_worker_that_has_started_by_itself_waits_for_nothing(tmp_path):
     Settings(run_dir=str(tmp_path)).save()
     command = [sys.executable, "-m", "workers", "--run-dir", str(tmp_path), "--kind", "parser", "--node", "0"]
