@@ -183,7 +183,7 @@ def _why(rtc: Client, words: list[str]) -> None:
 
 def _world(rtc: Client, words: list[str]) -> None:
     view = rtc.world.view(keys=[world.spelt(word) for word in words] or None)
-    world.print_facts(view.facts)
+    world.print_facts(view.facts, world.joint_units(rtc))
 
 
 def _log(rtc: Client, _: list[str]) -> None:

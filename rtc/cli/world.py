@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from typing import Annotated, Any, NoReturn
 
 import msgspec
@@ -15,7 +15,7 @@ from rich.text import Text
 from rtc.cells.cell import Cell
 from rtc.cells.scene import centimetres, degrees
 from rtc.cells.taught import arm_of
-from rtc.cli.cluster_cell import cell_of
+from rtc.cli.cluster_cell import cell_file, cell_of
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, exit_code, seconds, table, trouble
 from rtc.cli.progress import print_result
 from rtc.client.client import Client
@@ -27,6 +27,8 @@ from rtc.world.spread import in_words
 BROKER_S = 1.0  # maximum wait for what the arms are doing; the facts are shown without a broker too
 HISTORY = 1000  # maximum number of facts of one key that `at` searches
 COLOUR = {Validity.VALID: "green", Validity.SUSPECT: "bold yellow", Validity.INVALID: "red", Validity.CHANGING: "cyan"}
+
+JointUnits = Mapping[str, Sequence[str]]  # arm -> mm or deg of each joint
 
 RESET = "SET WORLD FACTS INITIAL"
 
@@ -47,8 +49,8 @@ def list_facts(json: AsJson = False, run_dir: RunDir = None, key_file: With = No
     Example:  rtc world list
     """
     with Client(run_dir, need_broker=False, key=key_file) as rtc:
-        view, motions = rtc.world.view(), _motions(rtc)
-    _show(changing(view.facts, motions, time.monotonic(), whole=True), json, view.version)
+        view, motions, units = rtc.world.view(), _motions(rtc), joint_units(rtc)
+    _show(changing(view.facts, motions, time.monotonic(), whole=True), json, view.version, units)
 
 
 @app.command()
@@ -58,10 +60,10 @@ def get(key: Key, json: AsJson = False, run_dir: RunDir = None, key_file: With =
     Example:  rtc world get MACS-NEW.frame
     """
     with Client(run_dir, need_broker=False, key=key_file) as rtc:
-        view, motions = rtc.world.view(keys=[spelt(key)]), _motions(rtc)
+        view, motions, units = rtc.world.view(keys=[spelt(key)]), _motions(rtc), joint_units(rtc)
         if not view.facts:
             raise _unknown(key, rtc.world)
-    _show(changing(view.facts, motions, time.monotonic(), whole="." not in key), json, view.version)
+    _show(changing(view.facts, motions, time.monotonic(), whole="." not in key), json, view.version, units)
 
 
 @app.command()
@@ -80,17 +82,18 @@ def watch(
         seen = rtc.world.view(keys=keys)
         if key and not seen.facts:
             raise _unknown(key, rtc.world)
-        _show(seen.facts, False, seen.version)
+        units = joint_units(rtc)
+        _show(seen.facts, False, seen.version, units)
         with suppress(KeyboardInterrupt):
-            _follow(rtc, seen, keys, every)
+            _follow(rtc, seen, keys, every, units)
 
 
-def _follow(rtc: Client, seen: View, keys: list[str] | None, every_s: float) -> NoReturn:
+def _follow(rtc: Client, seen: View, keys: list[str] | None, every_s: float, units: JointUnits) -> NoReturn:
     while True:
         time.sleep(every_s)
         news = rtc.world.view(since=seen.version, keys=keys)
         for fact in sorted(news.facts, key=lambda fact: fact.version):
-            console.print(Text(f"{fact.version:>6}  {fact.key}  {stated(fact)}  {fact.validity}  {fact.source}"))
+            console.print(Text(f"{fact.version:>6}  {fact.key}  {stated(fact, units)}  {fact.validity}  {fact.source}"))
         seen = news
 
 
@@ -111,7 +114,8 @@ def history(
         if not known:
             raise _unknown(key, rtc.world)
         facts = [old for fact in known for old in rtc.world.history(fact.key, limit)]
-    _show(sorted(facts, key=lambda fact: -fact.version)[:limit], json, None, by_key=False)
+        units = joint_units(rtc)
+    _show(sorted(facts, key=lambda fact: -fact.version)[:limit], json, None, units, by_key=False)
 
 
 @app.command()
@@ -134,11 +138,12 @@ def at(
             raise trouble(f"there is no version {version} of the world yet; the newest is {now.version}", 2)
         pasts = (rtc.world.history(fact.key, HISTORY) for fact in now.facts)
         then = [old for past in pasts for old in past[:] if old.version <= version]
+        units = joint_units(rtc)
     newest: dict[str, Fact] = {}
     for fact in then:
         if fact.key not in newest or newest[fact.key].version < fact.version:
             newest[fact.key] = fact
-    _show(newest.values(), json, version)
+    _show(newest.values(), json, version, units)
 
 
 @app.command()
@@ -222,11 +227,27 @@ def shown(value: Any) -> str:
     return "-" if value in (None, "") else str(value)
 
 
-def stated(fact: Fact) -> str:
+def joint_units(rtc: Client) -> JointUnits:
+    """The units of the joints of each arm, from the cell of the cluster; empty if it cannot be read now."""
+    try:
+        with cell_file(rtc.cell()) if rtc.far else nullcontext(rtc.settings.cell) as name:
+            return units_in(Cell.load(name))
+    except RtcError:
+        return {}
+
+
+def units_in(cell: Cell) -> JointUnits:
+    return {arm.name: tuple("mm" if isinstance(value, str) else "deg" for value in arm.home_deg) for arm in cell.arms}
+
+
+def stated(fact: Fact, units: JointUnits) -> str:
     """The value; for a pose also its spread."""
     words = in_words(fact.spread)
-    attribute = fact.key.rpartition(".")[2]
-    value = UNITS.get("joints" if arm_of(attribute) else attribute, shown)(fact.value)
+    location, _, attribute = fact.key.rpartition(".")
+    if attribute in ("joints", "motion") or arm_of(attribute):
+        value = JOINTS.get(attribute, joints_in_words)(fact.value, units.get(arm_of(attribute) or location))
+    else:
+        value = UNITS.get(attribute, shown)(fact.value)
     return f"{value} +- {words}" if words else value
 
 
@@ -234,10 +255,17 @@ def _pose(value: Any) -> str:
     return f"{centimetres(value)} cm, {degrees(value)} deg" if isinstance(value, list | tuple) else shown(value)
 
 
-def _joints(value: Any) -> str:
+def joints_in_words(value: Any, units: Sequence[str] | None) -> str:
+    """90 0 deg; with a joint that slides each has its unit. `units`: of the joints; None: they are not known."""
     if not isinstance(value, list | tuple):
         return shown(value)
-    return " ".join(f"{round(math.degrees(n), 2) + 0.0:g}" for n in value) + " deg"
+    if units is None or len(units) != len(value):
+        return f"{shown(value)} (rad, or m of a joint that slides)"
+    figures = [1e3 * n if unit == "mm" else math.degrees(n) for n, unit in zip(value, units, strict=True)]
+    texts = [f"{round(figure, 2) + 0.0:g}" for figure in figures]
+    if "mm" not in units:
+        return " ".join(texts) + " deg"
+    return ", ".join(f"{text} {unit}" for text, unit in zip(texts, units, strict=True))
 
 
 def _width(value: Any) -> str:
@@ -254,43 +282,43 @@ def _sighting(value: Any) -> str:
     return words + (", ambiguous attitude" if value["ambiguous"] else "")
 
 
-def _motion(value: Any) -> str:
+def _motion(value: Any, units: Sequence[str] | None) -> str:
     """Where an arm is going."""
     ago_s, takes_s = value["started_ago_s"], value["time_s"][-1]
     since = "not started yet" if ago_s is None else f"started {ago_s:.1f} s ago"
-    return f"to {_joints(value['positions'][-1])} in {takes_s:.1f} s, {since} ({value['primitive']})"
+    return f"to {joints_in_words(value['positions'][-1], units)} in {takes_s:.1f} s, {since} ({value['primitive']})"
 
 
+#: attribute with joints -> its value for people, with the units of the joints; postures of places have any other name
+JOINTS: dict[str, Callable[[Any, Sequence[str] | None], str]] = {"joints": joints_in_words, "motion": _motion}
 #: attribute -> its value for people; JSON has m, rad and quaternions
 UNITS: dict[str, Callable[[Any], str]] = {
     "frame": _pose,
     "grasp": _pose,
-    "joints": _joints,
     "hand_width": _width,
     "sighting": _sighting,
-    "motion": _motion,
     "mass": lambda value: f"{shown(value)} kg",
 }
 VALUE = "value (x y z cm, roll pitch yaw deg)"
 
 
-def _show(facts: Iterable[Fact], json: bool, version: int | None, *, by_key: bool = True) -> None:
+def _show(facts: Iterable[Fact], json: bool, version: int | None, units: JointUnits, *, by_key: bool = True) -> None:
     facts = sorted(facts, key=lambda fact: fact.key) if by_key else list(facts)
     if json:
         emit_json({"version": version, "facts": [msgspec.to_builtins(fact) for fact in facts]})
         return
-    print_facts(facts)
+    print_facts(facts, units)
     if version is not None:
         console.print(f"version {version} of the world, {len(facts)} facts")
 
 
-def print_facts(facts: Iterable[Fact]) -> None:
+def print_facts(facts: Iterable[Fact], units: JointUnits) -> None:
     out = table("fact", VALUE, "validity", "version>", "source", "age>")
     now_s = time.monotonic()
     for fact in facts:
         validity = Text(fact.validity.value, style=COLOUR.get(fact.validity, ""))
         age = seconds(max(0.0, now_s - fact.at_s))
-        out.add_row(fact.key, Text(stated(fact)), validity, str(fact.version), Text(fact.source), age)
+        out.add_row(fact.key, Text(stated(fact, units)), validity, str(fact.version), Text(fact.source), age)
     console.print(out)
 
 

@@ -158,6 +158,11 @@ class Client:
             raise KeyTrouble("the settings of a cluster on another machine are not available over tcp")
         return self._endpoints
 
+    @property
+    def far(self) -> bool:
+        """Whether the cluster is reached over tcp, by a key."""
+        return bool(self._endpoints.far)
+
     # --- sentences ------------------------------------------------------------------------------------
 
     def submit(
@@ -307,7 +312,7 @@ class Client:
     def world(self) -> WorldClient:
         """Read access to the world database."""
         if self._world is None:
-            secure = self._endpoints.secure if self._endpoints.far else None
+            secure = self._endpoints.secure if self.far else None
             self._world = WorldClient(self._endpoints.endpoint("world"), self._context, secure=secure)
         return self._world
 
@@ -346,7 +351,7 @@ class Client:
         return f"{self.name}/{self._life}-{next(self._ask_number)}"
 
     def _restarting(self) -> bool:
-        return not self._endpoints.far and supervised(self.run_dir, by_hand=False)
+        return not self.far and supervised(self.run_dir, by_hand=False)
 
     def _submit(
         self,

@@ -6,8 +6,11 @@ from typing import Any
 
 import pytest
 
-from rtc.cli.world import changing, shown, spelt, stated
+from rtc.cells.cell import Cell
+from rtc.cli.world import changing, shown, spelt, stated, units_in
 from rtc.protocol import messages as m
+
+UNITS = {"LEFT-ARM": ("deg", "deg"), "RIGHT-ARM": ("deg", "deg"), "GANTRY": ("mm", "deg")}
 
 
 @pytest.mark.parametrize(
@@ -30,6 +33,10 @@ def test_a_value_is_readable(value: Any, text: str) -> None:
         ("MACS-NEW.frame", [0.8, -0.8, 0.605, 0.0, 0.0, 1.0, 0.0], "80 -80 60.5 cm, 0 0 180 deg"),
         ("MACS-NEW.grasp", None, "-"),
         ("LEFT-ARM.joints", [1.5707963, 0.0], "90 0 deg"),
+        ("GANTRY.joints", [-0.05, 1.5707963], "-50 mm, 90 deg"),
+        ("OVER.posture_of_gantry", [0.5, 0.0], "500 mm, 0 deg"),
+        ("STRANGE.joints", [0.5, 0.0], "[0.5 0] (rad, or m of a joint that slides)"),
+        ("GANTRY.joints", None, "-"),
         ("LEFT-ARM.hand_width", 0.08, "8 cm"),
         ("MACS-NEW.mass", 2.0, "2 kg"),
         ("MACS-NEW.seat", "RACK-1", "RACK-1"),
@@ -38,7 +45,19 @@ def test_a_value_is_readable(value: Any, text: str) -> None:
 )
 def test_a_fact_is_stated_in_the_units_of_sentences(key: str, value: Any, text: str) -> None:
     fact = m.Fact(key=key, value=value, validity=m.Validity.VALID, version=1, source="cell", at_s=0.0)
-    assert stated(fact) == text
+    assert stated(fact, UNITS) == text
+
+
+def test_the_units_of_joints_are_those_of_the_cell() -> None:
+    units = units_in(Cell.load("gantry"))
+    assert units["GANTRY"] == ("mm", "mm", *("deg",) * 6)
+
+
+def test_the_goal_of_a_slide_is_stated_in_millimetres() -> None:
+    path = {"time_s": [0.0, 4.0], "positions": [[0.0, 0.0], [0.25, 0.0]]}
+    value = {"primitive": "C-2.1@x", "started_ago_s": 1.5, **path}
+    fact = m.Fact(key="GANTRY.motion", value=value, validity=m.Validity.CHANGING, version=1, source="C-2", at_s=0.0)
+    assert stated(fact, UNITS) == "to 250 mm, 0 deg in 4.0 s, started 1.5 s ago (C-2.1@x)"
 
 
 def test_what_a_moving_arm_changes_is_shown_as_changing_with_its_path_and_start() -> None:
@@ -63,6 +82,6 @@ def test_what_a_moving_arm_changes_is_shown_as_changing_with_its_path_and_start(
     assert {key for key, fact in found.items() if fact.validity is m.Validity.CHANGING} == moved
     assert found["RIGHT-ARM.motion"].value["positions"] == path["positions"]
     assert found["RIGHT-ARM.motion"].at_s == 8.5
-    assert stated(found["RIGHT-ARM.motion"]) == "to 90 0 deg in 4.0 s, started 1.5 s ago (C-2.1@x)"
+    assert stated(found["RIGHT-ARM.motion"], UNITS) == "to 90 0 deg in 4.0 s, started 1.5 s ago (C-2.1@x)"
     assert len(changing(facts[:1], [motion], 10.0, whole=False)) == 1
     assert changing(facts, [], 10.0, whole=True) == facts
