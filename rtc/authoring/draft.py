@@ -254,7 +254,7 @@ def _with_pads(cell: Cell, adapted: AdaptedArm) -> Cell:
             tried = msgspec.structs.replace(
                 cell,
                 seats=pads,
-                objects=[*cell.objects, _cube(down)],
+                objects=[*cell.objects, _cube(how)],
                 places=[Place(name="FRONT", poses={name: front})],
                 attitudes={"TOOL-DOWN": Frame(rpy_deg=down)},
             )
@@ -273,6 +273,15 @@ class _Layout(NamedTuple):
     yaw_deg: float = 0.0
     radial: bool = False
     height: float = 1.0
+
+    @property
+    def quarter_deg(self) -> float:
+        """The yaw of the hand on a cube whose sides are parallel to its fingers."""
+        return 90.0 * round(self.yaw_deg / 90.0)
+
+    def turned_deg(self, bearing: float) -> float:
+        """The yaw of the pads and of the cube on them, which the hand grasps square."""
+        return self.yaw_deg - self.quarter_deg + (math.degrees(bearing) if self.radial else 0.0)
 
 
 def _layouts(cell: Cell, model: ArmModel) -> Iterator[_Layout]:
@@ -308,7 +317,7 @@ def _pad(name: str, reach_m: float, bearing: float, how: _Layout) -> Seat:
     return Seat(
         name=name,
         kind="pad",
-        frame=Frame(xyz=at, rpy_deg=(0.0, 0.0, round(math.degrees(bearing), 3) if how.radial else 0.0)),
+        frame=Frame(xyz=at, rpy_deg=(0.0, 0.0, round(how.turned_deg(bearing), 3))),
         way_out=(0.0, 0.0, 1.0),
         depth_m=0.02,
         detent_n=MAGNET_N,
@@ -316,7 +325,7 @@ def _pad(name: str, reach_m: float, bearing: float, how: _Layout) -> Seat:
     )
 
 
-def _cube(down: Vec3) -> Object:
+def _cube(how: _Layout) -> Object:
     side = (CUBE_M, CUBE_M, CUBE_M)
     inertia = round(CUBE_KG * CUBE_M**2 / 6, 8)
     return Object(
@@ -327,7 +336,11 @@ def _cube(down: Vec3) -> Object:
         inertia_kg_m2=(inertia, inertia, inertia),
         shapes=[Box(name="body", size_m=side, colour=(0.15, 0.45, 0.75, 1.0))],
         grasp_points=[
-            GraspPoint(name="TOP", frame=Frame(xyz=(0.0, 0.0, ABOVE_MIDDLE_M), rpy_deg=down), width_m=CUBE_M)
+            GraspPoint(
+                name="TOP",
+                frame=Frame(xyz=(0.0, 0.0, ABOVE_MIDDLE_M), rpy_deg=(180.0, 0.0, how.quarter_deg)),
+                width_m=CUBE_M,
+            )
         ],
     )
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import pybullet_data
 import pytest
 
-from rtc.authoring.draft import draft
+from rtc.authoring.draft import Draft, draft
 from rtc.cells.cell import Cell
+from tests.authoring import small_arms
 
 DATA = Path(pybullet_data.getDataPath())
 ARMS = {
@@ -27,14 +28,31 @@ def first_cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path
     def file_of(arm: str) -> Path:
         if arm not in made:
             urdf, tip = ARMS[arm]
-            found, folder = draft(urdf, arm, tip), tmp_path_factory.mktemp(arm.lower())
-            for name, text in {**found.files, "cell.yaml": found.yaml}.items():
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                (folder / name).write_text(text)
-            made[arm] = folder / "cell.yaml"
+            made[arm] = _written(draft(urdf, arm, tip), tmp_path_factory.mktemp(arm.lower()))
         return made[arm]
 
     return file_of
+
+
+@pytest.fixture(scope="session")
+def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Cell]:
+    """The first cell of one of the small arms, which is named UNIT there."""
+
+    def cell_of(kind: str) -> Cell:
+        folder = tmp_path_factory.mktemp(kind.lower())
+        urdf = folder / "arm.urdf"
+        urdf.write_text(small_arms.urdf("arm", getattr(small_arms, kind)))
+        return Cell.load(_written(draft(urdf, "UNIT"), folder))
+
+    return cell_of
+
+
+def _written(found: Draft, folder: Path) -> Path:
+    """The cell file, beside its other files."""
+    for name, text in {**found.files, "cell.yaml": found.yaml}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder / "cell.yaml"
 
 
 @pytest.fixture

@@ -91,6 +91,15 @@ def test_an_arm_gets_pads_that_it_reaches_from_above(tmp_path, kind):
     assert [seat.name for seat in cell.seats] == ["PAD-1", "PAD-2"]
 
 
+@pytest.mark.parametrize("kind", ["SIX", "FIVE", "SCARA", "PORTAL"])
+def test_the_fingers_close_on_two_sides_of_the_cube(small_cell, kind):
+    """Whatever yaw the hand has there: across the corners it would be too wide."""
+    cube = small_cell(kind).object("CUBE")
+    (point,) = cube.grasp_points
+    closing = geometry.rotate(point.frame.pose, (0.0, 1.0, 0.0))
+    assert float(np.abs(closing) @ cube.shapes[0].size_m) == pytest.approx(point.width_m)
+
+
 def test_a_joint_with_the_name_of_its_link_is_renamed(tmp_path):
     file = tmp_path / "six.urdf"
     file.write_text(small_arms.urdf("six", small_arms.SIX, finger_kg=0.1, same_names=True))
