@@ -68,6 +68,53 @@ def test_sentences_grasp_and_place(own):
     assert geometry.distance(cube, bench.model.cell.seated_pose("PAD-2")) < 0.003
 
 
+@pytest.fixture
+def few(small_cell):
+    """An arm with few joints: its hand gives way in few directions."""
+    benches = []
+
+    def make(kind: str) -> OwnArm:
+        benches.append(OwnArm(small_cell(kind)))
+        return benches[-1]
+
+    yield make
+    for bench in benches:
+        bench.subsystem.sim.close()
+
+
+def test_five_joints_close_on_two_sides_of_a_cube(few):
+    """The hand of their first cell took it across the corners: it touched it 12 mm from its middle."""
+    bench = few("FIVE")
+    grasp = _done(bench, "GRASP CUBE WITH ARM UNIT")
+    assert grasp.reports[-1].hand_width_m == pytest.approx(0.04, abs=0.001)  # it was 55.6 mm
+    assert _most_felt_n(grasp) < 10.0
+    _done(bench, "LIFT CUBE BY 5 CM")
+
+
+def test_a_portal_grasps_lifts_and_places(few):
+    """A finger at its stop felt 20.5 N, where 20 N is the limit. What it held turned by 5 degrees on the way."""
+    bench = few("PORTAL")
+    assert _most_felt_n(_done(bench, "GRASP CUBE WITH ARM UNIT")) < 10.0
+    for sentence in ("LIFT CUBE BY 5 CM", "PLACE CUBE ON PAD-2"):
+        _done(bench, sentence)
+    cube, seated = bench.subsystem.sim.truth()["poses"]["CUBE"], bench.model.cell.seated_pose("PAD-2")
+    assert geometry.distance(cube, seated) < 0.003
+    assert geometry.angle(cube, seated) < 0.01
+
+
+def _most_felt_n(grasp: workers.Run) -> float:
+    """The greatest force in the touches of both sides."""
+    touches = [report.peak_force_n for report in grasp.reports if report.reason is StopReason.CONTACT]
+    assert len(touches) == 2
+    return max(touches)
+
+
+def _done(bench: OwnArm, sentence: str) -> workers.Run:
+    run = bench.do(sentence)
+    assert run.succeeded, (sentence, run.refusal, [made.message for made in run.assessments])
+    return run
+
+
 def test_what_is_refused_names_its_cause(own):
     bench = own("PANDA")
     far = bench.do("MOVE ARM PANDA TO POSITION 150 0 40 CM")

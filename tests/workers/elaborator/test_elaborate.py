@@ -95,8 +95,8 @@ def test_bindings_are_decided_backwards_from_the_grasp_point(bench):
         binding = script.bindings[name]
         assert binding.frame == "MACS-NEW"
         offset = geometry.relative(point, binding.pose)
-        # the inner face of a finger passes the side of the bar by the overrun: (80 - 20) / 2 + 10 mm
-        assert offset[:3] == pytest.approx([0.0, side * 0.040, 0.0], abs=1e-9)
+        # the inner face of a finger passes the side of the bar by the overrun: (76 - 20) / 2 + 10 mm
+        assert offset[:3] == pytest.approx([0.0, side * 0.038, 0.0], abs=1e-9)
 
 
 # --- choosing ----------------------------------------------------------------------------------------------
