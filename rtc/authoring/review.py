@@ -24,6 +24,7 @@ from rtc.authoring.robot_file import RobotFile, kinematics, number
 from rtc.cells import cell as cells
 from rtc.cells import extension, model_checks, urdf_values
 from rtc.cells.cell import Cell
+from rtc.cells.parts import Box, GraspPoint, Object
 from rtc.cells.urdf_values import MOVING
 from rtc.programs.yaml_location import line_of_key, path_of
 from rtc.protocol.outcomes import ProgramError
@@ -35,6 +36,7 @@ from rtc.robot.kinematics import ArmModel
 TRIANGLE_SLACK = 1e-9
 LARGE_M = 5.0  # a mesh of an arm that is larger is probably in millimetres
 PENETRATION_M = 0.002  # of two bodies at the beginning
+ASKEW_DEG, WIDTH_M = 10.0, 0.004  # fingers that close askew, or at another width, are taken for a failed grasp
 WEIGHT_SHARE = 0.9  # of the motor torque, as planning allows
 
 
@@ -490,6 +492,7 @@ def _objects(
                     f"{point.name} is {1000 * point.width_m:.0f} mm wide; the widest hand opens {1000 * widest:.0f} mm"
                 )
                 yield where, words, "error", "a width below the opening"
+            yield from _between_fingers(where, thing, point)
         if thing.mass_kg > (most := max(arm.payload_kg for arm in cell.arms)):
             yield f"objects[{n}].mass_kg", f"{thing.mass_kg:g} kg; no arm carries more than {most:g} kg", "warning", ""
         hit = world.deepest_contact(thing.name, home)
@@ -497,3 +500,23 @@ def _objects(
             other = hit.body_b if hit.body_a.startswith(thing.name) else hit.body_a
             words = f"{thing.name} is {-1000 * hit.distance_m:.0f} mm inside {other} at the beginning"
             yield f"objects[{n}].frame", words, "error", "bodies that at most touch"
+
+
+def _between_fingers(where: str, thing: Object, point: GraspPoint) -> Iterator[Place]:
+    """Whether the fingers, which close along y of the point, close on two sides of the box there, as wide as stated."""
+    for box in thing.shapes:
+        if not isinstance(box, Box):
+            continue
+        there = geometry.relative(box.frame.pose, point.frame.pose)
+        if any(abs(at) > 0.5 * size for at, size in zip(there[:3], box.size_m, strict=True)):
+            continue
+        closing = np.abs(geometry.rotate(there, (0.0, 1.0, 0.0)))
+        axis = int(np.argmax(closing))
+        askew_deg = math.degrees(math.acos(min(1.0, float(closing[axis]))))
+        wide_m = box.size_m[axis]
+        if askew_deg > ASKEW_DEG:
+            words = f"at {point.name} the fingers close at {askew_deg:.0f} deg to the sides of {box.name}"
+            yield where, words, "warning", "y of a grasp point square to two sides"
+        elif abs(wide_m - point.width_m) > WIDTH_M:
+            words = f"{point.name} is {1000 * point.width_m:.0f} mm wide; {box.name} is {1000 * wide_m:.0f} mm there"
+            yield where, words, "warning", "the width between the fingers"

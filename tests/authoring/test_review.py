@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 
 from rtc.authoring.review import Finding, review
 from rtc.authoring.robot_file import RobotFile
@@ -103,6 +104,25 @@ def test_geometry_is_checked(copy):
     assert {"$.places[0].poses.PANDA", "$.arms[0].home_deg", "$.arms[0].srdf", "$.objects[1].frame"} <= set(rows)
     assert "cannot reach" in rows["$.places[0].poses.PANDA"].problem
     assert rows["$.arms[0].srdf"].severity == "warning"
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "width_m", "problem"),
+    [
+        (85, 0.04, ""),
+        (125, 0.04, "at TOP the fingers close at 35 deg to the sides of body"),
+        (0, 0.05, "TOP is 50 mm wide; body is 40 mm there"),
+    ],
+)
+def test_fingers_close_on_two_sides_as_wide_as_stated(copy, yaw_deg, width_m, problem):
+    """A hand that takes a cube across its corners closes at another width, and the grasp fails."""
+    plain = yaml.safe_load(copy.read_text())
+    (cube,) = (thing for thing in plain["objects"] if thing["name"] == "CUBE")
+    cube["grasp_points"][0]["frame"]["rpy_deg"] = [180, 0, yaw_deg]
+    cube["grasp_points"][0]["width_m"] = width_m
+    copy.write_text(yaml.safe_dump(plain))
+    finding = found(copy).get("$.objects[1].grasp_points[0]")
+    assert (finding.problem if finding else "") == problem
 
 
 def test_a_posture_that_the_motors_cannot_hold_is_an_error(copy):
