@@ -33,7 +33,6 @@ import json
 import math
 import multiprocessing
 import random
-import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -45,12 +44,12 @@ import pybullet
 
 from benchmarks.report import finish, question
 from rtc.cells.cell import Cell
-from rtc.language.record import ParsedCommand
 from rtc.protocol.outcomes import RefusalReason
 from rtc.robot import geometry
+from tests.campaigns import advice
+from tests.campaigns.advice import Answer
 from tests.campaigns.against_truth import judge
-from tests.workers.conftest import CELL, GRAMMAR, Bench, Physical, Run
-from workers.parser.parse import parse_job
+from tests.workers.conftest import CELL, Bench, Physical, Run
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import CLEARANCE_M
 
@@ -63,14 +62,9 @@ FAR_M, FAR_RAD = 0.025, math.radians(4.0)
 STRADDLE_M = 0.014
 NARROW_M = 0.010
 SEATED_M, SEATED_RAD = 0.005, math.radians(2.0)
-MOST_ADVISED, MOST_OBSTACLES = 4, 4
 REST_TICKS, REST_RAD = 200, 1e-3  # an arm at rest turns by less in this time
 SETTLE_TICKS, SETTLE_M = 100, 1e-4
 WAY_STEP_M = 0.01
-VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET"
-ADVISED = re.compile(rf"\b((?:{VERBS})(?: (?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?|x y z|roll pitch yaw))+)")
-PARTS = re.compile(r"; |, then ")
-STATED = re.compile(r"SET ([A-Z0-9-]+) FRAME")
 
 
 @dataclass
@@ -226,30 +220,6 @@ class Scene:
         after = self.sim.arms[self.run.arm].read().joints
         return max(abs(a - b) for a, b in zip(before, after, strict=True)) < REST_RAD
 
-    def advised(self, text: str) -> Iterator[list[str]]:
-        """The sentences of an advice, in their order, each with its alternatives."""
-        for part in PARTS.split(text):
-            alternatives = list(self._sentences(part))
-            if alternatives:
-                yield alternatives
-
-    def _sentences(self, text: str) -> Iterator[str]:
-        """The sentences in a text. SET states the true pose."""
-        for sentence in ADVISED.findall(text):
-            stated = STATED.match(sentence)
-            if stated is None:
-                if isinstance(parse_job(GRAMMAR, sentence), ParsedCommand):
-                    yield sentence
-                continue
-            truth = self.truth()
-            pose = (truth["poses"] | truth["seats"]).get(stated[1])
-            if pose is not None:
-                figures = (
-                    [*(f"{100.0 * n:.2f}" for n in pose[:3])],
-                    [*(f"{math.degrees(n):.2f}" for n in geometry.to_rpy(pose))],
-                )
-                yield f"SET {stated[1]} FRAME {' '.join(figures[0])} CM {' '.join(figures[1])} DEG"
-
 
 def perform(run: GraspRun, short: bool = False) -> GraspRun:
     """Make the run."""
@@ -289,44 +259,27 @@ def _chain(scene: Scene, short: bool) -> None:
 
 
 def _cleared(scene: Scene, text: str, done: Run) -> bool:
-    """Whether a failed sentence succeeds after its advice, of at most four sentences for each obstacle."""
+    """Whether a failed sentence succeeds after its advice."""
     run = scene.run
-    history = [f"{text}: {_why(done)}"]
-    run.failed = run.failed or f"{text}: {_why(done)}"
+    answer = Answer.of(done)
+    run.failed = run.failed or f"{text}: {answer}"
     run.restless = run.restless or ("" if scene.rests() else f"after {text}")
-    given: list[str] = []
-    for _ in range(MOST_OBSTACLES):
-        before, left = _clears(done), MOST_ADVISED
-        for alternatives in scene.advised(before):
-            for sentence in alternatives[:left]:
-                left -= 1
-                given.append(sentence)
-                answer = scene.do(sentence)
-                history.append(f"{sentence}: {_why(answer)}")
-                if answer.succeeded:
-                    break
-        done = scene.do(text)
-        history.append(f"again: {_why(done)}")
-        if done.succeeded:
-            return True
-        if _clears(done) == before or left == MOST_ADVISED:
-            break
-    known = any(sentence.startswith(f"SET {scene.module} ") for sentence in given)
-    if known and done.refusal is not None and done.refusal.reason is RefusalReason.INFEASIBLE:
-        run.infeasible = " | ".join(history)
+    last = done
+
+    def say(sentence: str) -> Answer:
+        nonlocal last
+        last = scene.do(sentence)
+        return Answer.of(last)
+
+    followed = advice.follow(say, text, answer, scene.truth)
+    if followed.end == "reached":
+        return True
+    known = any(sentence.startswith(f"SET {scene.module} ") for sentence in followed.given)
+    if known and last.refusal is not None and last.refusal.reason is RefusalReason.INFEASIBLE:
+        run.infeasible = " | ".join(followed.history)
     else:
-        run.stuck = " | ".join(history)
+        run.stuck = " | ".join(followed.history)
     return False
-
-
-def _why(done: Run) -> str:
-    why = done.failure or done.refusal
-    return "succeeded" if why is None else f"{why.message} [{why.clears}]"
-
-
-def _clears(done: Run) -> str:
-    why = done.failure or done.refusal
-    return why.clears if why is not None else ""
 
 
 # --- all runs --------------------------------------------------------------------------------------------------

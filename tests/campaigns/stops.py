@@ -17,8 +17,6 @@ parts of a run in shards are joined when the last one ends.
 from __future__ import annotations
 
 import json
-import math
-import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -30,23 +28,18 @@ import pybullet
 
 from benchmarks.report import percentile, question
 from rtc.cells.cell import Cell
-from rtc.language.record import ParsedCommand
 from rtc.protocol import faults as f
 from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
-from rtc.robot import geometry
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.arm import CellState
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.faults import Injections
-from tests.campaigns import RESULTS, numbered_runs
-from tests.workers.conftest import GRAMMAR
+from tests.campaigns import RESULTS, advice, numbered_runs
 from tests.workers.eyes import Ideal
 from tests.workers.one_process import OneProcess
-from workers.parser.parse import parse_job
 from workers.planning.robot_models import CellModel
 
 SEED = 18
-MOST_SENTENCES = 4
 LIMIT_S = 600.0  # of a command, simulated
 MOVED_RAD = 0.01  # an arm that moved by less has not left
 ATTEMPTS = 8  # sentences that end without a stop are drawn anew
@@ -76,51 +69,6 @@ CLAUSES = ("", "", " MAINTAIN SPEED {speed} CM/S", " UNLESS FORCE EXCEEDS {force
 CLAUSES += (" UNLESS CONTACT THEN STOP", " UNLESS FORCE EXCEEDS {force} N THEN BACK-OFF", " GUARDED")
 CAUSES = ("box", "box", "halt", "halt while leaning", "kill", "kill while leaning", "fault")
 AXES = ("X", "Y", "Z", "TOOL-X", "TOOL-Y", "TOOL-Z")
-
-# --- following advice -----------------------------------------------------------------------------------------
-
-VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET|APPROACH|HOLD"
-WORD = r"(?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?)"
-SENTENCE = re.compile(rf"\b(?:{VERBS})(?: {WORD})+")
-ELSEWHERE = re.compile(r"MOVE (.+?) TO another place first \(([A-Z0-9-]+)")
-ANYWHERE = re.compile(r"MOVE ([A-Z0-9-]+) to a place")
-AGAIN = re.compile(r"\b(?:do it|try|give (?:it|the sentence|the command)) again")
-OTHER_ARM = re.compile(r"move (.+?) away first")
-STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE)")
-
-
-def advised(advice: str, given: str, truth: Callable[[], dict[str, Any]]) -> list[str]:
-    """The sentences of an advice on the `given` one, in their order: of alternatives the first."""
-    found = []
-    for part in advice.split("; "):
-        if part.startswith("or ") and found:
-            continue  # an alternative to what precedes it
-        for choice in re.split(r", or | or (?=[A-Z]{3})", part.removeprefix("or ")):
-            sentence = given if AGAIN.search(choice) else _sentence(choice, truth)
-            if sentence:
-                found.append(sentence)
-                break
-    return found
-
-
-def _sentence(text: str, truth: Callable[[], dict[str, Any]]) -> str:
-    if other := OTHER_ARM.search(text):
-        return f"STOW {other[1]}"
-    if anywhere := ANYWHERE.search(text):
-        return f"MOVE {anywhere[1]} TO CLEAR-POINT-1"
-    if elsewhere := ELSEWHERE.search(text):
-        return f"MOVE {elsewhere[1]} TO {elsewhere[2]}"
-    if (stated := STATED.search(text)) and stated[2] == "FRAME":
-        now = truth()
-        pose = (now["poses"] | now["seats"]).get(stated[1])
-        if pose is None:
-            return ""
-        figures = [*(100.0 * x for x in pose[:3]), *(math.degrees(x) for x in geometry.to_rpy(pose))]
-        words = " ".join(f"{x:.2f}" for x in figures[:3])
-        return f"SET {stated[1]} FRAME {words} CM {' '.join(f'{x:.2f}' for x in figures[3:])} DEG"
-    sentence = SENTENCE.search(text)
-    return sentence[0] if sentence and isinstance(parse_job(GRAMMAR, sentence[0]), ParsedCommand) else ""
-
 
 # --- a cell and its states ------------------------------------------------------------------------------------
 
@@ -335,22 +283,27 @@ def leave(cluster: OneProcess, drawn: Drawn, ended: Outcome) -> tuple[bool, list
     """Follow the advice. Returns whether the arm has left, and the sentences with their outcomes."""
     story: list[str] = []
     arm = drawn.arm
-    waiting = advised(_clears(ended), drawn.sentence, cluster.sim.truth)
+    waiting = _advised(ended, drawn.sentence, cluster)
     free = not waiting
-    for _ in range(MOST_SENTENCES):
+    for _ in range(advice.MOST_SENTENCES):
         sentence = waiting.pop(0) if waiting else f"STOW {arm}"
         before = list(cluster.mcm.executors[arm].sample.joints)
         outcome = say(cluster, sentence)
         off_rad = max(abs(a - b) for a, b in zip(cluster.mcm.executors[arm].sample.joints, before, strict=True))
         story.append(f"{sentence} -> {outcome.kind.value}: {outcome.message} || {_clears(outcome)}")
         if outcome.kind is not OutcomeKind.SUCCEEDED:
-            waiting = advised(_clears(outcome), sentence, cluster.sim.truth)
+            waiting = _advised(outcome, sentence, cluster)
         elif off_rad > MOVED_RAD:
             return True, story
         if free and outcome.kind is OutcomeKind.REFUSED:
             return False, story
         free = outcome.kind is not OutcomeKind.SUCCEEDED and not waiting
     return False, story
+
+
+def _advised(outcome: Outcome, given: str, cluster: OneProcess) -> list[str]:
+    """The sentences of its advice, of alternatives the first."""
+    return [step[0] for step in advice.steps(_clears(outcome), given, cluster.sim.truth)]
 
 
 def _clears(outcome: Outcome) -> str:

@@ -1,0 +1,121 @@
+"""Following an advice as a person would who does what it says, and no more.
+
+An advice has steps (`; ` or `, then ` between them), and a step has alternatives (`or`). An operator who looks sees:
+`SET X FRAME x y z` states the truth. `do it again` is the sentence on which the advice was given.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+from rtc.language.record import ParsedCommand
+from rtc.robot import geometry
+from tests.workers.conftest import GRAMMAR, Run
+from workers.parser.parse import parse_job
+
+MOST_SENTENCES = 4  # for one obstacle
+MOST_OBSTACLES = 4
+
+VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET|APPROACH|HOLD|TRACK"
+WORD = r"(?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?)"
+SENTENCE = re.compile(rf"\b(?:{VERBS})(?: {WORD})+")
+ELSEWHERE = re.compile(r"MOVE (.+?) TO another place first \(([A-Z0-9-]+)")
+ANYWHERE = re.compile(r"MOVE ([A-Z0-9-]+) to a place")
+AGAIN = re.compile(r"\b(?:do it|try|give (?:it|the sentence|the command)) again")
+OTHER_ARM = re.compile(r"move (.+?) away first")
+STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE)")
+STEPS = re.compile(r"; |, then ")
+ALTERNATIVES = re.compile(r", or | or (?=[A-Z]{3})")
+
+Truth = Callable[[], dict[str, Any]]  # poses of objects (`poses`) and of seats (`seats`), world frame
+
+
+class Answer(NamedTuple):
+    """What a sentence came to."""
+
+    succeeded: bool
+    message: str
+    clears: str
+
+    @classmethod
+    def of(cls, run: Run) -> Answer:
+        why = run.failure or run.refusal
+        return cls(run.succeeded, why.message if why else "", why.clears if why else "")
+
+    def __str__(self) -> str:
+        return "succeeded" if self.succeeded else f"{self.message} [{self.clears}]"
+
+
+class Followed(NamedTuple):
+    """`no sentence`: the advice has none. `same advice`: it was given twice in a row, so it does not lead out."""
+
+    end: Literal["reached", "no sentence", "same advice", "too many obstacles"]
+    given: list[str]
+    history: list[str]
+
+
+def steps(advice: str, given: str, truth: Truth) -> list[list[str]]:
+    """The sentences of an advice on the `given` one: the steps in their order, each with its alternatives."""
+    found: list[list[str]] = []
+    for part in STEPS.split(advice):
+        options = ALTERNATIVES.split(part.removeprefix("or "))
+        sentences = [given if AGAIN.search(one) else _sentence(one, truth) for one in options]
+        sentences = [one for one in sentences if one]
+        if part.startswith("or ") and found:
+            found[-1] += sentences  # alternatives to what precedes it
+        elif sentences:
+            found.append(sentences)
+    return found
+
+
+def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth) -> Followed:
+    """Clear one obstacle after the other that a sentence, the aim, meets; `answer` is its first one.
+
+    Each step is done if one of its alternatives succeeds; the aim is given after at most four sentences.
+    """
+    given: list[str] = []
+    history = [f"{aim}: {answer}"]
+    for _ in range(MOST_OBSTACLES):
+        advice, left = answer.clears, MOST_SENTENCES
+        for step in steps(advice, "", truth):
+            for sentence in step[:left]:
+                left -= 1
+                given.append(sentence)
+                done = say(sentence)
+                history.append(f"{sentence}: {done}")
+                if done.succeeded:
+                    break
+        if left == MOST_SENTENCES and not AGAIN.search(advice):
+            return Followed("no sentence", given, history)
+        answer = say(aim)
+        history.append(f"again: {answer}")
+        if answer.succeeded:
+            return Followed("reached", given, history)
+        if answer.clears == advice:
+            return Followed("same advice", given, history)
+    return Followed("too many obstacles", given, history)
+
+
+def _sentence(text: str, truth: Truth) -> str:
+    if other := OTHER_ARM.search(text):
+        return f"STOW {other[1]}"
+    if anywhere := ANYWHERE.search(text):
+        return f"MOVE {anywhere[1]} TO CLEAR-POINT-1"
+    if elsewhere := ELSEWHERE.search(text):
+        return f"MOVE {elsewhere[1]} TO {elsewhere[2]}"
+    if (stated := STATED.search(text)) and stated[2] == "FRAME":
+        return _stated(stated[1], truth())
+    sentence = SENTENCE.search(text)
+    return sentence[0] if sentence and isinstance(parse_job(GRAMMAR, sentence[0]), ParsedCommand) else ""
+
+
+def _stated(name: str, truth: dict[str, Any]) -> str:
+    pose = (truth["poses"] | truth["seats"]).get(name)
+    if pose is None:
+        return ""
+    metres = " ".join(f"{100.0 * x:.2f}" for x in pose[:3])
+    degrees = " ".join(f"{math.degrees(x):.2f}" for x in geometry.to_rpy(pose))
+    return f"SET {name} FRAME {metres} CM {degrees} DEG"
