@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from rtc.cells.cell import Cell
@@ -25,15 +23,6 @@ class OwnArm(workers.Bench):
         super().__init__(_Physics(cell))
         self.model = CellModel(cell)
         self.world = World().overlay(initial_facts(cell))
-
-    def elaborate(self, sentence: str, model: Any = None) -> Any:
-        return super().elaborate(sentence, self.model)
-
-    def _bind(self, data: Any) -> Any:
-        return workers.binder.run(workers.binder.compile(self.programs["binder"]), self.model, self.world, data)
-
-    def _analyze(self, data: Any) -> Any:
-        return workers.analyzer.run(workers.analyzer.compile(self.programs["analyzer"]), self.model, self.world, data)
 
 
 class _Physics(workers.Kinematic):

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
+from types import ModuleType
 from typing import Any
 
 import msgspec
@@ -240,6 +242,12 @@ class Run:
         return [a.reason.value for a in self.assessments]
 
 
+@lru_cache(maxsize=64)
+def compiled(worker: ModuleType, program: bytes) -> Any:
+    """As a worker does it: a program is compiled once."""
+    return worker.compile(program)
+
+
 class Bench:
     """Executes sentences by the loop of the paper, on one subsystem and one world."""
 
@@ -270,7 +278,7 @@ class Bench:
     def elaborate(self, sentence: str, model: CellModel | None = None) -> Script | Refusal:
         self.commands += 1
         data = ElaboratorInput(command=f"C-{self.commands}", parsed=record(sentence), at_s=self.now_s)
-        return elaborator.run(elaborator.compile(self.programs["elaborator"]), model or self.model, self.world, data)
+        return elaborator.run(compiled(elaborator, self.programs["elaborator"]), model or self.model, self.world, data)
 
     def bind(self, script: Script, step: Step, bindings: dict[str, Binding] | None = None, n: int = 1) -> Any:
         given = script.bindings if bindings is None else bindings
@@ -286,7 +294,7 @@ class Bench:
         return self._bind(BinderInput(primitive_id=name, moved_s=moved_s, **given))
 
     def _bind(self, data: BinderInput) -> Any:
-        return binder.run(binder.compile(self.programs["binder"]), self.model, self.world, data)
+        return binder.run(compiled(binder, self.programs["binder"]), self.model, self.world, data)
 
     def analyze(self, bound: BoundStep, report: EndReport, used: list[int] | None = None, closing: bool = False) -> Any:
         assert bound.evaluation is not None
@@ -295,7 +303,7 @@ class Bench:
         )
 
     def _analyze(self, data: AnalyzerInput) -> Any:
-        return analyzer.run(analyzer.compile(self.programs["analyzer"]), self.model, self.world, data)
+        return analyzer.run(compiled(analyzer, self.programs["analyzer"]), self.model, self.world, data)
 
     def do(self, sentence: str) -> Run:
         """The loop "WHILE Action_Stack Not_Empty" of the paper, section 4."""
