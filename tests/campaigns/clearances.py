@@ -134,14 +134,14 @@ class Clearances:
         dense = [_quintic(float(t), begin, end, np.linspace(0.0, 1.0, FINE + 1)[:-1]) for t, begin, end in knots]
         rows = np.vstack((*dense, trajectory.positions[-1]))
         moving = [n for n, j in enumerate(joint) if j and self._moves(j, slots)]
+        joint, placement = [joint[n] for n in moving], [placement[n] for n in moving]
+        centres, radii = self._centre[moving], self._radius[moving, None, None]
         places = []
         for row in rows:
             q[slots] = row
             at = self._at(q, joint, placement)
-            corners = (at[n].rotation * self._radius[n] for n in moving)
-            places.append(
-                [at[n].act(self._centre[n])[:, None] + turned for n, turned in zip(moving, corners, strict=True)]
-            )
+            middles = [pose.act(centre) for pose, centre in zip(at, centres, strict=True)]
+            places.append(np.array(middles)[:, :, None] + np.array([pose.rotation for pose in at]) * radii)
         moved = np.linalg.norm(np.diff(np.array(places), axis=0), axis=2).max(axis=(1, 2))
         along = np.concatenate(((0.0,), np.cumsum(moved)))
         even = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / STEP_M)) + 1))
