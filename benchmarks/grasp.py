@@ -211,6 +211,11 @@ class Scene:
         self.run.outside += [f"after {text}: {one}" for one in found.outside]
         return done
 
+    def stated(self) -> Iterator[str]:
+        """The sentences that state where module and seats are."""
+        for name in (self.module, self.rack, BAY):
+            yield advice.stated(name, self.truth())
+
     def rests(self) -> bool:
         before = self.sim.arms[self.run.arm].read().joints
         for _ in range(REST_TICKS):
@@ -274,12 +279,20 @@ def _cleared(scene: Scene, text: str, done: Run) -> bool:
     followed = advice.follow(say, text, answer, scene.truth)
     if followed.end == "reached":
         return True
-    known = any(sentence.startswith(f"SET {scene.module} ") for sentence in followed.given)
-    if known and last.refusal is not None and last.refusal.reason is RefusalReason.INFEASIBLE:
-        run.infeasible = " | ".join(followed.history)
+    story = " | ".join(followed.history)
+    if last.refusal is not None and last.refusal.reason is RefusalReason.INFEASIBLE and _is_infeasible(scene, text):
+        run.infeasible = story
     else:
-        run.stuck = " | ".join(followed.history)
+        run.stuck = story
     return False
+
+
+def _is_infeasible(scene: Scene, text: str) -> bool:
+    """Whether the planner refuses the sentence with the true pose of the module."""
+    for sentence in scene.stated():
+        scene.do(sentence)
+    why = scene.do(text).refusal
+    return why is not None and why.reason is RefusalReason.INFEASIBLE
 
 
 # --- all runs --------------------------------------------------------------------------------------------------

@@ -106,13 +106,14 @@ def _sentence(text: str, truth: Truth) -> str:
         return f"MOVE {anywhere[1]} TO CLEAR-POINT-1"
     if elsewhere := ELSEWHERE.search(text):
         return f"MOVE {elsewhere[1]} TO {elsewhere[2]}"
-    if (stated := STATED.search(text)) and stated[2] == "FRAME":
-        return _stated(stated[1], truth())
+    if (about := STATED.search(text)) and about[2] == "FRAME":
+        return stated(about[1], truth())
     sentence = SENTENCE.search(text)
     return sentence[0] if sentence and isinstance(parse_job(GRAMMAR, sentence[0]), ParsedCommand) else ""
 
 
-def _stated(name: str, truth: dict[str, Any]) -> str:
+def stated(name: str, truth: dict[str, Any]) -> str:
+    """The sentence that states the true pose of an object or seat; empty if there is none."""
     pose = (truth["poses"] | truth["seats"]).get(name)
     if pose is None:
         return ""

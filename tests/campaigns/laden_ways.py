@@ -19,7 +19,7 @@ import multiprocessing
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,8 @@ from rtc.protocol.messages import BoundStep, EndReport
 from rtc.protocol.primitive import JointTrajectory, Primitive
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
-from tests.campaigns import numbered_runs
+from tests.campaigns import advice, numbered_runs
+from tests.campaigns.advice import Answer
 from tests.campaigns.clearances import FAR_M, Clearances, Least, Placed
 from tests.workers.conftest import CELL, MODEL, Bench, Reporter
 from workers.planning.world_query import WorldQuery
@@ -62,8 +63,10 @@ class Judged(NamedTuple):
 
 class Way(NamedTuple):
     sentence: str
-    refusal: str
+    refusal: str  # before any motion
     motions: list[Judged]
+    end: str = ""  # what the advice of the refusal led to
+    story: list[str] = []  # noqa: RUF012
 
 
 class Judge(Reporter):
@@ -131,7 +134,14 @@ def run(case: Case) -> Way:
         elif case.goal in SEATS:
             sentence = f"{case.verb} {module} {'ON' if case.verb == 'PLACE' else 'INTO'} {case.goal} WITH {case.arm}"
         done = bench.do(sentence)
-        return Way(sentence, done.refusal.message if done.refusal else "", judge.judged)
+        if not done.refusal or judge.judged:
+            return Way(sentence, "", judge.judged)
+
+        def truth() -> dict[str, Any]:
+            return {"poses": judge.poses, "seats": {seat.name: seat.frame.pose for seat in CELL.seats}}
+
+        followed = advice.follow(lambda text: Answer.of(bench.do(text)), sentence, Answer.of(done), truth)
+        return Way(sentence, done.refusal.message, judge.judged, followed.end, followed.history)
     finally:
         bench.world, judge.joints, judge.widths, judge.poses = world, joints, widths, poses
 
@@ -243,28 +253,34 @@ def main() -> None:
             ways.append(way)
             for one in too_near(way):
                 print(f"  way {n}: {way.sentence} from {case.start}: {one}", flush=True)
-            if given.only:
-                print(n, case, way)
+            if given.only or way.end == "same advice":
+                print(n, case, way.end, *way.story, sep="\n    ")
     _report(ways, given)
 
 
 def _report(ways: list[Way], given: argparse.Namespace) -> None:
     free = [one.least.distance_m for way in ways for one in way.motions if not one.straight]
     straight = [one.least.distance_m for way in ways for one in way.motions if one.straight]
-    refused = [way.refusal for way in ways if way.refusal and not way.motions]
+    refused = [way for way in ways if way.refusal]
     bad = [way for way in ways if too_near(way)]
+    ends = Counter(way.end for way in refused)
     least_mm = 1e3 * min((*free, *straight))
     rows = [
         ("ways", f"{len(ways)}; refused before any motion: {len(refused)}"),
         ("ways nearer than 5 mm", str(len(bad))),
         ("least distance on free ways", f"{1e3 * min(free):.2f} mm, p10 {1e3 * percentile(free, 10):.1f} mm"),
         ("least distance on lines, from what they do not touch", f"{1e3 * min(straight, default=FAR_M):.2f} mm"),
-        ("refusals", "; ".join(f"{n} {why}" for why, n in Counter(map(_kind, refused)).most_common(6))),
+        ("advice of refusals", "; ".join(f"{n} {end}" for end, n in ends.most_common())),
+        (
+            "refusals",
+            "; ".join(f"{n} {why}" for why, n in Counter(_kind(way.refusal) for way in refused).most_common(6)),
+        ),
     ]
     metrics: dict[str, float | None] = {
         "ways": float(len(ways)),
         "planned": float(len(ways) - len(refused)),
         "too_near": float(len(bad)),
+        "same_advice": float(ends["same advice"]),
         "least_mm": least_mm,
         "free_p10_mm": 1e3 * percentile(free, 10),
     }
