@@ -263,6 +263,7 @@ def _report(ways: list[Way], given: argparse.Namespace) -> None:
     straight = [one.least.distance_m for way in ways for one in way.motions if one.straight]
     refused = [way for way in ways if way.refusal]
     bad = [way for way in ways if too_near(way)]
+    kinds = Counter(_kind(way.refusal) for way in refused)
     ends = Counter(way.end for way in refused)
     least_mm = 1e3 * min((*free, *straight))
     rows = [
@@ -273,7 +274,7 @@ def _report(ways: list[Way], given: argparse.Namespace) -> None:
         ("advice of refusals", "; ".join(f"{n} {end}" for end, n in ends.most_common())),
         (
             "refusals",
-            "; ".join(f"{n} {why}" for why, n in Counter(_kind(way.refusal) for way in refused).most_common(6)),
+            "; ".join(f"{n} {why}" for why, n in kinds.most_common(6)),
         ),
     ]
     metrics: dict[str, float | None] = {
