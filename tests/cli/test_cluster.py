@@ -237,20 +237,20 @@ def test_a_camera_locates_a_module_that_has_moved(rtc: Run, run_dir: Path, tmp_p
     assert bodies["MACS-NEW"]["cause"] == "out of view"
 
 
-def until_told(faults: list[str], status: Callable[[], dict[str, Any]]) -> list[str]:
-    """The status has these faults once the MCM has told the broker, which is after the answer to `rtc inject`."""
+def until_listed(faults: list[str], status: Callable[[], dict[str, Any]]) -> list[str]:
+    """The status has these faults once the MCM has reported them to the broker, which is after the answer to `rtc inject`."""
     end = os.times().elapsed + LIMIT_S
     while True:
-        told = next(row for row in status()["subsystems"] if row["name"] == "MCM")["injected"]
-        if told == faults or os.times().elapsed > end:
-            return told
+        listed = next(row for row in status()["subsystems"] if row["name"] == "MCM")["injected"]
+        if listed == faults or os.times().elapsed > end:
+            return listed
 
 
 def test_injected_faults_are_in_the_status_until_they_are_undone(rtc: Run, run_dir: Path, tmp_path: Path) -> None:
     assert rtc("inject", "blind", "camera_1").returncode == 0
     active = last_json(rtc("inject", "displace", "MACS-OLD", "--by", "0,0.02,0", "--turn", "0,0,3", "--json"))["active"]
     assert [words.split(" by ")[0] for words in active] == ["blind CAMERA-1", "displace MACS-OLD"]
-    assert until_told(active, lambda: last_json(rtc("status", "--json"))) == active
+    assert until_listed(active, lambda: last_json(rtc("status", "--json"))) == active
     picture = rtc("picture", "CAMERA-1", "-o", str(tmp_path / "dark.png"))
     assert picture.returncode == 0, picture.stderr
     assert Image.open(tmp_path / "dark.png").convert("L").getextrema() == (0, 0)
@@ -258,7 +258,7 @@ def test_injected_faults_are_in_the_status_until_they_are_undone(rtc: Run, run_d
     assert last_json(rtc("inject", "undo", "blind", "CAMERA-1", "--json"))["active"] == active[1:]
     with Client(run_dir) as client:
         assert client.undo_fault().active == []
-        assert until_told([], client.status) == []
+        assert until_listed([], client.status) == []
         with pytest.raises(RequestDeclined, match="RACK-1, RACK-2, BAY-2"):
             client.inject(JammedSeat(seat="BAY-9"))
 
