@@ -117,7 +117,7 @@ def test_what_gives_way_to_a_tug_is_not_let_go(bench):
     assert (made.verdict, made.reason) == ("abort", StopReason.NO_CONTACT)
     assert "gave way to a light tug" in made.message
     limits = [s.when.limit_n for s in bound.primitive.stop_functions if s.reason is StopReason.CONTACT]
-    assert limits == [0.15 * CELL.seat("BAY-2").detent_n]
+    assert limits == [0.18 * CELL.seat("BAY-2").detent_n]
     assert (
         geometry.distance(bound.evaluation.goal_pose, bench.model.arms["RIGHT-ARM"].fk(bound.evaluation.start_joints))
         < 0.004
