@@ -34,7 +34,8 @@ from rtc.protocol.primitive import JointTrajectory, Primitive
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD, REST_M_S
-from tests.campaigns import numbered_runs
+from tests.campaigns import advice, numbered_runs
+from tests.campaigns.advice import Answer
 from tests.campaigns.held_module import HeldModule
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.conftest import Run as Done
@@ -82,6 +83,7 @@ class Run(NamedTuple):
     trims: int
     why: str
     true: bool
+    after: str = ""  # what the advice of a failure led to
 
 
 class Hand(HeldModule):
@@ -123,8 +125,14 @@ class Hand(HeldModule):
             if not done.succeeded:
                 refused.append(done.refusal.message if done.refusal else "")
         self._seat = BAY if case.bay else self.rack
-        done = self.bench.do(SENTENCES[case.verb].format(self.module, self._seat, self.arm))
-        return self._judge(done, carried, failures, refused, before)
+        sentence = SENTENCES[case.verb].format(self.module, self._seat, self.arm)
+        done = self.bench.do(sentence)
+        judged = self._judge(done, carried, failures, refused, before)
+        if done.succeeded:
+            return judged
+        say = lambda text: Answer.of(self.bench.do(text))  # noqa: E731
+        followed = advice.follow(say, sentence, Answer.of(done), self.sim.truth)
+        return judged._replace(after=f"{followed.end}: {' | '.join(followed.history)}")
 
     def _anywhere(self, random: np.random.Generator) -> Done:
         """To a random posture: the first of some that is reached."""
@@ -248,6 +256,8 @@ def main() -> None:
         return
     question("from_anywhere", "do PLACE and INSERT seat a module from wherever the arm is?", seed=given.seed)
     wanted = [one for one in numbered_runs.chosen(given, cases(given.seed)) if one[0] >= given.first]
+    if not wanted:
+        words.error(f"--first {given.first}: --runs {given.runs} ends before it")
     found: dict[int, Run] = {}
     for (n, case), one in zip(wanted, _shared([case for _, case in wanted], given.processes), strict=True):
         found[n] = one
@@ -266,7 +276,7 @@ def _words(case: Case, one: Run) -> str:
         f"{case.verb} {where} {case.arm} {case.handle} grasp {case.grasp} by {via}: {end};"
         f" on free ways {one.free_n:.1f} N, {one.wrist_n:.1f} N at the wrist; then {one.peak_n:.1f} N,"
         f" {one.trims} trims {one.carry_failures or ''} {one.refused or ''} {one.touches or ''} {one.why}"
-        f"{'' if one.true else ' WRONG REPORT'}"
+        f"{'' if one.true else ' WRONG REPORT'} {one.after}"
     )
 
 

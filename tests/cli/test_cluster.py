@@ -238,7 +238,7 @@ def test_a_camera_locates_a_module_that_has_moved(rtc: Run, run_dir: Path, tmp_p
 
 
 def until_listed(faults: list[str], status: Callable[[], dict[str, Any]]) -> list[str]:
-    """The status has these faults once the MCM has reported them to the broker, which is after the answer to `rtc inject`."""
+    """The MCM reports faults to the broker after its answer to `rtc inject`."""
     end = os.times().elapsed + LIMIT_S
     while True:
         listed = next(row for row in status()["subsystems"] if row["name"] == "MCM")["injected"]

@@ -53,6 +53,7 @@ def test_every_laden_way_keeps_five_millimetres():
     for case in itertools.islice(laden_ways.shuffled(laden_ways.SEED), 24):
         way = laden_ways.run(case)
         assert not laden_ways.too_near(way), (case, way)
+        assert way.end != "same advice", way.story
 
 
 def known_within(bench, key, spread):

@@ -1,0 +1,77 @@
+"""The reader of advice that campaigns follow: it judges the program, so it must read what a person would read."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.campaigns import advice
+from tests.campaigns.advice import Answer
+
+TRUTH = {"poses": {"MACS-NEW": [0.8, -0.8, 0.6, 0.0, 0.0, 0.0, 1.0]}, "seats": {}}
+
+
+def read(text: str) -> list[list[str]]:
+    return advice.steps(text, "STOW RIGHT-ARM", lambda: TRUTH)
+
+
+@pytest.mark.parametrize(
+    ("text", "steps"),
+    [
+        ("LOCATE MACS-NEW; try again", [["LOCATE MACS-NEW"], ["STOW RIGHT-ARM"]]),
+        ("look what is in the way, then RETRACT RIGHT-ARM", [["RETRACT RIGHT-ARM"]]),
+        (
+            "LOCATE MACS-NEW, or state where it is: SET MACS-NEW FRAME x y z CM roll pitch yaw DEG",
+            [["LOCATE MACS-NEW", "SET MACS-NEW FRAME 80.00 -80.00 60.00 CM 0.00 0.00 0.00 DEG"]],
+        ),
+        ("move LEFT-ARM away first", [["STOW LEFT-ARM"]]),
+        (
+            "another goal; or MOVE RIGHT-ARM TO another place first (CLEAR-POINT-1)",
+            [["MOVE RIGHT-ARM TO CLEAR-POINT-1"]],
+        ),
+        ("PLACE MACS-NEW ON RACK-1 or BAY-2, or another arm", [["PLACE MACS-NEW ON RACK-1"]]),
+        ("another goal: RACK-1 is there", []),
+    ],
+)
+def test_the_sentences_of_an_advice_are_its_steps_and_their_alternatives(text: str, steps: list[list[str]]) -> None:
+    assert read(text) == steps
+
+
+class Obstacles:
+    """A sentence that succeeds after the cures of some obstacles."""
+
+    def __init__(self, *cures: str) -> None:
+        self.cures = list(cures)
+        self.given: list[str] = []
+
+    def say(self, sentence: str) -> Answer:
+        self.given.append(sentence)
+        if sentence == "STOW RIGHT-ARM":
+            return self.answer()
+        if self.cures and sentence == self.cures[0]:
+            self.cures.pop(0)
+        return Answer(True, "", "")
+
+    def answer(self) -> Answer:
+        return Answer(False, "blocked", self.cures[0]) if self.cures else Answer(True, "", "")
+
+
+def follow(scene: Obstacles) -> str:
+    return advice.follow(scene.say, "STOW RIGHT-ARM", scene.answer(), lambda: TRUTH).end
+
+
+def test_advice_that_clears_one_obstacle_after_the_other_reaches_the_aim() -> None:
+    scene = Obstacles("RETRACT LEFT-ARM", "LOCATE MACS-NEW")
+    assert follow(scene) == "reached"
+    assert scene.given == ["RETRACT LEFT-ARM", "STOW RIGHT-ARM", "LOCATE MACS-NEW", "STOW RIGHT-ARM"]
+
+
+def test_the_same_advice_twice_does_not_lead_out() -> None:
+    scene = Obstacles("RETRACT LEFT-ARM")
+    scene.say = lambda sentence: scene.answer() if sentence == "STOW RIGHT-ARM" else Answer(True, "", "")
+    assert follow(scene) == "same advice"
+
+
+def test_advice_without_a_sentence_is_a_case_of_its_own() -> None:
+    scene = Obstacles("another goal: RACK-1 is there")
+    assert follow(scene) == "no sentence"
+    assert scene.given == []
