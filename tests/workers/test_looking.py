@@ -44,6 +44,21 @@ def test_locate_writes_the_pose_with_its_uncertainty_and_the_seat_that_moved_wit
     assert again.context.script == "grasp-centering"  # no need to feel for it any more
 
 
+@pytest.mark.parametrize("measured", [f"LOCATE {OTHER}", f"SET {OTHER} FRAME 80.2 79.2 60.1 CM 0 0 0 DEG"])
+@pytest.mark.parametrize("offset_m", [0.003, 0.2], ids=["known better", "moved"])
+def test_a_measured_object_moves_with_its_seat_only_if_the_seat_has_moved(bench, measured, offset_m) -> None:
+    bench.unsurveyed()
+    bench.subsystem.displace(OTHER, [0.002, -0.008, 0.001])
+    assert bench.do(measured).succeeded
+    before = frame(bench, OTHER).value
+    fact = frame(bench, "RACK-2")
+    seat = CELL.seat("RACK-2").frame.pose if fact is None else fact.value
+    x, y, z = (100.0 * n for n in (seat[0] + offset_m, seat[1], seat[2]))
+    assert bench.do(f"SET RACK-2 FRAME {x:.3f} {y:.3f} {z:.3f} CM").succeeded
+    moved_m = geometry.distance(frame(bench, OTHER).value, before)
+    assert moved_m == pytest.approx(offset_m if offset_m > 0.1 else 0.0, abs=1e-4)
+
+
 class Drifting(Ideal):
     """A module moves along its handle while cameras look."""
 

@@ -152,7 +152,7 @@ def _moved_with(seat: str, frame: Any, query: WorldQuery) -> Changes:
     """Frames of the objects in this seat, which move with it."""
     changes = []
     for thing in query.cell.objects:
-        if query.seat(thing.name) == seat and not query.held_by(thing.name):
+        if query.seat(thing.name) == seat and moves_with(thing.name, seat, frame, query):
             key = f"{thing.name}.frame"
             inside = geometry.relative(query.seat_frame(seat), query.frame(thing.name))
             fact = query.world.get(key)
@@ -165,6 +165,25 @@ def _moved_with(seat: str, frame: Any, query: WorldQuery) -> Changes:
                 )
             )
     return changes
+
+
+def moves_with(thing: str, seat: str, frame: Any, query: WorldQuery) -> bool:
+    """Whether an object in a seat moves with it when the seat is at this frame.
+
+    An object whose own place is known better than that of the seat was measured by itself. It stays where it is while
+    the seat is within its former spread: then the seat has not moved, it is only known better.
+    """
+    if query.held_by(thing):
+        return False
+    surveyed = query.cell.object(thing).known_within
+    was, own = query.spread(f"{seat}.frame"), query.spread(f"{thing}.frame")
+    if query.world.get(f"{seat}.frame") is None and surveyed is not None:
+        was = surveyed.spread  # the survey of the object is that of its seat
+    if max(own[:3]) >= max(was[:3]):
+        return True
+    before = query.seat_frame(seat)
+    off = [*geometry.relative(before, frame)[:3], *geometry.rotation_vector(before, frame)]
+    return any(abs(error) > bound for error, bound in zip(off, was, strict=True))
 
 
 def seat_at(frame: Any, query: WorldQuery, within_m: float, within_rad: float = math.pi) -> str:

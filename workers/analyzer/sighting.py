@@ -16,7 +16,7 @@ from rtc.protocol.outcomes import Sighting, StopReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.world.spread import even, widened
-from workers.analyzer.reported_facts import seat_at
+from workers.analyzer.reported_facts import moves_with, seat_at
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
@@ -111,7 +111,7 @@ def _content(query: WorldQuery, seat: str, frame: Array, spread: list[float], va
     """Objects in a seat move with it."""
     changes = []
     for thing in query.cell.objects:
-        if query.seat(thing.name) == seat and not query.held_by(thing.name):
+        if query.seat(thing.name) == seat and moves_with(thing.name, seat, frame, query):
             inside = geometry.relative(query.seat_frame(seat), query.frame(thing.name))
             wider = widened(pose_spread.spread_at(spread, inside), query.spread(f"{thing.name}.frame"))
             value = geometry.normalise(geometry.compose(frame, inside)).tolist()
