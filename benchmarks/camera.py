@@ -22,10 +22,10 @@ from benchmarks.report import RESULTS, finish, percentile, question
 from rtc.cells.cell import Cell
 from rtc.cells.parts import Camera, Frame, Tag
 from rtc.cells.scene import SceneView
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
 from rtc.sensing import locate, optics
 from rtc.sensing.detector import TagDetector
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm import render
 
 SEED = 5

@@ -25,10 +25,10 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.wire import frames, reader
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 from rtc.runtime.process import real_time, real_time_io
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import ArmState, CellState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 

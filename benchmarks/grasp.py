@@ -45,7 +45,7 @@ import pybullet
 from benchmarks.report import finish, question
 from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import RefusalReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from tests.campaigns import advice
 from tests.campaigns.advice import Answer
 from tests.campaigns.against_truth import judge

@@ -31,9 +31,9 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.wire import frames, reader
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from rtc.runtime.settings import Settings, prepare_run_dir
+from rtc.spatial import geometry
 from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms.arm import CellState
 from sim_mcm.arms.bullet_arm import BulletCell

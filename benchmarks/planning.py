@@ -28,8 +28,8 @@ from benchmarks.peers import direct_ways
 from benchmarks.report import finish, percentile, question, spread
 from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal
-from rtc.robot.geometry import Array
 from rtc.runtime import process
+from rtc.spatial.geometry import Array
 from workers.elaborator.backtrack import MOST_DETOURED
 from workers.planning.motion.path import CHECK_RAD, Path
 from workers.planning.motion.plan import find_joint_way, in_time

@@ -28,8 +28,8 @@ from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.faults import Drifting
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 BODY, CAMERA = "SATELLITE", "CAMERA-3"
 RATE_DEG_S = 1.0

@@ -13,7 +13,7 @@ import msgspec
 
 from rtc.cells.cell import Cell
 from rtc.protocol import faults as f
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Sample, Simulation
 from sim_mcm.control.executor import Executor
 

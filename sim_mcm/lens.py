@@ -11,8 +11,8 @@ import pybullet
 from numpy.typing import NDArray
 
 from rtc.cells.parts import Camera
-from rtc.robot import geometry
 from rtc.sensing.optics import Window
+from rtc.spatial import geometry
 
 NEAR_M, FAR_M = 0.05, 12.0
 SHIFT_PX = (0.5, -0.5)  # of pybullet's software renderer against an ideal camera: right, down

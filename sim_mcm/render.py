@@ -27,8 +27,8 @@ from rtc.cells.cell import Cell
 from rtc.cells.parts import Camera as CellCamera
 from rtc.cells.scene import VIEWS, CameraPicture, Drawn, Panel, Picture, SceneView
 from rtc.protocol.outcomes import RtcError
-from rtc.robot import geometry
 from rtc.sensing.optics import Window
+from rtc.spatial import geometry
 from sim_mcm import lens
 from sim_mcm import picture as sheet
 from sim_mcm.arms.bullet_world import PhysicsWorld

@@ -12,9 +12,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pybullet
 
+from rtc.cells import tag_family
 from rtc.cells.parts import Tag
-from rtc.robot import geometry
-from rtc.sensing import tag_family
+from rtc.spatial import geometry
 from sim_mcm import picture
 
 PIXELS_PER_CELL = 8  # of a texture; more pixels give the same picture

@@ -44,7 +44,11 @@ ONLY_IN = {
 }
 #: pure packages and files: no clock, no socket, no process, no chance
 PURE = (
-    "rtc/protocol/", "rtc/language/", "rtc/robot/geometry.py", "rtc/world/model.py", "rtc/world/spread.py",
+    "rtc/protocol/", "rtc/language/", "rtc/spatial/", "rtc/robot/", "rtc/cells/cell.py", "rtc/cells/parts.py",
+    "workers/parser/", "workers/elaborator/", "workers/binder/", "workers/analyzer/", "workers/planning/",
+    "workers/conditions/",
+    "rtc/programs/schema.py", "rtc/programs/checks.py", "rtc/programs/expressions.py", "rtc/programs/compatibility.py",
+    "rtc/programs/loader.py", "rtc/world/model.py", "rtc/world/spread.py",
     "broker/decisions/", "broker/dispatch/", "sim_mcm/control/",
     "rtc/observers/viewer_schema.py", "rtc/sensing/", "rtc/subsystem/subsystem.py",
     "rtc/perception/camera.py", "rtc/perception/motion.py", "rtc/perception/subsystem.py",
@@ -132,21 +136,56 @@ def test_no_module_lies_loose_in_a_package_of_rooms(package: str) -> None:
     assert not loose
 
 
-def test_broker_and_mcm_do_not_import_the_client() -> None:
-    wrong = [
-        f"{place(path)}:{line} imports {name}"
-        for path in sources("broker", "workers", "sim_mcm")
-        for line, name in imports(path)
-        if name.startswith("rtc.client")
-    ]
-    assert not wrong
+#: processes of a cluster that serve clients, so they must not load the client
+SERVERS = ("broker/__main__.py", "sim_mcm/__main__.py", "workers/__main__.py", "rtc/world/__main__.py")
+
+
+@pytest.mark.parametrize("path", [ROOT / name for name in SERVERS], ids=place)
+def test_a_server_does_not_load_the_client(path: Path) -> None:
+    """Through everything of ours that it imports, also inside functions."""
+    ways, seen = [[module(path)]], {module(path)}
+    while ways:
+        way = ways.pop()
+        assert not way[-1].startswith("rtc.client"), " -> ".join(way)
+        for name in sorted(import_graph()[way[-1]] - seen):
+            seen.add(name)
+            ways.append([*way, name])
+
+
+def test_packages_make_no_cycle() -> None:
+    """Rooms of `rtc` and `workers`, and the other packages as wholes."""
+    rooms: dict[str, set[str]] = {}
+    for name, others in import_graph().items():
+        rooms.setdefault(room(name), set()).update({room(other) for other in others} - {room(name)})
+    assert cycle(rooms) == []
+
+
+def room(name: str) -> str:
+    first, *rest = name.split(".")
+    return f"{first}.{rest[0]}" if first in ROOMS and rest else first
+
+
+@functools.cache
+def import_graph() -> dict[str, set[str]]:
+    """Module -> those of ours that it imports: at the top, inside functions, under TYPE_CHECKING, and by name."""
+    modules = {module(path) for path in ALL}
+    graph = {}
+    for path in ALL:
+        nodes = list(ast.walk(ast.parse(path.read_text())))
+        graph[module(path)] = {*modules_imported(nodes), *named_modules(nodes)} & modules - {module(path)}
+    return graph
+
+
+def named_modules(nodes: Iterable[ast.AST]) -> Iterator[str]:
+    """Arguments of `import_module` and `lazy` imports that are plain texts."""
+    for node in nodes:
+        if isinstance(node, ast.Call) and "import" in ast.unparse(node.func):
+            yield from (one.value for one in node.args if isinstance(one, ast.Constant) and isinstance(one.value, str))
 
 
 def test_imports_make_no_cycle() -> None:
     """Also not under TYPE_CHECKING or inside functions."""
-    modules = {module(path) for path in ALL}
-    graph = {module(path): set(modules_imported(ast.walk(ast.parse(path.read_text())))) & modules for path in ALL}
-    assert cycle(graph) == []
+    assert cycle(import_graph()) == []
 
 
 def cycle(graph: dict[str, set[str]]) -> list[str]:

@@ -11,8 +11,8 @@ import msgspec
 import pytest
 
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
 from rtc.protocol import messages as m
+from rtc.protocol.sentence import ParsedCommand
 
 TEXT = (Path(__file__).parents[1] / "docs" / "journey.md").read_text()
 BLOCKS: list[dict[str, Any]] = [json.loads(block) for block in re.findall(r"```json\n(.*?)```", TEXT, re.DOTALL)]

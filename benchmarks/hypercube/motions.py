@@ -13,11 +13,11 @@ import msgspec
 
 from benchmarks.throughput import MOTIONS
 from rtc.cells.cell import Cell
-from rtc.language.record import ParsedCommand
 from rtc.programs import loader
 from rtc.protocol import messages as m
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.primitive import Primitive
+from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World, initial_facts
 from workers.binder import bind
 from workers.elaborator import elaborate

@@ -21,9 +21,9 @@ from benchmarks.hypercube.motions import ARMS, Motions
 from benchmarks.hypercube.process_costs import KINDS, Jobs, Peer, peer, stream, used_s
 from benchmarks.throughput import MOTIONS, PLANNERS
 from rtc.programs import loader
-from rtc.programs.digest import digest
 from rtc.protocol import messages as m
 from rtc.protocol import wire
+from rtc.protocol.digest import digest
 from rtc.protocol.messages import WorkerKind
 from rtc.runtime.process import die_with_parent
 

@@ -22,11 +22,11 @@ import zmq
 
 from benchmarks.hypercube.fit import fitted, medians, quantiles
 from benchmarks.load.trivial import bind, elaborate, parse
-from rtc.language.record import ParsedCommand
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
+from rtc.protocol.sentence import ParsedCommand
 from rtc.runtime.process import die_with_parent, open_socket
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.world.lease import KEY_BYTES, KEY_FILE

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtc.cells import parts
-from rtc.robot import geometry
 from rtc.robot.collision_scene import Held, Scene
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from workers.planning.motion import path as paths
 from workers.planning.motion.constraints import FREE, PathConstraints
 from workers.planning.motion.request import PlanningRequest, fault, free_posture

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from rtc.language.record import ParsedCommand
 from rtc.protocol.messages import (
     AnalyzerInput,
     Assessment,
@@ -29,6 +28,7 @@ from rtc.protocol.messages import (
 )
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import GoalReached, HoldStill, Primitive, StopFunction, TimeAbove
+from rtc.protocol.sentence import ParsedCommand
 
 SUBSYSTEM = "MCM"
 PERFORMERS = 2048

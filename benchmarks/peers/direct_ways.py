@@ -11,8 +11,8 @@ import numpy as np
 from toppra import SplineInterpolator
 
 from rtc.protocol.outcomes import Refusal
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from workers.planning.motion import path as paths
 from workers.planning.motion import plan
 from workers.planning.motion.path import Path

@@ -14,8 +14,8 @@ import numpy as np
 import pybullet
 from ompl import base, geometric, util
 
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.bullet_world import PhysicsWorld
 from workers.planning.motion.path import CHECK_RAD
 from workers.planning.motion.request import PlanningRequest, free_posture

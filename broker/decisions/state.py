@@ -12,9 +12,9 @@ import msgspec
 
 from broker.decisions.action_stack import ActionStack
 from broker.decisions.resources import Resources
-from rtc.language.record import Condition
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Measured, OutcomeKind, Refusal, StopReason
+from rtc.protocol.sentence import Condition
 
 NOTES_KEPT = 400  # maximum length of one command's trace; entries in the middle are dropped
 

@@ -26,11 +26,11 @@ from broker.gateway.endpoints import HALTS, MOST_MESSAGES, PUBLISHED, Peer, Serv
 from broker.gateway.halts import RETRY_S, HaltForwarder
 from broker.gateway.sessions import Link, Sessions, node_of
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason, RtcError, WireError
 from rtc.protocol.roles import TCP_ENDPOINTS, Role, a_role, admits, may_send, refuse_planner
+from rtc.protocol.sentence import ParsedCommand
 from rtc.runtime import handover, process
 from rtc.runtime.halt_admission import read_order
 from rtc.runtime.keys import KeyRing, KnownKey

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from broker.persistence.journal import Journal
-from rtc.programs.digest import digest
 from rtc.programs.sandbox import CheckRequest, CheckResult
+from rtc.protocol.digest import digest
 from rtc.protocol.messages import ProgramText, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
 

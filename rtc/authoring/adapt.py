@@ -18,9 +18,9 @@ from rtc.authoring.robot_file import PACKAGE, RobotFile, number, numbers, origin
 from rtc.cells import urdf_values
 from rtc.cells.urdf_values import MOVING
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
 from rtc.robot.numeric_ik import FEWEST
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 HAND = Path(__file__).with_name("hand.urdf")
 BELOW_TIP_M = 0.015  # distance of the tcp below the finger tips, at most a quarter of a finger

@@ -23,12 +23,12 @@ from rtc.authoring.robot_file import RobotFile, number
 from rtc.cells.cell import Cell
 from rtc.cells.parts import Arm, Box, Frame, GraspPoint, Gripper, Object, Place, Seat, Vec3
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot import geometry
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.collision_scene import Scene
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 from rtc.robot.numeric_ik import WHOLE
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 SEED, POSTURES = 1, 1500  # among which home and stow are chosen
 EFFORT = 0.6  # share of the motor torque that a posture may need against gravity

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 DIRECTIONS = 64  # at first the farthest vertex in each is kept
 CLOSE_M, MOST, AT_ONCE = 0.001, 220, 6  # then as many more until this close, or this many

@@ -28,10 +28,11 @@ from rtc.cells.parts import Box, GraspPoint, Object
 from rtc.cells.urdf_values import MOVING
 from rtc.programs.yaml_location import line_of_key, path_of
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot import finger_mass, geometry
+from rtc.robot import finger_mass
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.collision_scene import Scene
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 
 TRIANGLE_SLACK = 1e-9
 LARGE_M = 5.0  # a mesh of an arm that is larger is probably in millimetres

@@ -17,8 +17,8 @@ import pinocchio as pin
 from rtc.cells import urdf_values
 from rtc.cells.urdf_values import MOVING
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 PACKAGE = "package://"
 ANCESTORS = 4  # directories above a URDF in which the packages of its meshes are looked for

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from rtc.authoring.robot_file import RobotFile, kinematics
 from rtc.robot import hulls
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 SEED, SAMPLES = 1, 1200
 NEAREST, STEPS, STEP = 6, 70, 0.3  # postures that are bent towards contact, steps each, and the first step (rad, m)

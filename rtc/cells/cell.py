@@ -33,9 +33,9 @@ from rtc.cells.parts import (
     Vec3,
     named,
 )
-from rtc.programs.digest import digest
+from rtc.protocol.digest import digest
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 
 EXTENDS = re.compile(rb"(?m)^extends:")
 CELLS = Path(__file__).parent  # the cells of the project: cells/NAME/cell.yaml

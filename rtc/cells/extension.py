@@ -15,7 +15,7 @@ import msgspec
 import msgspec.yaml
 import yaml
 
-from rtc.programs import yaml_limits
+from rtc.cells import yaml_limits
 from rtc.protocol.outcomes import ProgramError
 
 DEEPEST = 4  # maximum number of files that extend each other

@@ -15,7 +15,7 @@ import numpy as np
 from rtc.cells import urdf_values
 from rtc.cells.parts import Arm
 from rtc.cells.urdf_values import MOVING
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 HULL = ".obj"
 WIDTH_SLACK_M = 0.0005

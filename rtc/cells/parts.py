@@ -1,7 +1,7 @@
 """What a work-cell consists of: arms, seats, objects, places, regions, cameras, tags, shapes and default numbers.
 
 Fields that end in `_deg` are degrees, as in the file; properties that end in `_rad` are radians. Poses are seven floats
-(see `rtc.robot.geometry`). References between parts are checked by `rtc.cells.cell`.
+(see `rtc.spatial.geometry`). References between parts are checked by `rtc.cells.cell`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from rtc.robot import geometry
-from rtc.sensing import tag_family
+from rtc.cells import tag_family
+from rtc.spatial import geometry
 
 Name = Annotated[str, Meta(pattern=r"^[A-Z][A-Z0-9]*(-[A-Z0-9]+)*$")]
 Positive = Annotated[float, Meta(gt=0)]

@@ -14,7 +14,7 @@ import msgspec
 from rtc.cells.cell import Cell
 from rtc.cells.parts import Object
 from rtc.protocol import messages as m
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 
 VIEWS = ("overview", "behind", "left", "right", "top")  # --camera; or the name of a thing, for a close view of it
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from rtc.cells.cell import Cell
 from rtc.cells.parts import Place
-from rtc.robot.axis_names import AXES
+from rtc.spatial.axis_names import AXES
 
 POSTURE = "posture_of_"
 WORLD = "WORLD"  # stands for the whole world in SET

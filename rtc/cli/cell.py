@@ -13,8 +13,8 @@ from rich.text import Text
 from rtc.cells.cell import CELLS, Cell
 from rtc.cells.scene import VIEWS, Panel, Picture, SceneView
 from rtc.cli.output import AsJson, console, emit_json, table, trouble
+from rtc.perception.renderer import Renderer
 from rtc.protocol.outcomes import RtcError
-from rtc.runtime.renderer import Renderer
 
 if TYPE_CHECKING:
     from rtc.authoring.draft import Draft

@@ -33,9 +33,9 @@ from rtc.cli.output import (
     trouble,
 )
 from rtc.client.client import Client
-from rtc.client.liveness import supervised
 from rtc.protocol.outcomes import NoCluster, TimedOut
 from rtc.runtime import process_table
+from rtc.runtime.run_dir import supervised
 from rtc.runtime.settings import LEAST_DIM, MCMS, MOST_DIM, MOST_FAR, MOST_WORKERS, Mcm, Settings, default_run_dir
 
 SILENT = (

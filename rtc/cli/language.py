@@ -18,12 +18,12 @@ from rtc.language import dictionary as entries
 from rtc.language.caret import show
 from rtc.language.parse import default_grammar
 from rtc.language.parse import parse as parse_sentence
-from rtc.language.record import ParsedCommand
-from rtc.language.units import in_words
 from rtc.programs.loader import decode, default
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Refusal
+from rtc.protocol.sentence import ParsedCommand
+from rtc.protocol.units import in_words
 
 if TYPE_CHECKING:
     from rtc.cells.cell import Cell

@@ -30,9 +30,9 @@ from rtc.cli.output import AsJson, RunDir, With, console, duration_s, emit_json,
 from rtc.cli.world import COLOUR
 from rtc.client.client import Client
 from rtc.language.alike import nearest_words
+from rtc.perception.renderer import Renderer
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import KeyTrouble, TimedOut
-from rtc.runtime.renderer import Renderer
 
 MEASURED_S = 1.0  # maximum wait for a telemetry sample of the arms; there are 50 per second
 SEEN_M, SEEN_RAD = 0.002, math.radians(1.0)  # differences above these get an outline

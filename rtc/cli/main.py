@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from rtc.cli.entry import begun
+from rtc.cli.interrupts import raise_at_interrupts
 from rtc.cli.output import LEFT_RUNNING, NO_CLUSTER, errors, trouble
 from rtc.cli.stdio import OutputClosed, attach
 from rtc.protocol.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
@@ -71,7 +71,7 @@ def build(names: list[str]) -> typer.Typer:
     for name in names:
         module: Any = import_module(f"rtc.cli.{COMMANDS[name]}")
         if hasattr(module, "app"):
-            module.app.callback()(begun)
+            module.app.callback()(raise_at_interrupts)
             app.add_typer(module.app, name=name)
         else:
             app.command(name)(_interruptible(getattr(module, name)))
@@ -83,7 +83,7 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def called(*given: Any, **options: Any) -> None:
-        begun()
+        raise_at_interrupts()
         try:
             command(*given, **options)
         except KeyboardInterrupt:

@@ -82,7 +82,7 @@ def _pose(pose: list[float]) -> str:
 
 
 def _rpy(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """As `rtc.robot.geometry.to_rpy`, but without numpy, whose import is slow."""
+    """As `rtc.spatial.geometry.to_rpy`, but without numpy, whose import is slow."""
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
     if abs(abs(pitch) - math.pi / 2) < POLE_RAD:
         return 0.0, pitch, math.copysign(2.0, -pitch) * math.atan2(x, w)

@@ -15,8 +15,8 @@ from rtc.cli.cluster_cell import cell_of
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.cli.teach import with_taught
 from rtc.language.alike import nearest_words
-from rtc.language.record import hand_in_words
-from rtc.robot.axis_names import AXES
+from rtc.protocol.sentence import hand_in_words
+from rtc.spatial.axis_names import AXES
 
 NO_GRASP = "GRASP needs a row of command_object_table for it"  # of an object of a kind that the programs do not know
 OTHER_WORDS = {"axis": "axes", "hand": "arms", "hands": "arms", "end-effector": "arms", "end-effectors": "arms"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rtc.cells.cell import Cell
-from rtc.robot.axis_names import AXES
+from rtc.spatial.axis_names import AXES
 
 #: verbs of a hand: the name of a graspable object follows the verb or the hand
 HANDLING = {

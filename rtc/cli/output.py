@@ -24,8 +24,8 @@ from rich.text import Text
 from rtc.cli.stdio import OutputClosed
 from rtc.language.caret import CUT, show
 from rtc.language.refuse import visible
-from rtc.language.units import in_words
 from rtc.protocol.outcomes import OutcomeKind, Refusal
+from rtc.protocol.units import in_words
 
 NO_CLUSTER = 4
 LEFT_RUNNING = 130  # exit status after Ctrl-C, as in shells

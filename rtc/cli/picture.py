@@ -21,13 +21,13 @@ from rtc.cells.scene import CameraPicture, believed, centimetres, degrees, true_
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.client.client import Client
 from rtc.language.alike import nearest_words
+from rtc.perception.renderer import Renderer
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError, TimedOut
-from rtc.robot import geometry
-from rtc.runtime.renderer import Renderer
 from rtc.sensing import absence, optics
 from rtc.sensing import locate as locator
 from rtc.sensing.detector import TagDetector
+from rtc.spatial import geometry
 
 MEASURED_S = 1.0  # maximum wait for a telemetry sample of the arms
 

@@ -35,7 +35,7 @@ from rtc.client.context import ClientContext
 from rtc.client.halt import HaltLine, HaltResult
 from rtc.client.handle import CommandHandle
 from rtc.client.heartbeat import HeartbeatSender
-from rtc.client.liveness import BrokerLiveness, Report, is_listening, supervised
+from rtc.client.liveness import BrokerLiveness, Report, is_listening
 from rtc.client.requests import Answer, OnEnded, OnProgress, Requests, expect
 from rtc.client.subscription import subscribe
 from rtc.language.refuse import MAX_CHARACTERS
@@ -52,6 +52,7 @@ from rtc.protocol.outcomes import (
 from rtc.protocol.traceparent import with_traceparent
 from rtc.protocol.wire import frames, reader
 from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.run_dir import supervised
 from rtc.runtime.settings import Settings, default_run_dir, shell_command
 from rtc.world.client import WorldClient
 

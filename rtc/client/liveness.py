@@ -5,32 +5,17 @@ It knows the cluster's run directory and the supervisor's lock in it. It does no
 
 from __future__ import annotations
 
-import fcntl
 import socket as unix
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from rtc.protocol.outcomes import NoCluster
-from rtc.runtime.settings import ENDPOINTS, LOCK
+from rtc.runtime.run_dir import supervised
+from rtc.runtime.settings import ENDPOINTS
 
 REPORT_AFTER = 2  # unanswered probes, two seconds each, before the user gets a message
 
 Report = Callable[[str], None]
-
-
-def supervised(run_dir: Path, by_hand: bool = True) -> bool:
-    """True while a process holds the supervisor lock in `run_dir`.
-
-    Without a lock file the cluster may have been started by hand: then `by_hand` is the answer.
-    """
-    try:
-        with open(run_dir / LOCK) as lock:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # closing the file releases it
-            return False
-    except BlockingIOError:
-        return True
-    except FileNotFoundError:
-        return by_hand and run_dir.exists()
 
 
 def is_listening(run_dir: Path, endpoints: Iterable[str]) -> bool:

@@ -23,7 +23,7 @@ from rtc.demos.narrator import Narrator
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, OutcomeKind
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 
 CELL, DOOR, MODULE, BAY = "servicing", "DOOR-2", "MACS-OLD", "BAY-2"
 OPENED_DEG, WITHIN_DEG = 90.0, 3.0

@@ -21,7 +21,7 @@ from rtc.demos.narrator import Narrator
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 HELD = {"RIGHT-ARM": "MACS-NEW", "LEFT-ARM": "MACS-OLD"}  # module that each arm carries
 GRASPS = ["GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "GRASP LEFT-END-EFF MACS-OLD HANDLE-B"]

@@ -13,9 +13,9 @@ from lark.exceptions import UnexpectedInput
 from rtc.language.alike import nearest_words
 from rtc.language.grammar import END, Grammar
 from rtc.language.refuse import SentenceError, quoted, refusal
-from rtc.language.units import KINDS, UNITS
 from rtc.language.words import Word
 from rtc.protocol.outcomes import Refusal
+from rtc.protocol.units import KINDS, UNITS
 
 READABLE = {
     "NAME": "a name",

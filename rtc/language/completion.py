@@ -14,9 +14,9 @@ from rtc.language.complain import allowed_after
 from rtc.language.grammar import Grammar
 from rtc.language.quantities import AMOUNTS, CONSTRAINTS, JOINTS, LENGTH, MEASURES, PERIOD, STEP, TIME, QuantityRule
 from rtc.language.refuse import SentenceError
-from rtc.language.units import UNITS
 from rtc.language.words import TOKEN_CLASSES, Word, one_line
 from rtc.protocol.outcomes import Refusal
+from rtc.protocol.units import UNITS
 
 #: the existing names, or a function that returns those that fit after the given words (in capitals)
 Names = Iterable[str] | Callable[[list[str]], Iterable[str]]

@@ -32,10 +32,10 @@ from rtc.language.quantities import (
     positions,
     si_numbers,
 )
-from rtc.language.record import Condition, Constraint, Destination, ReflexItem, Report
 from rtc.language.refuse import SentenceError, quoted
-from rtc.language.units import UNITS
 from rtc.language.words import WrittenNumber, measured
+from rtc.protocol.sentence import Condition, Constraint, Destination, ReflexItem, Report
+from rtc.protocol.units import UNITS
 
 Fields = dict[str, Any]
 Parts = list[Any]

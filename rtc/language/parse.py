@@ -14,10 +14,10 @@ from lark.exceptions import UnexpectedToken
 
 from rtc.language.complain import Stop, complaint
 from rtc.language.grammar import END, Grammar
-from rtc.language.record import ParsedCommand
 from rtc.language.refuse import SentenceError
 from rtc.language.words import Word, one_line
 from rtc.protocol.outcomes import Refusal
+from rtc.protocol.sentence import ParsedCommand
 
 __all__ = ["Grammar", "default_grammar", "parse"]
 

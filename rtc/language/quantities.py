@@ -11,10 +11,10 @@ from typing import Literal, NamedTuple
 
 from lark.lexer import Token
 
-from rtc.language.record import Quantity
 from rtc.language.refuse import SentenceError, quoted
-from rtc.language.units import KINDS, UNITS, such_as, to_si
 from rtc.language.words import WrittenNumber
+from rtc.protocol.sentence import Quantity
+from rtc.protocol.units import KINDS, UNITS, such_as, to_si
 
 Sense = Literal["any", "not nothing", "not negative", "more than nothing"]
 

@@ -16,8 +16,8 @@ from lark.lexer import PatternStr, TerminalDef, Token
 
 from rtc.language.alike import nearest_words
 from rtc.language.refuse import MAX_CHARACTERS, SentenceError, quoted, refusal
-from rtc.language.units import UNITS
 from rtc.protocol.outcomes import ProgramError, Refusal
+from rtc.protocol.units import UNITS
 
 TOKEN_CLASSES = ("NAME", "STRING", "NUMBER", "QUANTITY")
 

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import zmq
 
-from rtc.client.liveness import supervised
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import WireError
 from rtc.runtime.keys import Endpoints
 from rtc.runtime.process import Every, Process, inbox, now_s, send
+from rtc.runtime.run_dir import supervised
 from rtc.runtime.settings import Settings
 
 UNREAD = 100_000  # messages that ZeroMQ keeps for a slow observer; further events are dropped and counted

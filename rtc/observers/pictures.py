@@ -14,10 +14,10 @@ from typing import Protocol
 from rtc.cells.cell import Cell
 from rtc.cells.scene import Believed, Panel, Picture, believed
 from rtc.observers.feed import Received
+from rtc.perception.renderer import Renderer
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
 from rtc.runtime.process import Every
-from rtc.runtime.renderer import Renderer
 
 LOG = logging.getLogger("rtc record")
 FORMAT = "jpeg"

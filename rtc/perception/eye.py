@@ -1,8 +1,8 @@
 """The driver of the cameras: a thread that takes one picture at a time and finds the tags in it.
 
-Cameras are simulated. A picture is drawn by a process of its own (`rtc.runtime.renderer`) from the true scene. The true
-scene goes only to that process; the result is pixels. The drawing process starts with the first picture and ends after
-IDLE_S without one. A driver of real cameras replaces `SimulatedCameras`.
+Cameras are simulated. A picture is drawn by a process of its own (`rtc.perception.renderer`) from the true scene. The
+true scene goes only to that process; the result is pixels. The drawing process starts with the first picture and ends
+after IDLE_S without one. A driver of real cameras replaces `SimulatedCameras`.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from rtc.cells.cell import Cell
 from rtc.cells.scene import true_scene
 from rtc.perception.look_task import Evaluated
+from rtc.perception.renderer import Renderer
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError, TimedOut
 from rtc.protocol.wire import frames, reader
-from rtc.robot import geometry
 from rtc.runtime.process import inbox, now_s, open_socket
-from rtc.runtime.renderer import Renderer
 from rtc.runtime.settings import Settings
 from rtc.sensing import optics
 from rtc.sensing.optics import Window
+from rtc.spatial import geometry
 
 if TYPE_CHECKING:
     from rtc.sensing.detector import TagDetector

@@ -12,14 +12,14 @@ from rtc.perception.motion import Motion
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Sighting
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
 from rtc.sensing import absence
 from rtc.sensing.detector import Mark
 from rtc.sensing.locate import Seen, locate
 from rtc.sensing.optics import View, Window
 from rtc.sensing.pose_fit import Fit
 from rtc.sensing.windows import windows
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 BODY = "BODY"  # a look has one body, without a name
 

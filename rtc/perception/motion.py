@@ -6,8 +6,8 @@ from collections import deque
 
 import numpy as np
 
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 KEPT_S = 1.0  # age of the oldest pose
 LEAST_S = 0.25  # span of poses below which a velocity would be noise

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator
 
-from rtc.language.record import ParsedCommand
 from rtc.programs import expressions, extension_names
 from rtc.programs.compatibility import Problems
 from rtc.programs.schema import AnalyzerProgram, ElaboratorProgram, ScriptFile, ScriptStep
+from rtc.protocol.sentence import ParsedCommand
 
 PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 FIELDS = ParsedCommand.__struct_fields__

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from rtc.language.alike import nearest_words
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 MOST_APART_RAD = math.radians(5.0)  # maximum angle between averaged attitudes (A15)
 LONGEST = 200  # maximum length in characters

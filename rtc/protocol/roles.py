@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import StrEnum
 
-from rtc.language.record import ParsedCommand
 from rtc.protocol import messages as m
+from rtc.protocol.sentence import ParsedCommand
 
 
 class Role(StrEnum):

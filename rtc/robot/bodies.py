@@ -18,7 +18,7 @@ from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot import hulls
-from rtc.robot.geometry import Floats
+from rtc.spatial.geometry import Floats
 
 #: shape of a cell -> its geometry for coal
 COAL_SHAPES: dict[type, Callable[[Any], coal.ShapeBase]] = {

@@ -19,12 +19,13 @@ import pinocchio as pin
 
 from rtc.cells import cell as cells
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import bodies, hinges
+from rtc.robot import bodies
 from rtc.robot.collision_pairs import Pairs, PairTable
 from rtc.robot.collision_scene import AS_BUILT, Scene, in_hands
-from rtc.robot.geometry import Array, Floats
 from rtc.robot.levers import ball, levers, of_pairs
 from rtc.robot.separation import SeparationCheck
+from rtc.spatial import hinges
+from rtc.spatial.geometry import Array, Floats
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from rtc.robot.geometry import Floats
+from rtc.spatial.geometry import Floats
 
 
 @dataclass(frozen=True, eq=False)

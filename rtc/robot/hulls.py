@@ -13,7 +13,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 SUFFIX = ".obj"
 

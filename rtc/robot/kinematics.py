@@ -18,8 +18,9 @@ import pinocchio as pin
 
 from rtc.cells import cell as cells
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason
-from rtc.robot import geometry, numeric_ik, puma_ik
-from rtc.robot.geometry import Array, Floats
+from rtc.robot import numeric_ik, puma_ik
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array, Floats
 
 _TURN = 2 * math.pi
 PROJECTIONS = 12  # maximum number of steps of `turned_to`

@@ -12,7 +12,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial.geometry import Array, Floats
 
 
 def levers(model: pin.Model, joint: int, centre: Floats, radius_m: float) -> Array:

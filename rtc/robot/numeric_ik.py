@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 FEWEST = 2  # joints of an arm
 TABLE = 2048  # postures in the table

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial.geometry import Array, Floats
 
 HALVINGS = 20  # maximum number of subdivisions, to a millionth of the length
 MOST_OPEN = 20_000  # maximum number of undecided pieces; beyond it the trajectory counts as outside

@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.robot.bodies import Bodies
-from rtc.robot.geometry import Array
 from rtc.robot.swept import Chain, Swept
+from rtc.spatial.geometry import Array
 
 KEPT = 8  # maximum number of collision models that are kept
 

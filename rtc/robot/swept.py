@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 
 class Boxes(NamedTuple):

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import msgspec
 
-from rtc.client.liveness import supervised
+from rtc.runtime.run_dir import supervised
 from rtc.runtime.settings import Settings
 
 LEASE_KEY = "lease.key"  # in the run directory; see rtc.world.lease

@@ -8,11 +8,11 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from rtc.robot import geometry
 from rtc.sensing import optics
 from rtc.sensing.locate import TagOnBody, corners
 from rtc.sensing.optics import View
 from rtc.sensing.pose_fit import area_px
+from rtc.spatial import geometry
 
 DARK, BRIGHT = 40, 230  # if nearly all pixels are below or above, no tag has any contrast; white is 255
 NEARLY_ALL = 99.0  # percent

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyapriltags import Detector
 
-from rtc.robot.geometry import Array
 from rtc.sensing.optics import Window
+from rtc.spatial.geometry import Array
 
 
 class Mark(NamedTuple):

@@ -10,11 +10,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
 from rtc.sensing.detector import Mark
 from rtc.sensing.optics import CORNERS, View
 from rtc.sensing.pose_fit import Fit, TagObservation, fit
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 
 class HasPose(Protocol):

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rtc.cells.parts import Camera
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 
 class Window(NamedTuple):

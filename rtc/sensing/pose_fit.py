@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtc.robot.geometry import Array, from_matrix
 from rtc.sensing.optics import CORNERS, View
+from rtc.spatial.geometry import Array, from_matrix
 
 STEPS = 25  # of the search, maximum
 SMALL = 1e-6  # m and rad: a step below this ends the search

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
 from rtc.sensing import absence
 from rtc.sensing.locate import TagOnBody, corners
 from rtc.sensing.optics import View, Window
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 MARGIN = 0.18  # around a tag, in its widths: its white border, and what it moves more than was predicted
 LEAST_MARGIN_PX = 5.0

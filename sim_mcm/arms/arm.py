@@ -14,8 +14,8 @@ import msgspec
 
 from rtc.cells.cell import Cell
 from rtc.protocol.primitive import ControlLaw
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import SLIDE_MARGIN, ArmModel
+from rtc.spatial.geometry import Array
 
 TICK_S = 0.001  # period of the servo and of the simulation
 

@@ -15,7 +15,7 @@ import numpy as np
 import pybullet
 
 from rtc.cells import parts
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from sim_mcm.arms.arm import TICK_S, SpindleCommand, SpindleState
 from sim_mcm.arms.bullet_world import PhysicsWorld
 

@@ -16,10 +16,10 @@ import pybullet
 from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.primitive import ControlLaw, Load
-from rtc.robot import geometry
 from rtc.robot.finger_mass import finger_mass, require_stable
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm.arms import unrolled
 from sim_mcm.arms.arm import (
     ArmState,

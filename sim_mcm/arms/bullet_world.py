@@ -18,9 +18,10 @@ import pybullet_data
 
 from rtc.cells import cell as cells
 from rtc.cells import parts
-from rtc.robot import geometry, hinges, hulls
-from rtc.robot.geometry import Array
+from rtc.robot import hulls
 from rtc.robot.numeric_ik import WHOLE
+from rtc.spatial import geometry, hinges
+from rtc.spatial.geometry import Array
 
 STEP_S = 0.001
 SOLVER_ITERATIONS = 50  # with fewer the wrist sensor shows spikes of 20 N while carrying

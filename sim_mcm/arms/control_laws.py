@@ -20,8 +20,8 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.protocol.primitive import ControlLaw
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 from sim_mcm.arms import unrolled
 from sim_mcm.arms.arm import Motion
 from sim_mcm.arms.impedance import Impedance

@@ -10,7 +10,7 @@ import math
 
 import pybullet
 
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from sim_mcm.arms.bullet_world import PhysicsWorld
 
 BREAKS_M = 0.004  # travel of the catch before it releases

@@ -13,9 +13,9 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.protocol.primitive import Load
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 Y = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])  # the pads press along tool y, so their friction twists about it
 FITS = 0.3  # the twist counts if it explains the joint torques up to this part; else something else touches

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.protocol.primitive import Compliance
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import TICK_S, Motion
 
 # Beyond these a spring on the lightest axis of a wrist oscillates with the sampling at 1 kHz.

@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.protocol.primitive import Load
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import TICK_S
 
 FILTER_S = 0.002  # time constant of the filter of the torques

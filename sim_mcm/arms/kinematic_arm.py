@@ -20,10 +20,11 @@ import pinocchio as pin
 from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.primitive import ControlLaw
-from rtc.robot import geometry, hinges, hulls
+from rtc.robot import hulls
 from rtc.robot.bodies import COAL_SHAPES
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry, hinges
+from rtc.spatial.geometry import Array
 from sim_mcm.arms import control_laws
 from sim_mcm.arms.arm import (
     TICK_S,

@@ -14,8 +14,8 @@ import numpy as np
 
 from rtc.cells import cell as cells
 from rtc.cells import parts
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 BREAKS_M = CATCHES_M = 0.004
 BOTTOM_M = 0.001  # play between a seated object and the bottom

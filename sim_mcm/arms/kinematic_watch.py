@@ -15,7 +15,7 @@ import numpy as np
 from rtc.cells import cell as cells
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.collision_scene import Held, Scene
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import Near
 
 PROVEN_M = (0.2, 0.05, 0.01, 0.002)  # distances that a check tries to prove, the greatest first

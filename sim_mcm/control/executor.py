@@ -19,7 +19,7 @@ import numpy as np
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
 from sim_mcm.control import acceptance, profiles, stop_functions
 from sim_mcm.control.bounds import Bounds

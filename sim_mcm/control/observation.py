@@ -11,8 +11,8 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from math import dist
 
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import TICK_S, ArmInterface, Motion, Sample
 from sim_mcm.control.stop_functions import Finding, Moment
 

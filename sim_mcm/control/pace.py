@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import TICK_S, Motion
 from sim_mcm.control.profiles import Follow, Profile, smooth
 

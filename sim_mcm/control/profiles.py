@@ -14,7 +14,7 @@ import numpy as np
 import ruckig
 
 from rtc.protocol.primitive import JointTrajectory
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import TICK_S, Motion
 
 # Limits while braking: 0.25 m/s takes about 60 ms, with torques well below the motor limits. The jerk is high, so that

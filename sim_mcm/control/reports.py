@@ -6,7 +6,7 @@ import msgspec
 
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import Sample
 from sim_mcm.control.observation import Observation
 

@@ -15,8 +15,8 @@ import msgspec
 
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import TICK_S, Near, Traits
 
 Finding = tuple[float | None, float | None, str]  # measured, limit, words

@@ -13,9 +13,10 @@ from rtc.authoring.hull import hull_of
 from rtc.authoring.review import review
 from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot import geometry, hulls
+from rtc.robot import hulls
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 from tests.authoring import small_arms
 from tests.authoring.conftest import ARMS, DATA
 

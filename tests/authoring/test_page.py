@@ -13,7 +13,7 @@ import pytest
 from rtc.cells.cell import CELLS
 from rtc.cli import main
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
+from rtc.protocol.sentence import ParsedCommand
 from tests.authoring.conftest import DATA
 
 PAGE = Path(__file__).parents[2] / "docs" / "own-arm.md"

@@ -6,7 +6,7 @@ import pytest
 
 from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.control.executor import Executor

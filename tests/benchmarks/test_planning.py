@@ -8,7 +8,7 @@ import pytest
 from benchmarks.load.planning_queries import Queries
 from benchmarks.peers import direct_ways
 from benchmarks.planning import Figures, Tally, _metrics, _to_goal
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from workers.planning.motion.request import fault, free_posture
 from workers.planning.robot_models import CellModel
 

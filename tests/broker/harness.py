@@ -13,7 +13,6 @@ from broker.decisions import effects as do
 from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.state import State
-from rtc.language.record import ParsedCommand
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     Assessment,
@@ -28,6 +27,7 @@ from rtc.protocol.messages import (
 )
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove
+from rtc.protocol.sentence import ParsedCommand
 
 CONTEXT = ScriptContext(verb="GRASP", script="test", arm="RIGHT-ARM", object="MODULE")
 F = [

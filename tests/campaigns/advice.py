@@ -11,8 +11,8 @@ import re
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
-from rtc.language.record import ParsedCommand
-from rtc.robot import geometry
+from rtc.protocol.sentence import ParsedCommand
+from rtc.spatial import geometry
 from tests.workers.conftest import GRAMMAR, Run
 from workers.parser.parse import parse_job
 

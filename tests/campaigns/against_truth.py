@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from rtc.protocol.messages import Fact, Validity
-from rtc.robot import geometry
-from rtc.robot.geometry import Floats
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Floats
 from rtc.world.spread import EXACT, in_words
 
 WRONG_M, WRONG_RAD = 0.005, math.radians(2.0)

@@ -22,8 +22,8 @@ from benchmarks.report import finish, percentile, question
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms.arm import ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell

@@ -17,7 +17,7 @@ import pinocchio as pin
 from rtc.cells.cell import Cell
 from rtc.protocol.primitive import JointTrajectory
 from rtc.robot import bodies
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial.geometry import Array, Floats
 
 STEP_M = 0.0033  # a third of the planner's step for a held body
 FAR_M = 0.025  # distances beyond this are not measured

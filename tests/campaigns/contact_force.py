@@ -18,7 +18,7 @@ import numpy as np
 import pybullet
 
 from benchmarks.report import finish, question
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 from tests.campaigns import RESULTS
 from tests.workers.conftest import Bench, Physical
 

@@ -15,8 +15,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from benchmarks.report import percentile, question
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD
 from tests.campaigns import numbered_runs
 from tests.campaigns.held_module import HeldModule

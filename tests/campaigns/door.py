@@ -19,8 +19,8 @@ import pybullet
 
 from benchmarks.report import percentile, question
 from rtc.cells.cell import Cell
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.bullet_world import HINGED
 from tests.campaigns import numbered_runs
 from tests.workers.conftest import Bench, Physical

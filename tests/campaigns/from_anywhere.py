@@ -31,8 +31,8 @@ import pybullet
 from benchmarks.report import percentile, question
 from rtc.protocol.messages import BoundStep, EndReport, Limits
 from rtc.protocol.primitive import JointTrajectory, Primitive
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD, REST_M_S
 from tests.campaigns import advice, numbered_runs
 from tests.campaigns.advice import Answer

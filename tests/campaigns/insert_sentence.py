@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 from tests.campaigns.displaced_seat import ARM, BAY, MODULE, BeforeBay, Run, arguments, campaign
 
 INSERT, PLACE = f"INSERT {MODULE} INTO {BAY} WITH {ARM}", f"PLACE {MODULE} ON {BAY} WITH {ARM}"

@@ -16,8 +16,8 @@ from benchmarks.force import straight
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from tests.campaigns.displaced_seat import ARM, BeforeBay, Run, arguments, campaign
 from tests.workers.conftest import MODEL
 

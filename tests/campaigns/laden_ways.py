@@ -26,8 +26,8 @@ import numpy as np
 from benchmarks.report import percentile, question
 from rtc.protocol.messages import BoundStep, EndReport
 from rtc.protocol.primitive import JointTrajectory, Primitive
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from tests.campaigns import advice, numbered_runs
 from tests.campaigns.advice import Answer
 from tests.campaigns.clearances import FAR_M, Clearances, Least, Placed

@@ -20,9 +20,9 @@ import numpy as np
 
 from benchmarks.report import finish, percentile, question
 from rtc.protocol.outcomes import OutcomeKind, Refusal
-from rtc.robot import geometry
 from rtc.robot.collision_scene import AS_BUILT, Scene
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array, Floats
 from sim_mcm.arms.arm import TICK_S, ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 from tests.campaigns import RESULTS

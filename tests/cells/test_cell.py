@@ -10,7 +10,7 @@ from rtc.cells import model_checks
 from rtc.cells.cell import CELLS, Cell
 from rtc.cells.parts import Camera
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 
 @pytest.fixture(scope="module")

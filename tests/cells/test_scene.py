@@ -12,7 +12,7 @@ from rtc.cells.cell import Cell
 from rtc.cells.scene import believed, centimetres, degrees
 from rtc.cli.look import differs, in_words, picture
 from rtc.protocol import messages as m
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 from rtc.world.model import initial_facts
 
 HAND = geometry.from_rpy((0.5, -0.2, 0.9), (0, math.pi / 2, 0)).tolist()

@@ -8,7 +8,7 @@ import pytest
 
 from rtc.cli.measured import _rpy, duration, in_words
 from rtc.protocol.outcomes import Measured
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 
 @pytest.mark.parametrize(

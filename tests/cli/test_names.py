@@ -10,7 +10,7 @@ from rtc.cells.cell import Cell
 from rtc.cli.cluster_cell import cell_of
 from rtc.cli.names import KINDS, NO_GRASP
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
+from rtc.protocol.sentence import ParsedCommand
 from rtc.runtime.settings import Settings
 
 

@@ -6,8 +6,8 @@ import pytest
 
 from rtc.language import dictionary
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.sentence import ParsedCommand
 
 
 def entry(verb: str) -> str:

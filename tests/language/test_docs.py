@@ -7,8 +7,8 @@ import pytest
 
 from rtc.language.caret import show
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
 from rtc.protocol.outcomes import Refusal
+from rtc.protocol.sentence import ParsedCommand
 
 PAGE = (Path(__file__).parents[2] / "docs" / "language.md").read_text("utf-8")
 BLOCK = re.search(r"```rtc\n(.*?)```", PAGE, re.DOTALL)

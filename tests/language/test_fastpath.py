@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from rtc.language.fastpath import halt_scope
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
+from rtc.protocol.sentence import ParsedCommand
 
 GRAMMAR = default_grammar()
 

@@ -8,9 +8,9 @@ import pytest
 from rtc.language import dictionary
 from rtc.language.grammar import Grammar
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
 from rtc.language.words import TOKEN_CLASSES
 from rtc.protocol.outcomes import ProgramError, Refusal
+from rtc.protocol.sentence import ParsedCommand
 
 TEXT = resources.files("rtc.language").joinpath("command.lark").read_text()
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import Condition, Constraint, Destination, ParsedCommand, Quantity, ReflexItem, Report
 from rtc.language.refuse import MAX_CHARACTERS
-from rtc.language.units import UNITS
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.sentence import Condition, Constraint, Destination, ParsedCommand, Quantity, ReflexItem, Report
+from rtc.protocol.units import UNITS
 
 GRAMMAR = default_grammar()
 SAMPLES = dict(line.split(": ", 1) for line in Path(__file__).with_name("samples.txt").read_text().splitlines())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtc.observers.frames import WORLD, ArmFrames, urdf_of
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 
 @pytest.mark.parametrize("arm", ["RIGHT-ARM", "LEFT-ARM"])

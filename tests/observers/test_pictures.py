@@ -13,7 +13,7 @@ from PIL import Image
 from rtc.observers import pictures
 from rtc.observers.pictures import STILL_S, Pictures
 from rtc.observers.recording import Recording
-from rtc.runtime import renderer
+from rtc.perception import renderer
 from tests.observers.conftest import until
 from tests.observers.samples import T0, received, telemetry
 

@@ -14,7 +14,7 @@ from rtc.perception.subsystem import PerceptionSubsystem
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from rtc.subsystem.subsystem import BROKER, REPEAT_S
 from tests.workers.eyes import PERIOD_S, Ideal
 

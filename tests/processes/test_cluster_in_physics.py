@@ -15,8 +15,8 @@ from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.faults import Drifting
 from rtc.protocol.outcomes import OutcomeKind, StopReason
-from rtc.robot import geometry
 from rtc.runtime.process_table import processes
+from rtc.spatial import geometry
 
 pytestmark = pytest.mark.slow
 LIMIT_S = 60.0

@@ -19,8 +19,8 @@ from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.faults import BlindCamera, Drifting
 from rtc.protocol.outcomes import OutcomeKind, StopReason
-from rtc.robot import geometry
 from rtc.runtime.chaos import Chaos
+from rtc.spatial import geometry
 
 pytestmark = pytest.mark.slow
 

@@ -9,13 +9,13 @@ import pytest
 from rtc.language import dictionary
 from rtc.programs import expressions, loader
 from rtc.programs.checks import valueless, verbs
-from rtc.programs.digest import digest
 from rtc.programs.loader import decode
 from rtc.programs.outcome_table import outcomes
 from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram
+from rtc.protocol.digest import digest
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import ProgramError, StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 KINDS = [kind.value for kind in WorkerKind]
 SCRIPTS = [s.script for s in decode(loader.default("elaborator"), ElaboratorProgram).scripts]

@@ -8,9 +8,9 @@ from typing import get_args
 import pytest
 
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
 from rtc.protocol import messages as m
 from rtc.protocol.roles import MAY, Role, admits, may_send, refuse_planner
+from rtc.protocol.sentence import ParsedCommand
 
 HALT = m.HaltOrder(halt="H-1")
 SENTENCE = m.CommandText(request="r", text="STOW LEFT-ARM")

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rtc.robot import geometry
 from rtc.robot.collision import GROUP
 from rtc.robot.collision_scene import Held, Scene
+from rtc.spatial import geometry
 
 HANDLE = (0.65, -0.885, 0.60)  # HANDLE-A of the module in RACK-1
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from rtc.robot import geometry as g
+from rtc.spatial import geometry as g
 
 RANDOM = np.random.default_rng(11)
 POSES = [g.make_pose(RANDOM.uniform(-2, 2, 3), RANDOM.normal(size=4)) for _ in range(50)]

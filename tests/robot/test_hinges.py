@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 
 HOME = geometry.from_rpy((0.75, 0.17, 0.70), (0.1, -0.2, 0.3))
 AXES = [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (0.6, 0.0, 0.8)]

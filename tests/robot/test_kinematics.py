@@ -8,8 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rtc.robot import geometry, numeric_ik
+from rtc.robot import numeric_ik
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 
 
 def random_joints(arm, n, seed):

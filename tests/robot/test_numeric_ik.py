@@ -9,8 +9,8 @@ import numpy as np
 import pybullet_data
 import pytest
 
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 from tests.authoring import small_arms
 
 DATA = Path(pybullet_data.getDataPath())

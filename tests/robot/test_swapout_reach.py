@@ -11,8 +11,8 @@ import math
 import numpy as np
 import pytest
 
-from rtc.robot import geometry
 from rtc.robot.collision_scene import Held, Scene
+from rtc.spatial import geometry
 
 MARGIN = math.radians(15)
 

@@ -7,9 +7,9 @@ import pytest
 
 from rtc.cells.cell import Cell
 from rtc.cells.parts import Camera
-from rtc.robot import geometry
 from rtc.sensing import optics
 from rtc.sensing.absence import Cause, cause
+from rtc.spatial import geometry
 
 GREY = np.linspace(0, 255, 60, dtype=np.uint8).reshape(6, 10)
 DARK, BRIGHT = np.full((6, 10), 5, np.uint8), np.full((6, 10), 250, np.uint8)

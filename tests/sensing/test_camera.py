@@ -11,9 +11,9 @@ import pytest
 from benchmarks import camera as bench
 from rtc.cells.cell import Cell
 from rtc.cells.scene import SceneView
-from rtc.robot import geometry
 from rtc.sensing import locate, optics
 from rtc.sensing.detector import TagDetector
+from rtc.spatial import geometry
 from sim_mcm import render
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from rtc.cells.cell import Cell
 from rtc.cells.parts import Camera, Frame, Tag
-from rtc.robot import geometry
 from rtc.sensing import locate, optics, pose_fit
 from rtc.sensing.detector import Mark
+from rtc.spatial import geometry
 
 MODULE = "MACS-NEW"
 TRUE = geometry.from_rpy((0.81, -0.79, 0.61), (0.02, -0.03, 0.1))

@@ -22,9 +22,9 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.protocol.wire import PROTOCOL, frames, reader
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from rtc.runtime.settings import Settings, prepare_run_dir
+from rtc.spatial import geometry
 from sim_mcm.arms.arm import CellState, HandCommand
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.state_file import StateFile

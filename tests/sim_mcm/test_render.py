@@ -12,9 +12,9 @@ from PIL import Image
 
 from rtc.cells.parts import Camera
 from rtc.cells.scene import VIEWS, CameraPicture, Panel, Picture, SceneView
+from rtc.perception.renderer import Renderer
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
-from rtc.runtime.renderer import Renderer
 from rtc.sensing.optics import Window
 from sim_mcm import render
 

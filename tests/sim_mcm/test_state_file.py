@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rtc.protocol import primitive as p
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.state_file import FILE, StateFile

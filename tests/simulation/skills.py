@@ -11,7 +11,6 @@ from __future__ import annotations
 from functools import cache
 from itertools import pairwise
 
-from rtc.language.record import ParsedCommand
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     AnalyzerInput,
@@ -38,6 +37,7 @@ from rtc.protocol.primitive import (
     TimeAbove,
     Trajectory,
 )
+from rtc.protocol.sentence import ParsedCommand
 
 ARMS = {"LEFT": "LEFT-ARM", "RIGHT": "RIGHT-ARM"}
 STEPS = ("swing", "hold", "let", "late", "late-mended", "late-skipped")

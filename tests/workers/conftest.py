@@ -19,7 +19,6 @@ import pytest
 from broker.decisions import action_stack
 from rtc.cells.cell import Cell
 from rtc.cells.scene import SceneView
-from rtc.language.record import ParsedCommand
 from rtc.programs import loader
 from rtc.protocol.messages import (
     AnalyzerInput,
@@ -37,7 +36,8 @@ from rtc.protocol.messages import (
 )
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Look, Primitive
-from rtc.robot import geometry
+from rtc.protocol.sentence import ParsedCommand
+from rtc.spatial import geometry
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.control.executor import Executor

@@ -16,10 +16,10 @@ from rtc.perception.look_task import Evaluated
 from rtc.perception.subsystem import PerceptionSubsystem
 from rtc.protocol.messages import EndReport, Execute
 from rtc.protocol.primitive import Primitive
-from rtc.robot import geometry
 from rtc.sensing import optics
 from rtc.sensing.detector import Mark
 from rtc.sensing.locate import corners
+from rtc.spatial import geometry
 from rtc.subsystem.subsystem import BROKER
 
 GREY = np.full((480, 640, 3), 128, np.uint8)

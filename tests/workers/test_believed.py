@@ -12,7 +12,7 @@ from rtc.cells.cell import Cell
 from rtc.protocol import faults as f
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from sim_mcm.faults import Injections
 from tests.campaigns.against_truth import judge
 from tests.workers.conftest import Bench, Physical

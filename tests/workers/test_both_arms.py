@@ -12,7 +12,7 @@ from rtc.cells import parts
 from rtc.protocol.messages import EndReport, Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import ClearanceBelow, ForceAbove, TcpOutside, TcpSpeedAbove, TcpTurned
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from tests.campaigns.carry import CARRIED, Carrier
 from tests.workers.conftest import CELL, MODEL, Bench
 from workers.planning.robot_models import CellModel

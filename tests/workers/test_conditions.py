@@ -9,7 +9,7 @@ import pytest
 
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import Reflex, Refusal, StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from sim_mcm.arms.arm import HandCommand
 from tests.workers.conftest import Bench, Kinematic
 

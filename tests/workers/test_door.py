@@ -10,7 +10,7 @@ import pytest
 from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import TurnAbove
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 from tests.workers.conftest import Bench, Physical, Reporter
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery

@@ -8,7 +8,8 @@ from rtc.programs import extension_names
 from rtc.protocol.messages import AnalyzerInput
 from rtc.protocol.outcomes import StopReason
 from workers.analyzer import analyze, world_changes
-from workers.binder import bind, stop_conditions
+from workers.binder import bind
+from workers.conditions import stop_conditions
 from workers.elaborator import anchors, preconditions, task_candidate
 from workers.planning import axes, segments
 

@@ -9,7 +9,7 @@ import pytest
 
 from rtc.protocol.messages import EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from rtc.world.spread import even
 
 from .conftest import Bench, Kinematic

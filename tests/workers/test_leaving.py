@@ -11,7 +11,7 @@ import pytest
 from rtc.protocol.messages import EndReport, Validity
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import HandWidthBelow
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from tests.workers.conftest import Bench
 
 ARM = "RIGHT-ARM"

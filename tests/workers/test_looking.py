@@ -12,7 +12,7 @@ from rtc.cells.scene import SceneView
 from rtc.perception.look_task import Evaluated
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from rtc.world.spread import even
 from tests.workers.conftest import CELL
 from tests.workers.eyes import Ideal

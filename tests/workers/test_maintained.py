@@ -24,7 +24,7 @@ from rtc.protocol.primitive import (
     TimeAbove,
     TorqueAbove,
 )
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from workers.planning.robot_models import CellModel
 
 ARM = "RIGHT-ARM"

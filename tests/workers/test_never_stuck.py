@@ -6,7 +6,7 @@ import pytest
 
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 SAME_PLACE = "SET MACS-NEW FRAME 80 -80 60 CM"

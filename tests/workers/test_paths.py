@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from tests.workers.conftest import Bench, Physical
 
 pytestmark = pytest.mark.physics

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 pytestmark = pytest.mark.physics
 

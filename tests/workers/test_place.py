@@ -10,7 +10,7 @@ import pytest
 
 from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from rtc.world.spread import even
 from workers.planning.motion.request import free_posture
 from workers.planning.motion.timing import Pace

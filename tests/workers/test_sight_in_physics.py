@@ -8,7 +8,7 @@ import pytest
 
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 pytestmark = pytest.mark.physics
 

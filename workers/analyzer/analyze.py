@@ -12,18 +12,18 @@ import math
 import msgspec
 import numpy as np
 
-from rtc.language.record import ReflexItem, hand_in_words
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
-from rtc.robot import geometry
+from rtc.protocol.sentence import ReflexItem, hand_in_words
+from rtc.spatial import geometry
 from rtc.world.model import World
 from rtc.world.spread import even, widened
 from workers.analyzer import nearby, reported_facts, sighting
 from workers.analyzer.world_changes import EFFECTS, Changes, angles, perhaps_taken
-from workers.binder import reflexes
+from workers.conditions import reflexes
 from workers.planning import in_seat, pose_spread, shared_hold
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import TRUSTED, WorldQuery

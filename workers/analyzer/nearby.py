@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from rtc.protocol.messages import AnalyzerInput, Limits, Validity, WorldChange
-from rtc.robot.geometry import Floats
+from rtc.spatial.geometry import Floats
 from workers.planning.world_query import WorldQuery
 
 NEAR_M = 0.03  # an arm at full speed rests at most this far from the place of a touch

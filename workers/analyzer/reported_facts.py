@@ -13,7 +13,7 @@ from typing import Any
 from rtc.cells import taught
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 from rtc.world.model import initial_facts, location, problem
 from rtc.world.spread import even
 from workers.planning.world_query import WorldQuery

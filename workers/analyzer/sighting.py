@@ -13,8 +13,8 @@ import numpy as np
 
 from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
 from rtc.protocol.outcomes import Sighting, StopReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from rtc.world.spread import even, widened
 from workers.analyzer.reported_facts import moves_with, seat_at
 from workers.planning import pose_spread

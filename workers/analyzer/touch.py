@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from rtc.protocol.messages import AnalyzerInput
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from rtc.world.spread import EXACT, Spread, even, widened
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import msgspec
 
 from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 from rtc.world.spread import widened
 from workers.analyzer import touch
 from workers.analyzer.sighting import sighted

@@ -15,8 +15,6 @@ from typing import Any
 
 import msgspec
 
-from rtc.language.record import hand_in_words
-from rtc.language.units import in_words
 from rtc.programs import expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, StopClass
@@ -34,10 +32,13 @@ from rtc.protocol.primitive import (
     Vector,
 )
 from rtc.protocol.primitive_id import command_of, seed_of
+from rtc.protocol.sentence import hand_in_words
+from rtc.protocol.units import in_words
 from rtc.world.model import World
-from workers.binder import compliance, impact, look, replan, stop_conditions, targets, together
+from workers.binder import compliance, impact, look, replan, targets, together
 from workers.binder.bind_task import BindTask, refuse_if_endless, refused_program
-from workers.binder.stop_conditions import Values
+from workers.conditions import looking, sharing, stop_conditions
+from workers.conditions.stop_conditions import Values
 from workers.planning import advice, certainty, in_seat, segments, suggestions
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
@@ -52,7 +53,7 @@ NEEDS_WORLD = True
 NEEDS_CELL = True
 
 SUBSYSTEM = "MCM"
-PERFORMERS = ("active_arm", look.CAMERA)
+PERFORMERS = ("active_arm", looking.CAMERA)
 TELLER = "OPERATOR"  # performer in the report of facts that a command states
 LEAST_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 DETOUR = 3.0  # a relative step in joint space is reported if the hand travels this many times its distance
@@ -96,7 +97,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     if lacks is not None:
         return lacks
     target = targets.target_of(task)
-    if (alone := together.refuse_alone(query, task.arm, context.partner, task.program.clears)) is not None:
+    if (alone := sharing.refuse_alone(query, task.arm, context.partner, task.program.clears)) is not None:
         return alone
     if isinstance(target, Refusal):
         return target

@@ -7,9 +7,9 @@ from typing import Literal
 from rtc.programs.schema import StopClass
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Compliance, ControlLaw, ForceProfile, HandMotion, Load, Trajectory
-from rtc.robot.axis_names import AXES
+from rtc.spatial.axis_names import AXES
 from workers.binder.bind_task import BindTask, refused_program
-from workers.binder.stop_conditions import Values
+from workers.conditions.stop_conditions import Values
 from workers.planning import axes, suggestions
 
 

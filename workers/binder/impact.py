@@ -14,10 +14,10 @@ import numpy as np
 
 from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial.geometry import Array, Floats
 from workers.binder.bind_task import BindTask
-from workers.binder.stop_conditions import Values
+from workers.conditions.stop_conditions import Values
 from workers.planning.motion.plan import Motion
 from workers.planning.motion.timing import Timed, slower
 from workers.planning.segments import Target

@@ -6,23 +6,17 @@ The primitive contains no name of the body (R15); the analyzer has it from the e
 from __future__ import annotations
 
 from rtc.programs.schema import StopClass
-from rtc.protocol.messages import BinderInput, BoundStep, EvaluationContext, Step
+from rtc.protocol.messages import BinderInput, BoundStep, EvaluationContext
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Look, Primitive, Reporting, TagGeometry
-from workers.binder import stop_conditions
 from workers.binder.bind_task import refuse_if_endless
-from workers.binder.stop_conditions import Values
+from workers.conditions import stop_conditions
+from workers.conditions.looking import cameras_of
+from workers.conditions.stop_conditions import Values
 from workers.planning import sight, suggestions
 from workers.planning.world_query import WorldQuery
 
 SUBSYSTEM = "S&P"
-CAMERA = "camera"  # performer of the steps of a script that look, and the arg with its name
-FURTHER = "further"  # arg of such a step: other cameras
-
-
-def cameras_of(step: Step) -> list[str]:
-    """The cameras of a step that looks, the one that reports first."""
-    return [*str(step.args.get(CAMERA, "")).split(), *str(step.args.get(FURTHER, "")).split()]
 
 
 def bind(query: WorldQuery, data: BinderInput, stop_class: StopClass, values: Values) -> BoundStep | Refusal:

@@ -7,9 +7,9 @@ import math
 
 from rtc.protocol.messages import Binding
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
-from workers.elaborator.backtrack import PLAN
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
+from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.planning.world_query import WorldQuery
 
 MOVED_M = 0.0005  # smaller displacements need no replanning
@@ -39,8 +39,8 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
     margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
     replanned: dict[str, Binding] = {}
     for name, planned in bindings.items():
-        old = bindings.get(name.removesuffix(PLAN))
-        if not name.endswith(PLAN) or planned.pose is None or old is None or old.joints is None:
+        old = bindings.get(name.removesuffix(POSE_OF_JOINTS))
+        if not name.endswith(POSE_OF_JOINTS) or planned.pose is None or old is None or old.joints is None:
             continue
         wanted = current_pose(query, arm, planned)
         if isinstance(wanted, Refusal):
@@ -53,5 +53,5 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
             why = model.why_no_ik(wanted, margin_rad)
             assert why is not None
             return why
-        replanned[name.removesuffix(PLAN)] = Binding(joints=found[0].tolist())
+        replanned[name.removesuffix(POSE_OF_JOINTS)] = Binding(joints=found[0].tolist())
     return replanned

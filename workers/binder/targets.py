@@ -10,9 +10,10 @@ from rtc.protocol.messages import Binding
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import Vector
 from rtc.protocol.primitive_id import command_of
-from rtc.robot import geometry
-from workers.binder import replan, stop_conditions
+from rtc.spatial import geometry
+from workers.binder import replan
 from workers.binder.bind_task import BindTask, refused_program
+from workers.conditions import stop_conditions
 from workers.planning import axes, curves, suggestions
 from workers.planning.motion.plan import Motion
 from workers.planning.segments import Target

@@ -6,32 +6,15 @@ at the object. Each carries half of the load.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import msgspec
 
-from rtc.language.record import hand_in_words
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput, BoundStep
-from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Compliance, ControlLaw, Load, Partner, StopFunction, TcpTurned, TimeAbove
-from workers.binder import stop_conditions
-from workers.binder.stop_conditions import Line, Values
+from workers.conditions import stop_conditions
+from workers.conditions.stop_conditions import Line, Values
 from workers.planning.motion.timing import Timed
 from workers.planning.world_query import WorldQuery
-
-
-def refuse_alone(query: WorldQuery, arm: str, partner: str, clears: Mapping[str, str]) -> Refusal | None:
-    """Refuse a motion of one arm whose object another arm holds too; None if no other arm does."""
-    sharing = query.sharers(arm)
-    if partner or not sharing:
-        return None
-    held = query.holding(arm)
-    return Refusal(
-        reason=RefusalReason.STATE,
-        message=f"{arm} cannot move alone: {sharing[0]} holds {held} too",
-        clears=clears.get("shared", "").replace("{held}", held).replace("{other}", hand_in_words(sharing[0])),
-    )
 
 
 def with_partner(

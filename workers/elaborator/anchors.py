@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery

@@ -9,11 +9,11 @@ import msgspec
 
 from rtc.cells import cell as cells
 from rtc.cells import parts
-from rtc.language.record import BOTH_ARMS, ParsedCommand, hand_in_words
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal
-from rtc.robot import geometry
+from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, hand_in_words
+from rtc.spatial import geometry
 from workers.elaborator import two_hands
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import suggestions

@@ -22,8 +22,9 @@ from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
 from rtc.protocol.messages import Binding, Way
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from rtc.world.model import location
+from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.elaborator import anchors, two_hands
 from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
@@ -34,7 +35,6 @@ from workers.planning.segments import Target
 
 MOST_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
 FRAME, GRASP = "frame", "grasp"  # attributes that cameras sense
-PLAN = "/plan"  # suffix: NAME/plan is the pose from which the joint values NAME were solved, for `replan`
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[
         if name in joints:
             bindings[name] = Binding(joints=joints[name])
             if pose is not None and anchor.frame:
-                bindings[name + PLAN] = pose
+                bindings[name + POSE_OF_JOINTS] = pose
         else:
             bindings[name] = pose or Binding(joints=anchor.joints)
     return bindings

@@ -10,11 +10,11 @@ from typing import Any
 import msgspec
 
 from rtc.cells.cell import Cell
-from rtc.language.record import Constraint, ParsedCommand, Quantity
-from rtc.language.units import KINDS, such_as
 from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.sentence import Constraint, ParsedCommand, Quantity
+from rtc.protocol.units import KINDS, such_as
 from workers.planning import suggestions
 
 #: Fields of the record that scripts need not list: others act on them, or this module checks them.

@@ -13,17 +13,17 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from rtc.language.record import ParsedCommand
 from rtc.programs import expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import Branch, BranchCondition, ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
 from rtc.protocol.messages import ElaboratorInput, Script, ScriptContext, Step, Trim
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.primitive_id import seed_of
+from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
 from rtc.world.spread import in_words
-from workers.binder import reflexes
-from workers.binder.look import CAMERA, FURTHER, cameras_of
+from workers.conditions import reflexes
+from workers.conditions.looking import CAMERA, FURTHER, cameras_of
 from workers.elaborator import (
     anchors,
     arm_candidates,

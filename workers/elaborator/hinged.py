@@ -7,7 +7,7 @@ import math
 from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from workers.binder import reflexes
+from workers.conditions import reflexes
 from workers.elaborator.task_candidate import TaskCandidate
 
 SPACE = "move_circle"  # of a step that turns an object about its hinge

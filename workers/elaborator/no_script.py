@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rtc.language.record import ParsedCommand
 from rtc.programs.schema import Branch, ElaboratorProgram
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.sentence import ParsedCommand
 from workers.elaborator import command_fields
 
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from rtc.language.record import hand_in_words
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
+from rtc.protocol.sentence import hand_in_words
+from rtc.spatial import geometry
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery

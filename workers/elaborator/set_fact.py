@@ -11,12 +11,12 @@ from collections.abc import Callable
 from typing import Any
 
 from rtc.cells import parts
-from rtc.language.record import ParsedCommand
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
 from rtc.protocol.messages import Script, ScriptContext, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry, hinges
-from rtc.robot.geometry import Array
+from rtc.protocol.sentence import ParsedCommand
+from rtc.spatial import geometry, hinges
+from rtc.spatial.geometry import Array
 from workers.elaborator import command_fields, preconditions, teach
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery

@@ -13,11 +13,11 @@ from typing import Any
 import msgspec
 
 from rtc.cells import parts
-from rtc.language.record import ParsedCommand, Quantity
-from rtc.language.units import in_words
 from rtc.programs.schema import ElaboratorProgram, TableRow
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.sentence import ParsedCommand, Quantity
+from rtc.protocol.units import in_words
 from rtc.world.spread import narrowest
 from workers.planning import pose_spread
 from workers.planning.world_query import AHEAD_S, WorldQuery

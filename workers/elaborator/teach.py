@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 from rtc.cells import taught
-from rtc.language.record import ParsedCommand
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.sentence import ParsedCommand
 from workers.elaborator import preconditions
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from rtc.cells import parts
-from rtc.language.record import BOTH_ARMS, ParsedCommand, hand_in_words
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from workers.binder import together
+from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, hand_in_words
+from workers.conditions import sharing
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery
@@ -69,4 +69,4 @@ def refuse_moving_alone(script: ScriptFile, candidate: TaskCandidate) -> Refusal
     if lets_go_first(script) or not any(step.to for step in script.steps):
         return None
     second = candidate.partner.name if candidate.partner else ""
-    return together.refuse_alone(candidate.query, candidate.arm.name, second, candidate.program.clears)
+    return sharing.refuse_alone(candidate.query, candidate.arm.name, second, candidate.program.clears)

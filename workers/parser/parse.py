@@ -9,9 +9,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 from rtc.language.parse import Grammar, parse
-from rtc.language.record import ParsedCommand
 from rtc.protocol.messages import ParserInput
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason
+from rtc.protocol.sentence import ParsedCommand
 
 INPUT = ParserInput
 NEEDS_WORLD = False

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from rtc.robot import geometry
-from rtc.robot.axis_names import AXES
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial import geometry
+from rtc.spatial.axis_names import AXES
+from rtc.spatial.geometry import Array, Floats
 
 
 def name_of(direction: Floats) -> str:

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array, Floats
 from workers.planning import axes, suggestions
 from workers.planning.motion.path import KNOT_M
 

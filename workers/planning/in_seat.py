@@ -11,10 +11,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rtc.language.record import hand_in_words
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Floats
+from rtc.protocol.sentence import hand_in_words
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Floats
 from workers.planning.world_query import WorldQuery
 
 SPARE_M = 0.03  # of the advised way beyond the depth of the seat

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from rtc.cells.parts import Numbers
-from rtc.robot import geometry
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array, Floats
 from rtc.world.spread import Spread, even, narrowest, widened
 
 

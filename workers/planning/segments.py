@@ -15,7 +15,7 @@ import numpy as np
 
 from rtc.protocol.messages import Way
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial.geometry import Array, Floats
 from workers.planning import curves
 from workers.planning.motion import ik, path_reuse
 from workers.planning.motion.carry import plan_carry

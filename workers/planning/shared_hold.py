@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rtc.protocol.messages import Validity, WorldChange
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from workers.planning.world_query import WorldQuery
 
 

@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 from rtc.cells.cell import Cell
 from rtc.cells.parts import Camera, Tag
-from rtc.robot.geometry import Array, Floats
 from rtc.sensing import absence, optics
+from rtc.spatial.geometry import Array, Floats
 
 
 def tags(cell: Cell, body: str) -> list[Tag]:

@@ -16,13 +16,13 @@ import numpy as np
 
 from rtc.cells import cell as cells
 from rtc.cells import parts, taught
-from rtc.language.record import hand_in_words
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Load, Primitive
-from rtc.robot import geometry, hinges
+from rtc.protocol.sentence import hand_in_words
 from rtc.robot.collision_scene import Held, Hung, Scene
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial import geometry, hinges
+from rtc.spatial.geometry import Array, Floats
 from rtc.world.model import World
 from rtc.world.spread import EXACT, Spread
 from workers.planning import axes, pose_spread, sight

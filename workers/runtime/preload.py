@@ -14,7 +14,7 @@ from typing import Any
 
 from rtc.cells.cell import Cell
 from rtc.programs import loader
-from rtc.programs.digest import digest
+from rtc.protocol.digest import digest
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import ProgramError
 from workers.runtime import lazy_import

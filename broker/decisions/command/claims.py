@@ -8,9 +8,9 @@ from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.resources import Claim
 from broker.decisions.state import Command, ParsedHead
-from rtc.language.record import BOTH_ARMS
 from rtc.protocol.messages import Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.sentence import BOTH_ARMS
 
 MAX_ELABORATIONS = 20  # maximum per command, if its claim changes with each elaboration
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import Command, ParsedHead
-from rtc.language.record import BOTH_ARMS
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.sentence import BOTH_ARMS
 
 
 def scope_of(head: ParsedHead) -> str:

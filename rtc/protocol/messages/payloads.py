@@ -6,12 +6,12 @@ from typing import Any, Literal
 
 import msgspec
 
-from rtc.language.record import Condition, ParsedCommand, ReflexItem
 from rtc.protocol.messages.shared import Message
 from rtc.protocol.messages.subsystem import EndReport
 from rtc.protocol.messages.world import WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import Primitive
+from rtc.protocol.sentence import Condition, ParsedCommand, ReflexItem
 
 
 class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

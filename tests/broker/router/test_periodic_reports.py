@@ -8,8 +8,8 @@ import pytest
 from broker.decisions.reporting import MOST_PER_S
 from broker.decisions.state import ParsedHead, ReportHead
 from broker.router.recent_reports import COMMANDS, REPORTS, RecentReports
-from rtc.language.record import Condition, Quantity
 from rtc.protocol import messages as m
+from rtc.protocol.sentence import Condition, Quantity
 from tests.broker.router.bench import Bench, forwarded
 
 

@@ -7,9 +7,9 @@ from typing import ClassVar
 import pytest
 
 from broker.persistence.program_loads import MOST_WAITING, ProgramLoads
-from rtc.programs.digest import digest
 from rtc.programs.sandbox import CheckRequest, CheckResult
 from rtc.protocol import messages as m
+from rtc.protocol.digest import digest
 from rtc.protocol.outcomes import RefusalReason
 from tests.broker.router.bench import Bench
 

@@ -14,7 +14,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.faults import StrippedBolt
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry, hinges
+from rtc.spatial import geometry, hinges
 from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms.arm import SpindleCommand
 from sim_mcm.arms.kinematic_arm import KinematicCell

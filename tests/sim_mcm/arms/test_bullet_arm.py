@@ -12,8 +12,8 @@ import pytest
 
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 from sim_mcm.arms.arm import TICK_S
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.control import profiles

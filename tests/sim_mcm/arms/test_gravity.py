@@ -10,8 +10,8 @@ from rtc.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 from sim_mcm.arms.bullet_arm import BulletCell
 
 pytestmark = pytest.mark.physics

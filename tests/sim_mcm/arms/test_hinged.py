@@ -9,8 +9,8 @@ import pybullet
 import pytest
 
 from rtc.cells.cell import Cell
-from rtc.robot import geometry, hinges
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry, hinges
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.bullet_world import HINGED, PhysicsWorld
 from sim_mcm.arms.kinematic_arm import KinematicCell

@@ -9,8 +9,8 @@ import pytest
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 from sim_mcm.arms.bullet_arm import BulletCell
 
 pytestmark = pytest.mark.physics

@@ -7,8 +7,8 @@ import pytest
 
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 from sim_mcm.arms.kinematic_arm import KinematicCell, displaced
 
 ARM = "RIGHT-ARM"

@@ -11,7 +11,7 @@ import pytest
 from rtc.protocol import primitive as p
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from sim_mcm.arms.arm import HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 

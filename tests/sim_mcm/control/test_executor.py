@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from sim_mcm.arms.arm import TICK_S, HandCommand, Sample
 from sim_mcm.control import profiles
 from sim_mcm.control.modes import MOVING, Mode

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import PRIORITY, StopReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from sim_mcm.arms.arm import Near, Traits
 from sim_mcm.control import stop_functions
 from sim_mcm.control.stop_functions import Moment

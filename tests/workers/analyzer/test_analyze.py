@@ -8,12 +8,12 @@ from itertools import pairwise
 import msgspec
 import pytest
 
-from rtc.language.record import Condition, Quantity
 from rtc.protocol.messages import Assessment, BoundStep, EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Reflex, RefusalReason, StopReason
-from rtc.robot import geometry
+from rtc.protocol.sentence import Condition, Quantity
+from rtc.spatial import geometry
 from workers.analyzer import analyze
-from workers.binder import reflexes
+from workers.conditions import reflexes
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED"
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from workers.analyzer.reported_facts import changes_from, seat_at
 from workers.planning.world_query import WorldQuery
 

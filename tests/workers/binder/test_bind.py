@@ -26,8 +26,8 @@ from rtc.protocol.primitive import (
     TimeAbove,
     TorqueAbove,
 )
-from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
 from workers.binder import bind as binder
 from workers.planning.motion import plan
 

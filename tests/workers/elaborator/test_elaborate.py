@@ -14,7 +14,7 @@ from rtc.programs.loader import decode
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.messages import ElaboratorInput, Script, Validity
 from rtc.protocol.outcomes import IN_THE_WAY, ProgramError, Refusal, RefusalReason, StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from tests.workers.conftest import CELL
 from workers.elaborator import elaborate, no_script
 

@@ -8,7 +8,7 @@ import pytest
 
 from rtc.protocol.messages import Script, Validity, WorldChange
 from rtc.protocol.outcomes import IN_THE_WAY
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from rtc.world.spread import even
 from tests.workers.conftest import CELL, Bench
 from workers.planning.robot_models import CellModel

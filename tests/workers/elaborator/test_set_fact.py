@@ -8,7 +8,7 @@ import pytest
 
 from rtc.protocol.messages import BoundStep, Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 

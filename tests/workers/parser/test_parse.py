@@ -3,8 +3,8 @@
 from importlib import resources
 
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import ParsedCommand
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.sentence import ParsedCommand
 from workers.parser.parse import parse_job
 
 PROGRAM = resources.files("rtc.language").joinpath("command.lark").read_text()

@@ -11,7 +11,7 @@ from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, ElaboratorProgram
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from tests.workers.conftest import Bench, Reporter
 from workers.planning.advice import advise_on_collision
 from workers.planning.robot_models import CellModel

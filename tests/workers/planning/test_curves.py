@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtc.protocol.outcomes import Refusal
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from sim_mcm.control.profiles import Follow
 from workers.planning.curves import curve
 from workers.planning.motion.path import task_curve

@@ -7,7 +7,7 @@ import pytest
 
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from tests.workers.conftest import CELL, MODEL, Bench
 from workers.planning.motion.plan import before_contact
 from workers.planning.motion.timing import Pace

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtc.cells.parts import Numbers
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from rtc.world.spread import even
 from workers.planning.pose_spread import crept_spread, spread_after_measurement, spread_at, struck_spread
 

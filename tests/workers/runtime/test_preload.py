@@ -13,8 +13,8 @@ from broker.persistence.journal import Journal
 from broker.persistence.program_store import ProgramStore
 from rtc.cells.cell import Cell
 from rtc.programs import loader
-from rtc.programs.digest import digest
 from rtc.protocol import wire
+from rtc.protocol.digest import digest
 from rtc.protocol.messages import (
     Job,
     JobBatch,

@@ -21,9 +21,9 @@ from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.primitive import LONGEST_S, JointTrajectory, Primitive, StartAfter
 from rtc.protocol.primitive_id import command_of
 from rtc.robot.collision_scene import in_hands
-from rtc.robot.geometry import Array
 from rtc.robot.separation import SeparationCheck
 from rtc.robot.swept import Boxes, Swept
+from rtc.spatial.geometry import Array
 from workers.planning.motion.request import PlanningRequest
 
 SPACE_M = 0.01  # minimum distance of two moving arms from each other's path

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 LEAST = 1e-9  # minimum length of a line
 

@@ -14,9 +14,10 @@ import msgspec
 import numpy as np
 
 from rtc.protocol.outcomes import Refusal
-from rtc.robot import geometry, quintic
-from rtc.robot.geometry import Array, Floats
+from rtc.robot import quintic
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion.path import task_line
 from workers.planning.motion.plan import Motion
 from workers.planning.motion.request import PlanningRequest

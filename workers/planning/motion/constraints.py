@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 from rtc.cells import parts
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)

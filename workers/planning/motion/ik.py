@@ -10,8 +10,8 @@ from collections.abc import Callable
 import msgspec
 
 from rtc.protocol.outcomes import Refusal
-from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial.geometry import Array, Floats
 
 Test = Callable[[Array], Refusal | None]
 

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion import smooth
 from workers.planning.motion.blended import Blended, lengths, widest
 from workers.planning.motion.spline import Spline

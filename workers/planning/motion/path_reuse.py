@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from rtc.protocol.messages import Way
-from rtc.robot.geometry import Floats
+from rtc.spatial.geometry import Floats
 from workers.planning.motion.blended import Blended
 from workers.planning.motion.path import Path
 from workers.planning.motion.request import FreeWay, PlanningRequest

@@ -15,7 +15,7 @@ import numpy as np
 
 from rtc.protocol.outcomes import LEAVING, Refusal, RefusalReason
 from rtc.robot.collision_scene import in_hands
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
 from workers.planning.motion.request import FreeWay, PlanningRequest, blocked, fault, free_posture, is_free, obstacle

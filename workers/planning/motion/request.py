@@ -13,8 +13,8 @@ from rtc.protocol.outcomes import IN_THE_WAY, Refusal
 from rtc.protocol.primitive import Load
 from rtc.robot.collision import GROUP, Collision, CollisionWorld
 from rtc.robot.collision_scene import AS_BUILT, Scene
-from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion.constraints import FREE, PathConstraints
 from workers.planning.motion.path import CHECK_RAD, Path
 from workers.planning.motion.timing import FREE_PACE, Pace

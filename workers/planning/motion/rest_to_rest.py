@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)

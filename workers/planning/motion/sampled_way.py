@@ -12,9 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
-from rtc.robot import geometry
-from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import LEAST_WEIGHT
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion import path as paths
 from workers.planning.motion.blended import lengths, widest
 from workers.planning.motion.path import CHECK_RAD, Path

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 #: (from, to) -> postures (rad) on the way, each with a free line from the one before; True: the last one is `to`
 Steer = Callable[[Array, Array], tuple[list[Array], bool]]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 PER_PIECE = 10  # rows made for each piece
 

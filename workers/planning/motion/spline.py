@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rtc.robot.geometry import Array
+from rtc.spatial.geometry import Array
 
 EVEN = 1e-9  # relative tolerance of the distances between evenly spaced knots
 

@@ -20,8 +20,8 @@ import toppra.constraint
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import JointTrajectory, Load
 from rtc.robot import quintic
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial.geometry import Array
 from workers.planning.motion.blended import Blended
 from workers.planning.motion.path import Path, even
 from workers.planning.motion.rest_to_rest import rest_to_rest

@@ -11,8 +11,8 @@ import toppra.constraint
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Load
-from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.spatial.geometry import Array
 
 SHARE = 0.9  # of the joints' effort that a planned motion may use; the rest is for the control law
 FAR_FROM = 0.6  # of the limits: an arm that needs less at its limits of speed and acceleration is not checked further

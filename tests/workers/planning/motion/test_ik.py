@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from workers.planning.motion.ik import choose
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtc.protocol.outcomes import Refusal
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from workers.planning.motion.path import joint_line, task_line, through
 
 

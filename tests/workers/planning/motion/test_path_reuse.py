@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rtc.protocol.messages import Way
-from rtc.robot import geometry
 from rtc.robot.collision_scene import Scene
+from rtc.spatial import geometry
 from workers.planning import segments
 from workers.planning.motion import path_reuse, plan
 from workers.planning.motion.constraints import PathConstraints

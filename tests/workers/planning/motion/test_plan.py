@@ -12,9 +12,9 @@ import pytest
 
 from rtc.cells.parts import Box, Frame, Object
 from rtc.protocol.outcomes import Refusal
-from rtc.robot import geometry
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.collision_scene import Held, Scene
+from rtc.spatial import geometry
 from workers.planning.motion import sampled_way
 from workers.planning.motion.constraints import PathConstraints
 from workers.planning.motion.ik import choose

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from rtc.robot import geometry
+from rtc.spatial import geometry
 from workers.planning.motion import smooth
 from workers.planning.motion.path import poses_through, spline_through
 from workers.planning.motion.timing import Pace, time_path

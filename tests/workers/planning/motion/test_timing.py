@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rtc.protocol.primitive import JointTrajectory
-from rtc.robot import geometry
 from rtc.robot import quintic as quintic_pieces
+from rtc.spatial import geometry
 from workers.planning.motion.path import joint_line, task_line, through
 from workers.planning.motion.timing import KNOT_S, Pace, time_path
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 import msgspec
 
-from rtc.language.units import in_words, measured_in_words
+from rtc.protocol.units import in_words, measured_in_words
 
 Kind = Literal["task", "control", "data", "operator"]
 

@@ -10,8 +10,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from rtc.robot import geometry
-from rtc.robot.geometry import Array, Floats
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array, Floats
 
 
 def turned(home: Floats, axis: Floats, angle: float) -> Array:

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import msgspec
 
-from rtc.language.record import Condition, ReflexItem
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import Reflex, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
@@ -43,8 +42,9 @@ from rtc.protocol.primitive import (
     TurnAbove,
     Vector,
 )
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
+from rtc.protocol.sentence import Condition, ReflexItem
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from workers.planning import axes, suggestions
 
 JOINT = "JOINT-"  # and its number from the base, from 1: a direction of TURN

@@ -42,7 +42,7 @@ from rtc.protocol.primitive import (
     UnseenAbove,
     Vector,
 )
-from workers.binder import reflexes
+from workers.conditions import reflexes
 from workers.planning.world_query import WorldQuery
 
 Values = dict[str, float]

@@ -1,0 +1,1 @@
+"""Poses and rotations, hinges and named axes: plain figures, without any cell, robot or world."""
