@@ -10,6 +10,7 @@ import pytest
 
 from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
+from rtc.protocol.primitive import ForceAbove, TorqueAbove
 from rtc.spatial import geometry
 from rtc.world.spread import even
 from workers.planning.motion.request import free_posture
@@ -111,13 +112,14 @@ def test_what_gives_way_to_a_tug_is_not_let_go(bench):
         bench.world = bench.world.overlay(bench.analyze(bound, bench.subsystem.perform(bound.primitive, bound)).changes)
     bound = bench.bind(script, script.steps[tug])
     bench.subsystem.seats = False
+    catch_n = CELL.seat("BAY-2").detent_n
 
     made = bench.analyze(bound, bench.subsystem.perform(bound.primitive, bound))
 
     assert (made.verdict, made.reason) == ("abort", StopReason.NO_CONTACT)
     assert "gave way to a light tug" in made.message
-    limits = [getattr(s.when, "limit_n", None) or s.when.limit_nm for s in bound.primitive.stop_functions if s.reason is StopReason.CONTACT]
-    assert limits == [0.28 * CELL.seat("BAY-2").detent_n, 0.037 * CELL.seat("BAY-2").detent_n]
+    felt = [s.when for s in bound.primitive.stop_functions if s.reason is StopReason.CONTACT]
+    assert felt == [ForceAbove(limit_n=0.28 * catch_n), TorqueAbove(limit_nm=0.037 * catch_n)]
     assert (
         geometry.distance(bound.evaluation.goal_pose, bench.model.arms["RIGHT-ARM"].fk(bound.evaluation.start_joints))
         < 0.004
