@@ -16,10 +16,9 @@ from rtc.cli import inject
 from rtc.cli.main import COMMANDS, main
 from rtc.cli.programs import _loaded
 from rtc.client import connection
-from rtc.client.liveness import LOCK
 from rtc.protocol.messages import ProgramLoaded, WorkerKind
 from rtc.runtime.process_table import in_words
-from rtc.runtime.settings import Settings, shell_command
+from rtc.runtime.settings import LOCK, Settings, shell_command
 
 
 @pytest.mark.parametrize(

@@ -175,11 +175,13 @@ def moves_with(thing: str, seat: str, frame: Any, query: WorldQuery) -> bool:
     """
     if query.held_by(thing):
         return False
-    surveyed = query.cell.object(thing).known_within
-    was, own = query.spread(f"{seat}.frame"), query.spread(f"{thing}.frame")
+    fact, surveyed = query.world.get(f"{thing}.frame"), query.cell.object(thing).known_within
+    if fact is None or fact.spread is None:
+        return True  # stated to be exact, as its seat is
+    was = query.spread(f"{seat}.frame")
     if query.world.get(f"{seat}.frame") is None and surveyed is not None:
         was = surveyed.spread  # the survey of the object is that of its seat
-    if max(own[:3]) >= max(was[:3]):
+    if max(fact.spread[:3]) >= max(was[:3]):
         return True
     before = query.seat_frame(seat)
     off = [*geometry.relative(before, frame)[:3], *geometry.rotation_vector(before, frame)]
