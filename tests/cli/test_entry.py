@@ -15,8 +15,8 @@ ROOT = Path(__file__).parents[2]
 #: `rtc`, announced on stderr as soon as its first function can be called
 RTC = """
 import os, signal, sys
-from rtc.cli import entry
-signal.signal(signal.SIGINT, entry.leave)
+from rtc.cli import entry, interrupts
+signal.signal(signal.SIGINT, interrupts.leave)
 os.write(2, b"!")
 entry.main()
 """
