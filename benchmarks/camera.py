@@ -19,14 +19,14 @@ import msgspec
 import numpy as np
 
 from benchmarks.report import RESULTS, finish, percentile, question
-from rtc.cells.cell import Cell
-from rtc.cells.parts import Camera, Frame, Tag
-from rtc.cells.scene import SceneView
+from rtc.drawing.scene import SceneView
+from rtc.model.cells.cell import Cell
+from rtc.model.cells.parts import Camera, Frame, Tag
 from rtc.sensing import locate, optics
 from rtc.sensing.detector import TagDetector
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from sim_mcm import render
+from sim_mcm.cameras import render
 
 SEED = 5
 MODULE = "MACS-NEW"

@@ -19,17 +19,17 @@ import zmq
 
 from benchmarks.force import straight
 from benchmarks.mcm import ARMS, RunningMcm, execute
-from rtc.cells.cell import Cell
 from rtc.client.halt import RANK
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.wire import frames, reader
-from rtc.robot.kinematics import ArmModel
 from rtc.runtime.process import real_time, real_time_io
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from sim_mcm.arms.arm import ArmState, CellState, HandCommand
+from rtc.subsystems.motion.arm import ArmState, CellState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 
 MODULE = "MACS-NEW"

@@ -21,17 +21,17 @@ import numpy as np
 import pybullet
 
 from benchmarks.report import RESULTS, finish, percentile, question
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from rtc.subsystem.subsystem import BROKER
-from sim_mcm.arms.arm import TICK_S
+from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.motion.arm import TICK_S
+from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.bullet_arm import BulletCell
-from sim_mcm.control.subsystem import McmSubsystem
 from workers.binder import impact
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")

@@ -43,7 +43,7 @@ import msgspec
 import pybullet
 
 from benchmarks.report import finish, question
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
 from tests.campaigns import advice

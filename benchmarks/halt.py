@@ -36,10 +36,10 @@ from pathlib import Path
 from benchmarks.carrying import carrying
 from benchmarks.mcm import busy_cores
 from benchmarks.report import finish, percentile, question, spread
-from rtc.cells.cell import Cell
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.client.handle import CommandHandle
-from rtc.demos.own_cluster import own_cluster
+from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.messages import WorkerKind
 from rtc.runtime.process_table import processes

@@ -26,19 +26,19 @@ from typing import NamedTuple
 import zmq
 
 from benchmarks.report import finish, question
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.wire import frames, reader
-from rtc.robot.kinematics import ArmModel
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.spatial import geometry
-from rtc.subsystem.subsystem import BROKER
-from sim_mcm.arms.arm import CellState
+from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.motion.arm import CellState
+from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.bullet_world import STEP_S
-from sim_mcm.control.subsystem import McmSubsystem
 from sim_mcm.state_file import StateFile
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")

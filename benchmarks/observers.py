@@ -30,8 +30,8 @@ from benchmarks.load.trivial import sentence
 from benchmarks.report import finish, percentile, question
 from benchmarks.report import spread as latencies
 from benchmarks.throughput import PLANNERS, motion, spread
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol.messages import WorkerKind
 
 WARM_UP_S = 1.5
@@ -75,7 +75,7 @@ def observers(run_dir: Path, wanted: bool) -> Iterator[None]:
     if not wanted:
         yield
         return
-    rtc = [sys.executable, "-P", "-m", "rtc.cli.main"]
+    rtc = [sys.executable, "-P", "-m", "rtc.apps.cli.main"]
     with tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
         record = [*rtc, "record", "-o", f"{folder}/run.mcap", "--run-dir", str(run_dir)]
         observe = [*rtc, "observe", "--prometheus", "0", "--otlp", COLLECTOR, "--run-dir", str(run_dir)]

@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.load.planning_queries import Queries, Query
 from benchmarks.peers import direct_ways
 from benchmarks.report import finish, percentile, question, spread
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal
 from rtc.runtime import process
 from rtc.spatial.geometry import Array

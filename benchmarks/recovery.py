@@ -32,8 +32,8 @@ from benchmarks.load.two_hosts import TwoHosts, Unavailable, inside, two_hosts
 from benchmarks.load.verdict import JournalReader, judge
 from benchmarks.report import finish, percentile, question, spread
 from broker.decisions.events import BrokerRestarted, Event, JobDeclined, JobFinished, JobLost, SubsystemConnected
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.runtime.chaos import Chaos, Strike
 from rtc.runtime.process_table import processes

@@ -50,7 +50,7 @@ def main() -> None:
 def _timed(*arguments: str) -> tuple[list[str], float]:
     """The command's output lines and its duration (s). Raises SystemExit if it fails."""
     began = time.perf_counter()
-    command = [sys.executable, "-m", "rtc.cli.main", *arguments]
+    command = [sys.executable, "-m", "rtc.apps.cli.main", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
     took_s = time.perf_counter() - began
     if done.returncode != 0:

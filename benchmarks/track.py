@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.report import finish, percentile, question
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.faults import Drifting
 from rtc.spatial import geometry

@@ -120,7 +120,7 @@ def _doubt_the_world(me: process.Process, given: handover.Handover, lost: Journa
 
 def _first_programs(settings: Settings, store: ProgramStore, now: float) -> Iterator[ProgramInstalled]:
     """Install the default programs and the cell of a new cluster."""
-    from rtc.cells.cell import Cell
+    from rtc.model.cells.cell import Cell
     from rtc.programs import loader
 
     for kind in WorkerKind:

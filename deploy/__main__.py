@@ -1,6 +1,6 @@
 """`python -m deploy up|down`: the process that `rtc up` and `rtc down` become.
 
-The options are declared in `rtc.cli.cluster`, which passes `Settings` as JSON.
+The options are declared in `rtc.apps.cli.cluster`, which passes `Settings` as JSON.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import msgspec
 
 from deploy import cluster
 from deploy.more_workers import check_more
-from rtc.observers.extras import missing
 from rtc.protocol.outcomes import ClusterError, NoCluster, ProgramError, RtcError
+from rtc.runtime.extras import missing
 from rtc.runtime.keys import check_address
 from rtc.runtime.settings import Settings
 
@@ -81,8 +81,8 @@ def _cell(text: str) -> str:
         raise ProgramError(
             f"{text} is not a cell: a cell is a .yaml file, a directory with a cell.yaml in it, or a name"
         )
-    from rtc.cells.cell import Cell
-    from rtc.robot.finger_mass import require_stable
+    from rtc.model.cells.cell import Cell
+    from rtc.model.robot.finger_mass import require_stable
 
     require_stable(Cell.load(text))
     return str(path.absolute()) if is_yaml else text

@@ -74,7 +74,7 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *_with_template("MCM", "sim_mcm", settings),
-        _spec("S&P", "rtc.perception", settings, beats=True),
+        _spec("S&P", "sim_mcm.cameras", settings, beats=True),
         *([_spec("gate", "broker.gateway.gateway", settings, beats=True)] if settings.listen else []),
         *([_recorder(settings)] if settings.record else []),
         *(worker(settings, address) for address in _first_workers(settings)),
@@ -84,7 +84,7 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
 
 def _recorder(settings: Settings) -> Spec:
     """It is ready before the cluster is, so that the first command is recorded."""
-    return _spec("recorder", "rtc.observers.recorder", settings, "--into", settings.record, beats=True)
+    return _spec("recorder", "rtc.apps.observers.recorder", settings, "--into", settings.record, beats=True)
 
 
 def _hand(spec: Spec, fd: int) -> Spec:
@@ -218,7 +218,7 @@ def _start(supervisor: Supervisor, settings: Settings) -> None:
     except ClusterError:
         # The most frequent cause is the cell file: its error replaces this one. The import brings numpy and would
         # delay the start of the processes if it came earlier.
-        from rtc.cells.cell import Cell
+        from rtc.model.cells.cell import Cell
 
         Cell.load(settings.cell)
         raise

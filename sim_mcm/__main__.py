@@ -14,15 +14,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.runtime import fork_server, handover, process
 from rtc.runtime.memory_guard import MemoryGuard
 from rtc.runtime.settings import Settings
-from rtc.subsystem.subsystem import BROKER, Outgoing
-from sim_mcm.arms.arm import Simulation
+from rtc.subsystems.base.subsystem import BROKER, Outgoing
+from rtc.subsystems.motion.arm import Simulation
+from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.clock import Clock
-from sim_mcm.control.subsystem import McmSubsystem
 from sim_mcm.faults import FARTHEST, Injections
 from sim_mcm.sockets import Question, Sockets
 from sim_mcm.state_file import StateFile

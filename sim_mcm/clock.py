@@ -6,7 +6,7 @@ speed 1 otherwise. So an idle simulator leaves the cores to other processes.
 
 from __future__ import annotations
 
-from sim_mcm.arms.arm import TICK_S
+from rtc.subsystems.motion.arm import TICK_S
 
 CATCH_UP_S = 0.05  # a longer delay (stopped process, stalled machine) is not caught up
 # An overload: so much more time than the forgiven part of it was not caught up. One long delay alone is none.

@@ -11,11 +11,11 @@ from typing import Any, cast
 
 import msgspec
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol import faults as f
 from rtc.spatial import geometry
-from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Sample, Simulation
-from sim_mcm.control.executor import Executor
+from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Sample, Simulation
+from rtc.subsystems.motion.executor import Executor
 
 ALL = "ALL"
 FARTHEST = 10.0  # m or rad, maximum displacement; pybullet fails at 1e300 m

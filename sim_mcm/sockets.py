@@ -21,8 +21,8 @@ from rtc.protocol.wire import reader
 from rtc.runtime.halt_admission import read_order
 from rtc.runtime.process import Every, Process, inbox, send
 from rtc.runtime.settings import BOUNDS, NO_HANDOVER, Settings
-from rtc.subsystem.broker_link import BrokerLink
-from rtc.subsystem.subsystem import BROKER, InvalidOrder, Outgoing
+from rtc.subsystems.base.broker_link import BrokerLink
+from rtc.subsystems.base.subsystem import BROKER, InvalidOrder, Outgoing
 
 # Maximum numbers of messages read from one socket per tick; they bound the tick's duration. ZeroMQ serves callers in
 # turn, so a flood by one caller delays another by one message.

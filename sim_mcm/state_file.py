@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 
-from sim_mcm.arms.arm import CellState
+from rtc.subsystems.motion.arm import CellState
 
 FILE = "hardware.bin"  # in the run directory
 

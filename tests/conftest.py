@@ -8,9 +8,9 @@ import signal
 import pytest
 from hypothesis import settings
 
-from rtc.cells.cell import Cell
-from rtc.robot.collision import CollisionWorld
-from rtc.robot.kinematics import ArmModel
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.collision import CollisionWorld
+from rtc.model.robot.kinematics import ArmModel
 
 # Under `nohup` children would inherit an ignored SIGHUP, and tests of its handling would fail.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)

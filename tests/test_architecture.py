@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests import modules_page
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("rtc", "broker", "workers", "sim_mcm", "deploy")
 #: package -> those of ours it may import; the last entry that fits counts
@@ -28,33 +30,35 @@ ENGINES = ("ray", "dask", "distributed", "kubernetes", "nomad", "submitit")
 #: outside module -> the places that may import it
 ONLY_IN = {
     "pybullet": ("sim_mcm/",),
-    "PIL": ("sim_mcm/picture.py",),
+    "PIL": ("sim_mcm/cameras/picture.py",),
     "pyapriltags": ("rtc/sensing/detector.py",),
-    "pinocchio": ("rtc/robot/", "rtc/authoring/", "workers/planning/motion/", "sim_mcm/"),
-    "coal": ("rtc/robot/", "rtc/authoring/", "workers/planning/motion/", "sim_mcm/"),
+    "pinocchio": ("rtc/model/robot/", "rtc/apps/authoring/", "workers/planning/motion/", "sim_mcm/"),
+    "coal": ("rtc/model/robot/", "rtc/apps/authoring/", "workers/planning/motion/", "sim_mcm/"),
     "lark": ("rtc/language/",),
-    "typer": ("rtc/cli/",),
-    "mcap": ("rtc/observers/",),
-    "mcap_protobuf": ("rtc/observers/",),
-    "foxglove_schemas_protobuf": ("rtc/observers/",),
-    "prometheus_client": ("rtc/observers/",),
-    "opentelemetry": ("rtc/observers/",),
+    "typer": ("rtc/apps/cli/",),
+    "mcap": ("rtc/apps/observers/",),
+    "mcap_protobuf": ("rtc/apps/observers/",),
+    "foxglove_schemas_protobuf": ("rtc/apps/observers/",),
+    "prometheus_client": ("rtc/apps/observers/",),
+    "opentelemetry": ("rtc/apps/observers/",),
     **dict.fromkeys(ENGINES, ("deploy/engines/",)),
     "sqlite3": ("rtc/world/", "rtc/client/past_runs.py", "rtc/runtime/damaged_database.py", "broker/"),
 }
 #: pure packages and files: no clock, no socket, no process, no chance
 PURE = (
-    "rtc/protocol/", "rtc/language/", "rtc/spatial/", "rtc/robot/", "rtc/cells/cell.py", "rtc/cells/parts.py",
+    "rtc/protocol/", "rtc/language/", "rtc/spatial/", "rtc/model/robot/", "rtc/model/cells/cell.py",
+    "rtc/model/cells/parts.py",
     "workers/parser/", "workers/elaborator/", "workers/binder/", "workers/analyzer/", "workers/planning/",
     "workers/conditions/",
     "rtc/programs/schema.py", "rtc/programs/checks.py", "rtc/programs/expressions.py", "rtc/programs/compatibility.py",
     "rtc/programs/loader.py", "rtc/world/model.py", "rtc/world/spread.py",
-    "broker/decisions/", "broker/dispatch/", "sim_mcm/control/",
-    "rtc/observers/viewer_schema.py", "rtc/sensing/", "rtc/subsystem/subsystem.py",
-    "rtc/perception/camera.py", "rtc/perception/motion.py", "rtc/perception/subsystem.py",
+    "broker/decisions/", "broker/dispatch/", "rtc/subsystems/motion/",
+    "rtc/apps/observers/viewer_schema.py", "rtc/sensing/", "rtc/subsystems/base/subsystem.py",
+    "rtc/subsystems/perception/camera.py", "rtc/subsystems/perception/motion.py",
+    "rtc/subsystems/perception/subsystem.py",
 )  # fmt: skip
 #: packages whose modules all lie in packages of their own
-ROOMS = ("rtc", "workers")
+ROOMS = ("rtc", "workers", "rtc.model", "rtc.subsystems", "rtc.apps")
 IMPURE = {"time", "random", "socket", "zmq", "sqlite3", "subprocess", "threading", "multiprocessing", "uuid", "logging"}
 #: what knows phases and outcomes, never skills
 SKILLESS = ("broker/", "workers/runtime/", "workers/binder/", "workers/elaborator/", "workers/analyzer/")
@@ -132,12 +136,18 @@ def reached(path: Path) -> Iterator[tuple[list[str], set[str]]]:
 
 @pytest.mark.parametrize("package", ROOMS)
 def test_no_module_lies_loose_in_a_package_of_rooms(package: str) -> None:
-    loose = {path.name for path in (ROOT / package).glob("*.py")} - {"__init__.py", "__main__.py"}
+    loose = {path.name for path in (ROOT / package.replace(".", "/")).glob("*.py")} - {"__init__.py", "__main__.py"}
     assert not loose
 
 
 #: processes of a cluster that serve clients, so they must not load the client
-SERVERS = ("broker/__main__.py", "sim_mcm/__main__.py", "workers/__main__.py", "rtc/world/__main__.py")
+SERVERS = (
+    "broker/__main__.py",
+    "sim_mcm/__main__.py",
+    "sim_mcm/cameras/__main__.py",
+    "workers/__main__.py",
+    "rtc/world/__main__.py",
+)
 
 
 @pytest.mark.parametrize("path", [ROOT / name for name in SERVERS], ids=place)
@@ -152,8 +162,19 @@ def test_a_server_does_not_load_the_client(path: Path) -> None:
             ways.append([*way, name])
 
 
+def test_no_other_package_imports_the_applications() -> None:
+    """The command line, the demos and the observers use everything else; nothing else needs them."""
+    wrong = [
+        f"{name} imports {other}"
+        for name, others in import_graph().items()
+        for other in sorted(others)
+        if other.startswith("rtc.apps.") and not name.startswith("rtc.apps.")
+    ]
+    assert wrong == []
+
+
 def test_packages_make_no_cycle() -> None:
-    """Rooms of `rtc` and `workers`, and the other packages as wholes."""
+    """Packages directly in a package of rooms, and the other top-level packages as wholes."""
     rooms: dict[str, set[str]] = {}
     for name, others in import_graph().items():
         rooms.setdefault(room(name), set()).update({room(other) for other in others} - {room(name)})
@@ -161,8 +182,9 @@ def test_packages_make_no_cycle() -> None:
 
 
 def room(name: str) -> str:
-    first, *rest = name.split(".")
-    return f"{first}.{rest[0]}" if first in ROOMS and rest else first
+    parts = name.split(".")
+    depth = next(n for n in range(1, len(parts) + 1) if ".".join(parts[:n]) not in ROOMS or n == len(parts))
+    return ".".join(parts[:depth])
 
 
 @functools.cache
@@ -253,8 +275,8 @@ def skill_names() -> set[str]:
 
 
 def test_every_phase_of_a_command_is_a_word_people_see() -> None:
-    """One idea, one name: the glossary of ARCHITECTURE.md has the words that messages use."""
-    glossary = (ROOT / "ARCHITECTURE.md").read_text()
+    """One idea, one name: docs/glossary.md has the words that messages use."""
+    glossary = (ROOT / "docs" / "glossary.md").read_text()
     words = ("sentence", "command", "job", "program", "script", "step", "primitive", "subsystem", "report", "trim")
     missing = [word for word in words if not re.search(rf"^\| {word} \|", glossary, re.MULTILINE)]
     assert not missing
@@ -269,13 +291,10 @@ def test_this_python_is_one_we_support() -> None:
     assert sys.version_info >= (3, 11)
 
 
-def test_the_architecture_page_names_every_module():
-    """ARCHITECTURE.md has a row for each package, and the row names each of its modules."""
-    rows = [line for line in (ROOT / "ARCHITECTURE.md").read_text().splitlines() if line.startswith("| `")]
-    by_package = {row.split("`")[1]: row for row in rows}
-    missing = [
-        place(path)
-        for path in sources(*PACKAGES)
-        if not path.stem.startswith("__") and f"`{path.stem}`" not in by_package.get(f"{place(path.parent)}/", "")
-    ]
-    assert missing == []
+def test_the_page_of_modules_is_up_to_date() -> None:
+    written = (ROOT / "docs" / "modules.md").read_text()
+    assert written == modules_page.page(), "write it anew: python -m tests.modules_page > docs/modules.md"
+
+
+def test_every_module_states_its_purpose() -> None:
+    assert [place(path) for path in ALL if not modules_page.first_paragraph(path)] == []

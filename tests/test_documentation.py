@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import typer
 
-from rtc.cli.main import build
+from rtc.apps.cli.main import build
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import Refusal
 

@@ -23,7 +23,7 @@ LIMIT_MS = 60_000
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     run_dir = tmp_path_factory.mktemp("rtc")
-    deploy = [sys.executable, "-P", "-m", "rtc.cli.entry"]
+    deploy = [sys.executable, "-P", "-m", "rtc.apps.cli.entry"]
     options = ["--mcm", "kinematic", "--speed", "max", "--run-dir", str(run_dir)]
     subprocess.run([*deploy, "up", "-d", *options], check=True, timeout=60)
     yield run_dir

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from rtc.cli.main import build
+from rtc.apps.cli.main import build
 from rtc.language import dictionary
 from tests.test_documentation import PAGES, parse_options
 

@@ -89,11 +89,11 @@ ALLOWED: tuple[tuple[str, str, str], ...] = (
     ("told", "workers/elaborator/set_fact.py", "program."),
     ("told", "workers/analyzer/", '"told_m"'),
     ("told", "tests/workers/analyzer/", '"told_m"'),
-    ("told", "tests/cli/test_cluster.py", 'result["told"]'),
+    ("told", "tests/apps/cli/test_cluster.py", 'result["told"]'),
     # Names of processes in logs and in `rtc status`.
     ("twin", "", '"twin-template"'),
     # A parameter of the library rich.
-    ("fold", "rtc/cli/output.py", 'overflow="fold"'),
+    ("fold", "rtc/apps/cli/output.py", 'overflow="fold"'),
 )
 
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from benchmarks.throughput import MOTIONS
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.programs import loader
 from rtc.protocol import messages as m
 from rtc.protocol.messages import WorkerKind

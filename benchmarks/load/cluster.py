@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks.load.ray_workers import ray_workers
 from deploy.hypercube import addresses, kind_of
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import WorkerKind
 from rtc.runtime.process import die_with_parent
 from rtc.runtime.settings import Settings, prepare_run_dir

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtc.cells import parts
-from rtc.robot.collision_scene import Held, Scene
+from rtc.model.cells import parts
+from rtc.model.robot.collision_scene import Held, Scene
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning.motion import path as paths

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from broker.decisions import action_stack
-from rtc.cells.cell import Cell
-from rtc.cells.scene import SceneView
+from rtc.drawing.scene import SceneView
+from rtc.model.cells.cell import Cell
 from rtc.programs import loader
 from rtc.protocol.messages import (
     AnalyzerInput,
@@ -28,10 +28,10 @@ from rtc.protocol.messages import (
     WorldChange,
 )
 from rtc.protocol.primitive import Look, Primitive
+from rtc.subsystems.motion.arm import TICK_S
+from rtc.subsystems.motion.executor import Executor
 from rtc.world.model import World, initial_facts
-from sim_mcm.arms.arm import TICK_S
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from sim_mcm.control.executor import Executor
 from tests.workers.eyes import Ideal
 from workers.analyzer import analyze
 from workers.binder import bind

@@ -1,8 +1,8 @@
 """Peer of `benchmarks.planning`: OMPL's RRT-Connect with a collision checker in Python.
 
 As in most projects that plan for pybullet: a validity callback sets the joints, and pybullet detects collisions. Edges
-are divided by OMPL. The same search over the checks of `rtc.robot.collision` is the reference of what can be reached.
-Needs ompl 2 (`pip install -e ".[bench]"`).
+are divided by OMPL. The same search over the checks of `rtc.model.robot.collision` is the reference of what can be
+reached. Needs ompl 2 (`pip install -e ".[bench]"`).
 """
 
 from __future__ import annotations
@@ -114,6 +114,6 @@ def plan(request: PlanningRequest, goal: Array, free: Callable[[Array], bool], l
 
 
 def reference(request: PlanningRequest) -> Callable[[Array], bool]:
-    """The checks of `rtc.robot.collision` for `plan`."""
+    """The checks of `rtc.model.robot.collision` for `plan`."""
     test = free_posture(request)
     return lambda q: test(q) is None

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
-from rtc.cells.parts import Numbers
+from rtc.model.cells.parts import Numbers
 from rtc.programs.extension_names import ARGS, unknown
 from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptStep
 

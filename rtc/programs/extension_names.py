@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rtc.cells.parts import Numbers
+from rtc.model.cells.parts import Numbers
 
 #: elaborator: conditions of the world that a script may require
 NEEDS = (

@@ -17,8 +17,8 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
-from rtc.cells import yaml_limits
 from rtc.language.grammar import Grammar
+from rtc.model.cells import yaml_limits
 from rtc.programs import checks, expressions, extension_names
 from rtc.programs.compatibility import Problems, misfits
 from rtc.programs.schema import (

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtc.cells.parts import Camera
+from rtc.model.cells.parts import Camera
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 

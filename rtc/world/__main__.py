@@ -26,7 +26,7 @@ from rtc.world.server import Packer, Server, make_suspect
 from rtc.world.store import Store
 
 if TYPE_CHECKING:
-    from rtc.cells.cell import Cell
+    from rtc.model.cells.cell import Cell
 
 FILE = "world.db"
 BORN = b"world"  # marker in the role's handover data: the database has begun in this run
@@ -77,7 +77,7 @@ def _begin(me: Process, given: handover.Handover, store: Store) -> None:
     why = "the world database began anew" if new else "the world database lost its last changes"
     store.version = max(store.version, version)
     if new:
-        from rtc.cells.cell import Cell
+        from rtc.model.cells.cell import Cell
 
         cell = Cell.load(given.settings.cell)
         store.write("cell", initial_facts(cell), source="cell", at_s=now_s())
@@ -92,7 +92,7 @@ def _begin(me: Process, given: handover.Handover, store: Store) -> None:
 
 def _taught(me: Process, cell: Cell) -> list[WorldChange]:
     """The places taught in earlier runs. A file that cannot be read is reported."""
-    from rtc.cells import taught, taught_file
+    from rtc.model.cells import taught, taught_file
 
     try:
         known = taught_file.load(cell)
@@ -108,7 +108,7 @@ def _taught(me: Process, cell: Cell) -> list[WorldChange]:
 
 def _fixed(settings: Settings) -> list[str]:
     """The names of the fixed objects of the cell."""
-    from rtc.cells.cell import Cell
+    from rtc.model.cells.cell import Cell
 
     return [thing.name for thing in Cell.load(settings.cell).objects if thing.fixed]
 

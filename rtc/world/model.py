@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from rtc.protocol.messages import Fact, Validity, View, WorldChange
 
 if TYPE_CHECKING:
-    from rtc.cells.cell import Cell
+    from rtc.model.cells.cell import Cell
 
 #: attributes that a motion can change
 MOVED = frozenset({"joints", "hand_width", "holding", "frame", "seat", "held_by", "grasp", "angle"})

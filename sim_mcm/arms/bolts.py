@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import pybullet
 
-from rtc.cells import parts
+from rtc.model.cells import parts
 from rtc.spatial import geometry
-from sim_mcm.arms.arm import TICK_S, SpindleCommand, SpindleState
+from rtc.subsystems.motion.arm import TICK_S, SpindleCommand, SpindleState
 from sim_mcm.arms.bullet_world import PhysicsWorld
 
 TURN = 2.0 * math.pi

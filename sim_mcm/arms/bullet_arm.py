@@ -13,15 +13,14 @@ import numpy as np
 import pinocchio as pin
 import pybullet
 
-from rtc.cells import cell as cells
-from rtc.cells import parts
+from rtc.model.cells import cell as cells
+from rtc.model.cells import parts
+from rtc.model.robot.finger_mass import finger_mass, require_stable
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.primitive import ControlLaw, Load
-from rtc.robot.finger_mass import finger_mass, require_stable
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from sim_mcm.arms import unrolled
-from sim_mcm.arms.arm import (
+from rtc.subsystems.motion.arm import (
     ArmState,
     CellState,
     HandCommand,
@@ -32,6 +31,7 @@ from sim_mcm.arms.arm import (
     SpindleState,
     Traits,
 )
+from sim_mcm.arms import unrolled
 from sim_mcm.arms.bolts import Bolts
 from sim_mcm.arms.bullet_world import STEP_S, PhysicsWorld
 from sim_mcm.arms.detents import Detents

@@ -16,10 +16,10 @@ from typing import Any
 import pybullet
 import pybullet_data
 
-from rtc.cells import cell as cells
-from rtc.cells import parts
-from rtc.robot import hulls
-from rtc.robot.numeric_ik import WHOLE
+from rtc.model.cells import cell as cells
+from rtc.model.cells import parts
+from rtc.model.robot import hulls
+from rtc.model.robot.numeric_ik import WHOLE
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
 

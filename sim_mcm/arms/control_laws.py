@@ -19,11 +19,11 @@ from typing import Any, Protocol
 import numpy as np
 import pinocchio as pin
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.primitive import ControlLaw
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
+from rtc.subsystems.motion.arm import Motion
 from sim_mcm.arms import unrolled
-from sim_mcm.arms.arm import Motion
 from sim_mcm.arms.impedance import Impedance
 
 GROUP = "rtc.control_laws"

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from sim_mcm.arms.arm import TICK_S, HandCommand
+from rtc.subsystems.motion.arm import TICK_S, HandCommand
 
 FINGER_N_M = 6000.0  # per finger, on half the opening and on half the difference
 OPENING_NS_M, CENTRE_NS_M = 30.0, 80.0  # their damping

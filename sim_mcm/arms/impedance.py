@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from rtc.protocol.primitive import Compliance
 from rtc.spatial.geometry import Array
-from sim_mcm.arms.arm import TICK_S, Motion
+from rtc.subsystems.motion.arm import TICK_S, Motion
 
 # Beyond these a spring on the lightest axis of a wrist oscillates with the sampling at 1 kHz.
 MOST_N_M, MOST_NM_RAD = 5000.0, 300.0

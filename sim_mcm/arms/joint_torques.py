@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.primitive import Load
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial.geometry import Array
-from sim_mcm.arms.arm import TICK_S
+from rtc.subsystems.motion.arm import TICK_S
 
 FILTER_S = 0.002  # time constant of the filter of the torques
 DAMPING = 1e-3  # of the least squares, so that a singular posture has a finite wrench

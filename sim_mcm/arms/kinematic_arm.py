@@ -17,16 +17,15 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from rtc.cells import cell as cells
-from rtc.cells import parts
+from rtc.model.cells import cell as cells
+from rtc.model.cells import parts
+from rtc.model.robot import hulls
+from rtc.model.robot.bodies import COAL_SHAPES
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.primitive import ControlLaw
-from rtc.robot import hulls
-from rtc.robot.bodies import COAL_SHAPES
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
-from sim_mcm.arms import control_laws
-from sim_mcm.arms.arm import (
+from rtc.subsystems.motion.arm import (
     TICK_S,
     ArmState,
     CellState,
@@ -38,6 +37,7 @@ from sim_mcm.arms.arm import (
     SpindleState,
     Traits,
 )
+from sim_mcm.arms import control_laws
 from sim_mcm.arms.hand import FINGER_N_M
 from sim_mcm.arms.kinematic_seats import Seats
 from sim_mcm.arms.kinematic_watch import Watch

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtc.cells import cell as cells
-from rtc.cells import parts
+from rtc.model.cells import cell as cells
+from rtc.model.cells import parts
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 

@@ -12,11 +12,11 @@ from itertools import combinations
 
 import numpy as np
 
-from rtc.cells import cell as cells
-from rtc.robot.collision import CollisionWorld
-from rtc.robot.collision_scene import Held, Scene
+from rtc.model.cells import cell as cells
+from rtc.model.robot.collision import CollisionWorld
+from rtc.model.robot.collision_scene import Held, Scene
 from rtc.spatial.geometry import Array
-from sim_mcm.arms.arm import Near
+from rtc.subsystems.motion.arm import Near
 
 PROVEN_M = (0.2, 0.05, 0.01, 0.002)  # distances that a check tries to prove, the greatest first
 

@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pinocchio as pin
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.primitive import ControlLaw, Load
-from rtc.robot.kinematics import ArmModel
+from rtc.subsystems.motion.arm import Motion
 from sim_mcm.arms import control_laws
-from sim_mcm.arms.arm import Motion
 
 
 class Servo:

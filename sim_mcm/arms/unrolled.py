@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
-from sim_mcm.arms.arm import Motion
+from rtc.subsystems.motion.arm import Motion
 
 # (joints, speeds, fingers, speeds of the fingers, reaction) of pybullet's states of these joints.
 Split = Callable[

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from benchmarks.load.scenarios import Scenario, Workers, changed
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Refusal
 

@@ -24,8 +24,8 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from rtc.subsystem.subsystem import BROKER
-from sim_mcm.arms.arm import ArmState, HandCommand
+from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.motion.arm import ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 from tests.campaigns import RESULTS
 from tests.workers.conftest import CELL, MODEL

@@ -14,9 +14,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
+from rtc.model.robot import bodies
 from rtc.protocol.primitive import JointTrajectory
-from rtc.robot import bodies
 from rtc.spatial.geometry import Array, Floats
 
 STEP_M = 0.0033  # a third of the planner's step for a held body

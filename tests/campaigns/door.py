@@ -18,7 +18,7 @@ import numpy as np
 import pybullet
 
 from benchmarks.report import percentile, question
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from sim_mcm.arms.bullet_world import HINGED

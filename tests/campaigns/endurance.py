@@ -19,8 +19,8 @@ from collections import Counter
 from benchmarks.load.errands import ARMS, Errands
 from benchmarks.load.verdict import JournalReader, Verdict, judge
 from benchmarks.report import finish, percentile, question, spread
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol.messages import Validity
 from rtc.runtime.chaos import VICTIMS, Chaos, Strike
 from tests.campaigns import RESULTS

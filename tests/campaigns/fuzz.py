@@ -26,8 +26,8 @@ from typing import Any
 import zmq
 
 from benchmarks.report import finish, percentile, question
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import OutcomeKind, RtcError

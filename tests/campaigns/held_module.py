@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import pybullet
 
 from rtc.protocol import primitive as p
-from sim_mcm.control.executor import Executor
+from rtc.subsystems.motion.executor import Executor
 from tests.workers.conftest import Bench, Physical
 
 AT_REST_RAD_S = 0.02

@@ -23,8 +23,8 @@ from benchmarks.load.errands import Errand, Errands
 from benchmarks.load.two_hosts import TwoHosts, Unavailable, inside, two_hosts
 from benchmarks.load.verdict import JournalReader, Verdict, judge
 from benchmarks.report import finish, percentile, question, spread
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.runtime.keys import LINK_LIMIT_S
 from tests.campaigns import RESULTS
 

@@ -27,11 +27,11 @@ import numpy as np
 import pybullet
 
 from benchmarks.report import percentile, question
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol import faults as f
 from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
+from rtc.subsystems.motion.arm import CellState
 from rtc.world.model import World, initial_facts
-from sim_mcm.arms.arm import CellState
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.faults import Injections
 from tests.campaigns import RESULTS, advice, numbered_runs

@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.report import finish, percentile, question
+from rtc.model.robot.collision_scene import AS_BUILT, Scene
 from rtc.protocol.outcomes import OutcomeKind, Refusal
-from rtc.robot.collision_scene import AS_BUILT, Scene
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
-from sim_mcm.arms.arm import TICK_S, ArmState, HandCommand
+from rtc.subsystems.motion.arm import TICK_S, ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 from tests.campaigns import RESULTS
 from tests.workers.conftest import CELL, MODEL

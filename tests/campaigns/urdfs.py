@@ -5,7 +5,7 @@
 
 For each URDF of `example-robot-data` and `pybullet_data`: the first cell as `rtc cell new` makes it, all checks of
 `rtc cell check`, then two seconds of physics in which no primitive runs: at rest, with the hand open; then with the
-hand closed. A short version with URDFs of our own is in `tests/authoring/test_fingers.py`.
+hand closed. A short version with URDFs of our own is in `tests/apps/authoring/test_fingers.py`.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ import numpy as np
 import pybullet_data
 
 from benchmarks.report import question
-from rtc.authoring.draft import draft
-from rtc.authoring.review import review
-from rtc.cells.cell import Cell
+from rtc.apps.authoring.draft import draft
+from rtc.apps.authoring.review import review
+from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import ProgramError
-from sim_mcm.arms.arm import HandCommand
+from rtc.subsystems.motion.arm import HandCommand
+from rtc.subsystems.motion.executor import Executor
 from sim_mcm.arms.bullet_arm import BulletCell
-from sim_mcm.control.executor import Executor
 from tests.campaigns.numbered_runs import report
 
 ROBOTS = "cmeel.prefix/share/example-robot-data/robots"

@@ -10,7 +10,7 @@ import pytest
 
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
-from rtc.cli import log, trace
+from rtc.apps.cli import log, trace
 from rtc.client.past_runs import PREVIOUS, Past, runs
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import NoCluster, Outcome, OutcomeKind, RtcError

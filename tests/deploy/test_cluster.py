@@ -28,7 +28,7 @@ NAMES = [*TEMPLATES, "broker", "world", "MCM", "S&P", *WORKERS]
 
 
 def deploy(*arguments, run_dir):
-    command = [sys.executable, "-m", "rtc.cli.entry", *arguments, "--run-dir", str(run_dir)]
+    command = [sys.executable, "-m", "rtc.apps.cli.entry", *arguments, "--run-dir", str(run_dir)]
     return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import typer
 
-from rtc.cli.main import build
+from rtc.apps.cli.main import build
 from rtc.runtime.settings import default_run_dir
 from tests.test_documentation import parse_options
 

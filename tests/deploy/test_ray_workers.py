@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from deploy.engines.ray_workers import Fleet, main, parser
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.roles import Role

@@ -6,7 +6,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from rtc.cli import language
+from rtc.apps.cli import language
 from rtc.language import dictionary
 from rtc.runtime.settings import Settings
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.faults import Drifting
 from rtc.protocol.outcomes import OutcomeKind, StopReason

@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 import zmq
 
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.client.handle import CommandHandle
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.runtime.chaos import Chaos, Strike
@@ -252,7 +252,7 @@ def test_all_at_once(rtc: Client, chaos: Chaos, run_dir: Path) -> None:
 
 def test_a_cluster_without_workers_gets_them_with_its_first_command(tmp_path_factory: pytest.TempPathFactory) -> None:
     where = ["--run-dir", str(tmp_path_factory.mktemp("p"))]
-    deploy = [sys.executable, "-P", "-m", "rtc.cli.entry"]
+    deploy = [sys.executable, "-P", "-m", "rtc.apps.cli.entry"]
     subprocess.run([*deploy, "up", "-d", "--mcm", "kinematic", "--least", "0", *where], check=True, timeout=LIMIT_S)
     try:
         with Client(where[1]) as rtc:

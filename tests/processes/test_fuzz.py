@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import zmq
 
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import OutcomeKind

@@ -21,9 +21,9 @@ from urllib.parse import urlsplit
 import pytest
 import zmq
 
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client import connection, halt
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import ClusterError, NoCluster, OutcomeKind, Refusal, RefusalReason, RequestDeclined

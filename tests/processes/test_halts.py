@@ -40,7 +40,7 @@ class Running:
 
     def __init__(self, run_dir: Path, mcm: str = "kinematic") -> None:
         self.run_dir = run_dir
-        command = [sys.executable, "-m", "rtc.cli.entry", "up", "--mcm", mcm, "--run-dir", str(run_dir)]
+        command = [sys.executable, "-m", "rtc.apps.cli.entry", "up", "--mcm", mcm, "--run-dir", str(run_dir)]
         self.supervisor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
         assert self.supervisor.stdout is not None
         assert any(line.startswith("ready in") for line in self.supervisor.stdout), "it did not come up"
@@ -230,7 +230,7 @@ def test_rtc_halt_needs_nothing_but_the_two_sockets(running: Running, tmp_path: 
         (tmp_path / ENDPOINTS[endpoint]).symlink_to(running.run_dir / ENDPOINTS[endpoint])
 
     def press() -> None:
-        command = [sys.executable, "-P", "-m", "rtc.cli.main", "halt", "--run-dir", str(tmp_path)]
+        command = [sys.executable, "-P", "-m", "rtc.apps.cli.main", "halt", "--run-dir", str(tmp_path)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
         assert "RIGHT-ARM decelerating" in done.stdout

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyRing

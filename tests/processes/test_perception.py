@@ -13,9 +13,9 @@ import pytest
 import zmq
 
 from benchmarks.track import at, turning
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.client.handle import CommandHandle
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.faults import BlindCamera, Drifting
 from rtc.protocol.outcomes import OutcomeKind, StopReason

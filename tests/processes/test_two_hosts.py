@@ -17,8 +17,8 @@ import pytest
 from benchmarks.load.errands import Errands
 from benchmarks.load.two_hosts import TwoHosts, Unavailable, inside, two_hosts
 from benchmarks.load.verdict import JournalReader, Verdict, judge
+from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.demos.own_cluster import own_cluster
 from rtc.protocol.outcomes import OutcomeKind
 
 pytestmark = pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtc.protocol.primitive_id import belongs_to, command_of, number_of, primitive_id
-from rtc.subsystem.subsystem import in_scope
+from rtc.subsystems.base.subsystem import in_scope
 
 
 def test_a_name_tells_its_command_and_its_life():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtc.cells.cell import Cell
-from rtc.cells.parts import Camera
+from rtc.model.cells.cell import Cell
+from rtc.model.cells.parts import Camera
 from rtc.sensing import optics
 from rtc.sensing.absence import Cause, cause
 from rtc.spatial import geometry

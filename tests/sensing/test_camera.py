@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks import camera as bench
-from rtc.cells.cell import Cell
-from rtc.cells.scene import SceneView
+from rtc.drawing.scene import SceneView
+from rtc.model.cells.cell import Cell
 from rtc.sensing import locate, optics
 from rtc.sensing.detector import TagDetector
 from rtc.spatial import geometry
-from sim_mcm import render
+from sim_mcm.cameras import render
 
 
 @pytest.mark.physics

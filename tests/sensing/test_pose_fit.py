@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from rtc.cells.cell import Cell
-from rtc.cells.parts import Camera, Frame, Tag
+from rtc.model.cells.cell import Cell
+from rtc.model.cells.parts import Camera, Frame, Tag
 from rtc.sensing import locate, optics, pose_fit
 from rtc.sensing.detector import Mark
 from rtc.spatial import geometry

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtc.cells import tag_family
+from rtc.model.cells import tag_family
 from rtc.sensing.detector import TagDetector
 
 PER_CELL, PER_ROW = 5, 25

@@ -8,16 +8,16 @@ import numpy as np
 import pybullet
 import pytest
 
-from rtc.authoring.draft import draft
+from rtc.apps.authoring.draft import draft
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import StopReason
-from rtc.subsystem.subsystem import BROKER
+from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.motion.executor import STRAYED
+from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms import hand
 from sim_mcm.arms.bullet_arm import BulletCell
-from sim_mcm.control.executor import STRAYED
-from sim_mcm.control.subsystem import McmSubsystem
-from tests.authoring import small_arms
-from tests.sim_mcm.conftest import ARM, OTHER, joint_path, primitive
+from tests.apps.authoring import small_arms
+from tests.subsystems.motion.conftest import ARM, OTHER, joint_path, primitive
 
 
 class Resting:

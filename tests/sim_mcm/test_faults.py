@@ -6,14 +6,14 @@ import numpy as np
 import pybullet
 import pytest
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import faults as f
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
+from rtc.subsystems.motion.profiles import Stay
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from sim_mcm.control.profiles import Stay
 from sim_mcm.faults import Injections
 
 ARM, MODULE, SEAT = "RIGHT-ARM", "MACS-NEW", "RACK-1"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rtc.cells.scene import FilmFrame, SceneView
-from sim_mcm import film
+from rtc.drawing.scene import FilmFrame, SceneView
+from sim_mcm.cameras import film
 
 
 def frame(cell, turned_rad: float) -> FilmFrame:

@@ -16,16 +16,16 @@ import msgspec
 import pytest
 import zmq
 
-from rtc.cells.cell import Cell
 from rtc.client.halt import HaltLine
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.protocol.wire import PROTOCOL, frames, reader
-from rtc.robot.kinematics import ArmModel
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.spatial import geometry
-from sim_mcm.arms.arm import CellState, HandCommand
+from rtc.subsystems.motion.arm import CellState, HandCommand
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.state_file import StateFile
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rtc.cells.parts import Camera
-from rtc.cells.scene import VIEWS, CameraPicture, Panel, Picture, SceneView
-from rtc.perception.renderer import Renderer
+from rtc.drawing.renderer import Renderer
+from rtc.drawing.scene import VIEWS, CameraPicture, Panel, Picture, SceneView
+from rtc.model.cells.parts import Camera
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
 from rtc.sensing.optics import Window
-from sim_mcm import render
+from sim_mcm.cameras import render
 
 
 def read_png(data: bytes) -> np.ndarray:

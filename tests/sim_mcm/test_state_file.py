@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import primitive as p
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import StopReason
-from sim_mcm.control.modes import Mode
+from rtc.subsystems.motion.modes import Mode
 
 if TYPE_CHECKING:
     from tests.simulation.cluster import Cluster

@@ -16,10 +16,10 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import ControlLaw
-from rtc.subsystem.subsystem import BROKER, REPEAT_S
+from rtc.subsystems.base.subsystem import BROKER, REPEAT_S
+from rtc.subsystems.motion.arm import HandCommand, Motion, Sample, Traits
+from rtc.subsystems.motion.subsystem import McmSubsystem
 from rtc.world.client import LIMIT_S
-from sim_mcm.arms.arm import HandCommand, Motion, Sample, Traits
-from sim_mcm.control.subsystem import McmSubsystem
 from tests.simulation import skills
 from tests.simulation.network import Dealer, Frames
 

@@ -21,9 +21,9 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import StopReason
-from rtc.subsystem.subsystem import BROKER
-from sim_mcm.control.reports import not_begun
-from sim_mcm.control.subsystem import McmSubsystem
+from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.motion.reports import not_begun
+from rtc.subsystems.motion.subsystem import McmSubsystem
 from tests.simulation.__main__ import Result, run
 from tests.simulation.cluster import Cluster
 from tests.simulation.processes import Mcm

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from broker.decisions import action_stack
-from rtc.cells.cell import Cell
-from rtc.cells.scene import SceneView
+from rtc.drawing.scene import SceneView
+from rtc.model.cells.cell import Cell
 from rtc.programs import loader
 from rtc.protocol.messages import (
     AnalyzerInput,
@@ -38,9 +38,9 @@ from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Look, Primitive
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry
+from rtc.subsystems.motion.executor import Executor
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from sim_mcm.control.executor import Executor
 from tests.workers.eyes import Drawn, Ideal
 from workers.analyzer import analyze as analyzer
 from workers.binder import bind as binder

@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from rtc.cells.cell import Cell
-from rtc.cells.scene import SceneView
-from rtc.perception.look_task import Evaluated
-from rtc.perception.subsystem import PerceptionSubsystem
+from rtc.drawing.scene import SceneView
+from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import EndReport, Execute
 from rtc.protocol.primitive import Primitive
 from rtc.sensing import optics
 from rtc.sensing.detector import Mark
 from rtc.sensing.locate import corners
 from rtc.spatial import geometry
-from rtc.subsystem.subsystem import BROKER
+from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.perception.look_task import Evaluated
+from rtc.subsystems.perception.subsystem import PerceptionSubsystem
 
 GREY = np.full((480, 640, 3), 128, np.uint8)
 PERIOD_S = 0.1  # between two pictures
@@ -62,7 +62,7 @@ class Ideal:
 class Drawn(Ideal):
     def __init__(self, cell: Cell) -> None:
         from rtc.sensing.detector import TagDetector
-        from sim_mcm.render import SceneRenderer
+        from sim_mcm.cameras.render import SceneRenderer
 
         super().__init__(cell)
         self.studio, self._detector = SceneRenderer(cell), TagDetector()

@@ -17,18 +17,18 @@ from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.invariants import violations
 from broker.decisions.state import State
-from rtc.cells.scene import SceneView
-from rtc.perception.subsystem import NAME as EYES
+from rtc.drawing.scene import SceneView
 from rtc.programs import loader
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Outcome, Refusal
 from rtc.protocol.primitive import JointTrajectory, Primitive
-from rtc.subsystem.subsystem import BROKER
+from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.motion.arm import TICK_S
+from rtc.subsystems.motion.subsystem import McmSubsystem
+from rtc.subsystems.perception.subsystem import NAME as EYES
 from rtc.world.model import World, initial_facts
-from sim_mcm.arms.arm import TICK_S
-from sim_mcm.control.subsystem import McmSubsystem
 from tests.workers.conftest import MODEL, record
 from tests.workers.eyes import Ideal
 from workers.analyzer import analyze as analyzer

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from benchmarks.grasp import GraspRun, perform, runs, wilson
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol import faults as f
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason

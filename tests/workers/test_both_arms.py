@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc.cells import parts
+from rtc.model.cells import parts
 from rtc.protocol.messages import EndReport, Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import ClearanceBelow, ForceAbove, TcpOutside, TcpSpeedAbove, TcpTurned

@@ -10,7 +10,7 @@ import pytest
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import Reflex, Refusal, StopReason
 from rtc.spatial import geometry
-from sim_mcm.arms.arm import HandCommand
+from rtc.subsystems.motion.arm import HandCommand
 from tests.workers.conftest import Bench, Kinematic
 
 ARM = "RIGHT-ARM"

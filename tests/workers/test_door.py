@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import TurnAbove
 from rtc.spatial import geometry, hinges

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc.cells.scene import SceneView
-from rtc.perception.look_task import Evaluated
+from rtc.drawing.scene import SceneView
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.spatial import geometry
+from rtc.subsystems.perception.look_task import Evaluated
 from rtc.world.spread import even
 from tests.workers.conftest import CELL
 from tests.workers.eyes import Ideal

@@ -9,8 +9,8 @@ import numpy as np
 import pybullet
 import pytest
 
-from rtc.cells.parts import MAINTAINED, Frame, Maintained, Region
 from rtc.language.parse import default_grammar, parse
+from rtc.model.cells.parts import MAINTAINED, Frame, Maintained, Region
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     ClearanceBelow,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.spatial import geometry
 from tests.workers.conftest import Bench, Physical, Reporter
 from workers.planning.robot_models import CellModel

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.cells import taught_file
-from rtc.cells.cell import Cell
+from rtc.model.cells import taught_file
+from rtc.model.cells.cell import Cell
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     Commit,

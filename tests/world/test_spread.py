@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import Fact, Validity, WorldChange
 from rtc.world.model import changed, initial_facts, problem
 from rtc.world.spread import EXACT, even, exceeded, in_words, narrowest, widened

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial.geometry import Array, Floats
 from workers.binder.bind_task import BindTask
 from workers.conditions.stop_conditions import Values

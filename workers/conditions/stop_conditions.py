@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from rtc.cells import parts
+from rtc.model.cells import parts
 from rtc.programs import expressions
 from rtc.programs.schema import BinderProgram, StopClass, StopRow
 from rtc.protocol.messages import BinderInput

@@ -7,8 +7,8 @@ from typing import TypeVar
 
 import msgspec
 
-from rtc.cells import cell as cells
-from rtc.cells import parts
+from rtc.model.cells import cell as cells
+from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason

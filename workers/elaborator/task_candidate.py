@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from rtc.cells import parts
+from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, TableRow
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rtc.cells import taught
+from rtc.model.cells import taught
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import ParsedCommand

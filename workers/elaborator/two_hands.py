@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rtc.cells import parts
+from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, hand_in_words

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rtc.cells.parts import Numbers
+from rtc.model.cells.parts import Numbers
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from rtc.world.spread import Spread, even, narrowest, widened

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from functools import cached_property
 
-from rtc.cells.cell import Cell
-from rtc.robot.collision import CollisionWorld
-from rtc.robot.kinematics import ArmModel
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.collision import CollisionWorld
+from rtc.model.robot.kinematics import ArmModel
 
 
 class CellModel:

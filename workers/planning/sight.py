@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rtc.cells.cell import Cell
-from rtc.cells.parts import Camera, Tag
+from rtc.model.cells.cell import Cell
+from rtc.model.cells.parts import Camera, Tag
 from rtc.sensing import absence, optics
 from rtc.spatial.geometry import Array, Floats
 

@@ -14,13 +14,13 @@ from functools import cached_property
 
 import numpy as np
 
-from rtc.cells import cell as cells
-from rtc.cells import parts, taught
+from rtc.model.cells import cell as cells
+from rtc.model.cells import parts, taught
+from rtc.model.robot.collision_scene import Held, Hung, Scene
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Load, Primitive
 from rtc.protocol.sentence import hand_in_words
-from rtc.robot.collision_scene import Held, Hung, Scene
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array, Floats
 from rtc.world.model import World
@@ -62,7 +62,7 @@ class WorldQuery:
 
     @property
     def taught_places(self) -> list[parts.Place]:
-        """Those that the cell does not have: see `rtc.cells.taught`."""
+        """Those that the cell does not have: see `rtc.model.cells.taught`."""
         values = ((key, fact.value) for key, fact in self.world.facts.items())
         return taught.as_places(self.cell, taught.postures(values))
 

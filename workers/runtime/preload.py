@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.programs import loader
 from rtc.protocol.digest import digest
 from rtc.protocol.messages import WorkerKind

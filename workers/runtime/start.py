@@ -12,7 +12,7 @@ from typing import Any
 
 import zmq
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import WorkerHello, WorkerKind
 from rtc.protocol.outcomes import ClusterError
 from rtc.runtime import process

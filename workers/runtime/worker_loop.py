@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import msgspec
 import zmq
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     Assessment,

@@ -6,7 +6,7 @@ import msgspec
 
 from broker.decisions import effects as do
 from broker.decisions.events import PrimitiveEnded
-from rtc.cli.measured import in_words
+from rtc.apps.cli.measured import in_words
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import Report
 from tests.broker.harness import Harness, bound, go_on, record, report

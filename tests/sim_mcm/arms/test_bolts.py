@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from benchmarks.force import Station
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.faults import StrippedBolt
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry, hinges
-from rtc.subsystem.subsystem import BROKER
-from sim_mcm.arms.arm import SpindleCommand
+from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.motion.arm import SpindleCommand
+from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from sim_mcm.control.subsystem import McmSubsystem
 from sim_mcm.faults import Injections
 
 CELL = Cell.load("servicing")

@@ -10,14 +10,14 @@ import pinocchio as pin
 import pybullet
 import pytest
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
-from sim_mcm.arms.arm import TICK_S
+from rtc.subsystems.motion import profiles
+from rtc.subsystems.motion.arm import TICK_S
+from rtc.subsystems.motion.modes import Mode
 from sim_mcm.arms.bullet_arm import BulletCell
-from sim_mcm.control import profiles
-from sim_mcm.control.modes import Mode
 
 pytestmark = pytest.mark.physics
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"

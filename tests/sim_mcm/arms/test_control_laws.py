@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import ControlLaw
-from rtc.robot.kinematics import ArmModel
+from rtc.subsystems.motion.arm import TICK_S
 from sim_mcm.arms import control_laws
-from sim_mcm.arms.arm import TICK_S
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.servo import Servo
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pybullet
 import pytest
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from sim_mcm.arms.bullet_arm import FINGER_FRICTION, BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell
 

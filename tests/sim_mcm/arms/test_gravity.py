@@ -6,11 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from sim_mcm.arms.bullet_arm import BulletCell
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim_mcm.arms.arm import TICK_S, HandCommand
+from rtc.subsystems.motion.arm import TICK_S, HandCommand
 from sim_mcm.arms.hand import Hand
 
 FINGER_KG = 0.1

@@ -8,8 +8,8 @@ import numpy as np
 import pybullet
 import pytest
 
-from rtc.cells.cell import Cell
-from rtc.robot.kinematics import ArmModel
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.kinematics import ArmModel
 from rtc.spatial import geometry, hinges
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.bullet_world import HINGED, PhysicsWorld

@@ -6,10 +6,10 @@ import numpy as np
 import pybullet
 import pytest
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from sim_mcm.arms.bullet_arm import BulletCell
 

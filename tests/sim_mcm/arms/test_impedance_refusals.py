@@ -5,13 +5,13 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.robot.kinematics import ArmModel
+from rtc.subsystems.motion.executor import Executor
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.arms.servo import Servo
-from sim_mcm.control.executor import Executor
 
 GOOD = [1000.0] * 3 + [30.0] * 3
 

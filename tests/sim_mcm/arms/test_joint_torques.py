@@ -6,10 +6,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.primitive import Load
-from rtc.robot.kinematics import ArmModel
-from sim_mcm.arms.arm import TICK_S
+from rtc.subsystems.motion.arm import TICK_S
 from sim_mcm.arms.joint_torques import JointTorques
 
 WRENCH = np.array([4.0, -3.0, 12.0, 0.2, 0.5, -0.3])  # tool axes

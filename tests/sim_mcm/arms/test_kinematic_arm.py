@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from sim_mcm.arms.kinematic_arm import KinematicCell, displaced
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.collision import CollisionWorld
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.robot.collision import CollisionWorld
-from rtc.subsystem.subsystem import BROKER
+from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from sim_mcm.control.subsystem import McmSubsystem
 
 CELL = Cell.load("swapout")
 RIGHT, LEFT = "RIGHT-ARM", "LEFT-ARM"

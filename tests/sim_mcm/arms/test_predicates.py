@@ -12,7 +12,7 @@ from rtc.protocol import primitive as p
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
-from sim_mcm.arms.arm import HandCommand
+from rtc.subsystems.motion.arm import HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 
 pytestmark = pytest.mark.physics

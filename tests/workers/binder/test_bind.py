@@ -9,8 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc.cells.cell import Cell
 from rtc.language import dictionary
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.kinematics import ArmModel
 from rtc.programs import loader
 from rtc.protocol.messages import Binding, BoundStep, Script, Step, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
@@ -26,7 +27,6 @@ from rtc.protocol.primitive import (
     TimeAbove,
     TorqueAbove,
 )
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from workers.binder import bind as binder
 from workers.planning.motion import plan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import Refusal
 from rtc.world.model import World, initial_facts

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, ElaboratorProgram
 from rtc.protocol.messages import EndReport

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from rtc.model.robot.collision_scene import Scene
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, StopReason
 from rtc.protocol.primitive import (
     LONGEST_S,
@@ -17,7 +18,6 @@ from rtc.protocol.primitive import (
     StopFunction,
     TimeAbove,
 )
-from rtc.robot.collision_scene import Scene
 from tests.workers.conftest import CELL, MODEL
 from workers.planning.motion.beside import SPACE_M, clear_from, course, start_conditions
 from workers.planning.motion.path import joint_line

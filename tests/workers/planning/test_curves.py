@@ -9,7 +9,7 @@ import pytest
 
 from rtc.protocol.outcomes import Refusal
 from rtc.spatial import geometry
-from sim_mcm.control.profiles import Follow
+from rtc.subsystems.motion.profiles import Follow
 from workers.planning.curves import curve
 from workers.planning.motion.path import task_curve
 from workers.planning.motion.timing import Pace, time_path

@@ -8,7 +8,7 @@ import random
 import numpy as np
 import pytest
 
-from rtc.cells.parts import Numbers
+from rtc.model.cells.parts import Numbers
 from rtc.spatial import geometry
 from rtc.world.spread import even
 from workers.planning.pose_spread import crept_spread, spread_after_measurement, spread_at, struck_spread

@@ -11,7 +11,7 @@ import zmq
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
 from broker.persistence.program_store import ProgramStore
-from rtc.cells.cell import Cell
+from rtc.model.cells.cell import Cell
 from rtc.programs import loader
 from rtc.protocol import wire
 from rtc.protocol.digest import digest

@@ -6,7 +6,7 @@ left behind is free. A motion therefore starts at once, or when the other arm ha
 The subsystem moves both arms, so it knows when that is.
 
 The search divides both paths into intervals and proves with one check that two intervals cannot meet, or divides them
-further (`rtc.robot.separation`). It is conservative: it never calls two motions free that may meet.
+further (`rtc.model.robot.separation`). It is conservative: it never calls two motions free that may meet.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rtc.model.robot.collision_scene import in_hands
+from rtc.model.robot.separation import SeparationCheck
+from rtc.model.robot.swept import Boxes, Swept
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.primitive import LONGEST_S, JointTrajectory, Primitive, StartAfter
 from rtc.protocol.primitive_id import command_of
-from rtc.robot.collision_scene import in_hands
-from rtc.robot.separation import SeparationCheck
-from rtc.robot.swept import Boxes, Swept
 from rtc.spatial.geometry import Array
 from workers.planning.motion.request import PlanningRequest
 

@@ -13,9 +13,9 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
+from rtc.model.robot import quintic
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal
-from rtc.robot import quintic
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion.path import task_line

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rtc.cells import parts
+from rtc.model.cells import parts
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 

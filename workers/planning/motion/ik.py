@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import msgspec
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial.geometry import Array, Floats
 
 Test = Callable[[Array], Refusal | None]

@@ -16,8 +16,8 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion import smooth

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import msgspec
 import numpy as np
 
+from rtc.model.robot.collision_scene import in_hands
 from rtc.protocol.outcomes import LEAVING, Refusal, RefusalReason
-from rtc.robot.collision_scene import in_hands
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from rtc.model.robot.collision import GROUP, Collision, CollisionWorld
+from rtc.model.robot.collision_scene import AS_BUILT, Scene
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal
 from rtc.protocol.primitive import Load
-from rtc.robot.collision import GROUP, Collision, CollisionWorld
-from rtc.robot.collision_scene import AS_BUILT, Scene
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion.constraints import FREE, PathConstraints
 from workers.planning.motion.path import CHECK_RAD, Path

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rtc.robot.kinematics import LEAST_WEIGHT
+from rtc.model.robot.kinematics import LEAST_WEIGHT
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion import path as paths

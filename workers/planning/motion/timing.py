@@ -17,10 +17,10 @@ import toppra
 import toppra.algorithm
 import toppra.constraint
 
+from rtc.model.robot import quintic
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import JointTrajectory, Load
-from rtc.robot import quintic
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial.geometry import Array
 from workers.planning.motion.blended import Blended
 from workers.planning.motion.path import Path, even

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 import toppra.constraint
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Load
-from rtc.robot.kinematics import ArmModel
 from rtc.spatial.geometry import Array
 
 SHARE = 0.9  # of the joints' effort that a planned motion may use; the rest is for the control law

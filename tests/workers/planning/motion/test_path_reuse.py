@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from rtc.model.robot.collision_scene import Scene
 from rtc.protocol.messages import Way
-from rtc.robot.collision_scene import Scene
 from rtc.spatial import geometry
 from workers.planning import segments
 from workers.planning.motion import path_reuse, plan

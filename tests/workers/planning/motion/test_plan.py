@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc.cells.parts import Box, Frame, Object
+from rtc.model.cells.parts import Box, Frame, Object
+from rtc.model.robot.collision import CollisionWorld
+from rtc.model.robot.collision_scene import Held, Scene
 from rtc.protocol.outcomes import Refusal
-from rtc.robot.collision import CollisionWorld
-from rtc.robot.collision_scene import Held, Scene
 from rtc.spatial import geometry
 from workers.planning.motion import sampled_way
 from workers.planning.motion.constraints import PathConstraints

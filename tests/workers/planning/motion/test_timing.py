@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rtc.model.robot import quintic as quintic_pieces
 from rtc.protocol.primitive import JointTrajectory
-from rtc.robot import quintic as quintic_pieces
 from rtc.spatial import geometry
 from workers.planning.motion.path import joint_line, task_line, through
 from workers.planning.motion.timing import KNOT_S, Pace, time_path

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import Load
-from rtc.robot.kinematics import ArmModel
 from workers.planning.motion.path import joint_line, task_line, through
 from workers.planning.motion.timing import Pace, time_path
 from workers.planning.motion.torques import SHARE

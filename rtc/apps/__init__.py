@@ -1,0 +1,1 @@
+"""Programs for people: command line, authoring of cells, observers, demos. No process of a cluster imports them."""

@@ -1,0 +1,430 @@
+"""A user's URDF made fit for a cell: hulls for meshes, a hand, a frame `tcp`, motors for both fingers.
+
+Each change is a note for the user. Links and joints keep their names.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from rtc.apps.authoring.hull import hull_of
+from rtc.apps.authoring.robot_file import PACKAGE, RobotFile, number, numbers, origin
+from rtc.model.cells import urdf_values
+from rtc.model.cells.urdf_values import MOVING
+from rtc.model.robot.numeric_ik import FEWEST
+from rtc.protocol.outcomes import ProgramError
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
+
+HAND = Path(__file__).with_name("hand.urdf")
+BELOW_TIP_M = 0.015  # distance of the tcp below the finger tips, at most a quarter of a finger
+TCP = "tcp"
+GYRATION = 1.0  # greatest plausible radius of gyration, as a share of the size of a link
+INERTIA = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+OPPOSED = 1e-3
+DEFAULT_EFFORT, DEFAULT_SPEED = 50.0, 1.0  # of a joint without a motor in the URDF
+SENSOR_WORDS = ("force", "torque", "ft_", "_ft", "wrench")
+DATA_PACKAGE = "pybullet_data"  # its visual meshes are named by package, so that a cell does not name a folder
+
+
+@dataclass
+class AdaptedArm:
+    """The changed model and what a cell says about it. `fingers`: joints, in the order +y, -y of the tcp."""
+
+    robot: RobotFile
+    joints: list[str]
+    palm: str
+    fingers: tuple[str, str]
+    sensor: str | None = None
+    hulls: dict[str, str] = field(default_factory=dict)  # file -> text
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def urdf(self) -> str:
+        ElementTree.indent(self.robot.robot)
+        return '<?xml version="1.0"?>\n' + ElementTree.tostring(self.robot.robot, encoding="unicode") + "\n"
+
+    @property
+    def finger_links(self) -> tuple[str, str]:
+        a, b = self.fingers
+        return self.robot.child[a], self.robot.child[b]
+
+
+def adapt(path: Path, folder: str, tip: str = "") -> AdaptedArm:
+    """The model of a URDF file for a cell. `folder`: of the hulls; `tip`: the link that gets a new hand.
+
+    Raises ProgramError for a model that cannot be used, with the reason.
+    """
+    robot = RobotFile(path)
+    _refuse_wrong_values(robot)
+    notes: list[str] = []
+    _separate_names(robot, notes)
+    fingers = None if tip else _fingers(robot, notes)
+    if fingers is None:
+        _cut(robot, tip or _deepest(robot), notes)
+        _mount_hand(robot, tip or _deepest(robot), notes)
+        fingers = ("finger_a_slide", "finger_b_slide")
+    palm = robot.parent[fingers[0]]
+    arm = AdaptedArm(robot, robot.moving_way(palm), palm, fingers, notes=notes)
+    if len(arm.joints) < FEWEST:
+        moving = f"only {arm.joints[0]} moves" if arm.joints else "no joint moves"
+        raise ProgramError(f"{path}: {moving} {palm}; expected: an arm with {FEWEST} joints or more before its hand")
+    _tidy(arm)
+    _meshes(arm, folder)
+    _tool(arm)
+    arm.sensor = _sensor(arm)
+    return arm
+
+
+def _refuse_wrong_values(robot: RobotFile) -> None:
+    long = urdf_values.too_long(robot.robot)
+    wrong = [*urdf_values.faults(robot.robot), *([] if long is None else [long])]
+    if wrong:
+        where, problem, expected = wrong[0]
+        others = f". All {len(wrong)} faults: rtc cell check {robot.path}" if wrong[1:] else ""
+        raise ProgramError(f"{robot.path}: {where}: {problem}; expected: {expected}{others}")
+
+
+def _separate_names(robot: RobotFile, notes: list[str]) -> None:
+    """Rename joints that have the name of a link: pinocchio cannot tell their frames apart."""
+    for name in [name for name in robot.joints if name in robot.links]:
+        other = f"{name}_joint"
+        while other in robot.joints or other in robot.links:
+            other += "_"
+        robot.joints[name].set("name", other)
+        for mimic in robot.robot.iterfind(f"joint/mimic[@joint='{name}']"):
+            mimic.set("joint", other)
+        robot.index()
+        notes.append(f"the joint {name} has the name of a link: it is {other} here")
+
+
+# --- the hand ------------------------------------------------------------------------------------------
+
+
+def _fingers(robot: RobotFile, notes: list[str]) -> tuple[str, str] | None:
+    """The two sliding joints of a parallel hand, or None. Other moving parts of a hand are refused."""
+    slides = [j for j in robot.joints if robot.type(j) == "prismatic" and not _moves(robot, robot.child[j])]
+    for n, a in enumerate(slides):
+        for b in slides[n + 1 :]:
+            if robot.parent[a] == robot.parent[b] and _opposed(robot, a, b):
+                return a, b
+    loose = [j for j in robot.joints if robot.joints[j].find("mimic") is not None]
+    if loose:
+        raise ProgramError(
+            f"{robot.path}: its hand moves by {', '.join(loose[:3])}{' and others' if loose[3:] else ''}; a hand needs "
+            "two sliding fingers that open in opposite directions. Name the last link of the arm with --tip: all "
+            "beyond it is removed, and a parallel hand is mounted there"
+        )
+    notes.append("it has no hand with two sliding fingers: a parallel hand with a wrist sensor is mounted")
+    return None
+
+
+def _opposed(robot: RobotFile, a: str, b: str) -> bool:
+    turned = [robot.placement(joint)[:3, :3] @ robot.axis(joint) for joint in (a, b)]
+    return float(np.linalg.norm(turned[0] + turned[1])) < OPPOSED
+
+
+def _moves(robot: RobotFile, link: str) -> bool:
+    """Whether a link carries a joint that moves."""
+    below = set(robot.below(link))
+    return any(robot.type(joint) in MOVING for joint, parent in robot.parent.items() if parent in below)
+
+
+def _deepest(robot: RobotFile) -> str:
+    """The last link of the longest chain of moving joints: the farthest fixed frame beyond its last joint is not."""
+    ends = [robot.child[joint] for joint in robot.joints if robot.type(joint) in MOVING]
+    if not ends:
+        raise ProgramError(f"{robot.path}: it has no joint that moves")
+    return max(ends, key=lambda link: len(robot.moving_way(link)))
+
+
+def _cut(robot: RobotFile, tip: str, notes: list[str]) -> None:
+    """Remove everything beyond the tip, and every moving branch that is not on the way to it."""
+    if tip not in robot.links:
+        raise ProgramError(f"{robot.path}: there is no link {tip}; there are {', '.join(robot.links)}")
+    way = set(robot.way_to(tip))
+    gone: list[str] = []
+    for joint in list(robot.joints):
+        beyond = robot.parent[joint] == tip
+        branch = joint not in way and robot.parent[joint] != tip and (robot.type(joint) in MOVING)
+        if beyond or branch:
+            gone += robot.below(robot.child[joint])
+    for link in dict.fromkeys(gone):
+        robot.robot.remove(robot.links[link])
+        robot.robot.remove(robot.joints[robot.carrier[link]])
+    robot.index()
+    if gone:
+        notes.append(f"removed beyond {tip}: {', '.join(dict.fromkeys(gone))}")
+
+
+def _mount_hand(robot: RobotFile, tip: str, notes: list[str]) -> None:
+    """Adds the parallel hand on the last link, along the axis of the last joint."""
+    last = robot.moving_way(tip)[-1]
+    turn = robot.pose_in(tip, robot.child[last])[:3, :3].T
+    axis = turn @ robot.axis(last)
+    if float(_before(robot, tip) @ axis) > 0.0:
+        axis = -axis
+    reach = max([0.0, *(float((points @ axis).max()) for points in _points(robot, tip))])
+    mount = ElementTree.SubElement(robot.robot, "joint", name="wrist_ft", type="fixed")
+    ElementTree.SubElement(mount, "parent", link=tip)
+    ElementTree.SubElement(mount, "child", link="sensor")
+    roll, pitch, yaw = geometry.to_rpy(geometry.from_matrix(_looking_along(axis, reach * axis))).tolist()
+    xyz = " ".join(f"{x:.6g}" for x in reach * axis)
+    ElementTree.SubElement(mount, "origin", xyz=xyz, rpy=f"{roll:.9g} {pitch:.9g} {yaw:.9g}")
+    hand = ElementTree.fromstring(HAND.read_text(encoding="utf-8"))
+    taken = [str(part.get("name")) for part in hand if part.get("name") in {**robot.links, **robot.joints}]
+    if taken:
+        raise ProgramError(f"{robot.path}: rename {', '.join(taken)}: the hand that is mounted has these names")
+    robot.robot.extend(hand)
+    notes.append(f"the hand is on {tip}, {1000 * reach:.0f} mm beyond its origin: check the picture")
+    robot.index()
+
+
+def _before(robot: RobotFile, tip: str) -> Array:
+    """The middle of the body before the last moving joint, in the axes of the tip: the hand points away from it."""
+    link = robot.parent[robot.moving_way(tip)[-1]]
+    while not _points(robot, link) and link in robot.carrier:
+        link = robot.parent[robot.carrier[link]]
+    clouds = _points(robot, link)
+    middle = np.vstack(clouds).mean(axis=0) if clouds else np.zeros(3)
+    pose = np.linalg.inv(robot.pose_in(tip, link))
+    found: Array = pose[:3, :3] @ middle + pose[:3, 3]
+    return found
+
+
+def _looking_along(axis: Array, at: Array) -> Array:
+    """A frame whose z is `axis`, as near to the axes of the link as it gets."""
+    aside = np.array((0.0, 1.0, 0.0)) if abs(axis[1]) < 0.9 else np.array((1.0, 0.0, 0.0))
+    x = np.cross(aside, axis)
+    x /= np.linalg.norm(x)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack((x, np.cross(axis, x), axis), axis=1)
+    matrix[:3, 3] = at
+    return matrix
+
+
+# --- links and joints ----------------------------------------------------------------------------------
+
+
+def _tidy(arm: AdaptedArm) -> None:
+    """Limits for endless joints, a motor for each finger, frames without mass, and nothing else that moves."""
+    robot, kept = arm.robot, {*arm.joints, *arm.fingers}
+    for name, joint in robot.joints.items():
+        if robot.type(name) not in MOVING:
+            continue
+        if name not in kept:
+            joint.set("type", "fixed")
+            for tag in ("limit", "mimic", "dynamics", "safety_controller", "calibration"):
+                for part in joint.findall(tag):
+                    joint.remove(part)
+            arm.notes.append(f"{name} moves neither the hand nor a finger: it is fixed at 0")
+            continue
+        if (mimic := joint.find("mimic")) is not None:
+            joint.remove(mimic)
+            arm.notes.append(f"{name} mimics another joint: it gets a motor of its own")
+        if robot.type(name) == "continuous":
+            joint.set("type", "revolute")
+            limit = joint.find("limit")
+            limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
+            limit.set("lower", f"{-2 * math.pi:.6f}")
+            limit.set("upper", f"{2 * math.pi:.6f}")
+            arm.notes.append(f"{name} is continuous: it gets one turn either way")
+        _motor(arm, name, joint)
+    for name, link in robot.links.items():
+        inertial = link.find("inertial")
+        if _made_possible(inertial):
+            arm.notes.append(f"no rigid body has the inertia of {name}: its smaller moments are raised")
+        mass = None if inertial is None else inertial.find("mass")
+        if inertial is not None and (mass is None or number(mass, "value") == 0.0):
+            link.remove(inertial)
+            if name != robot.root and name in {robot.child[joint] for joint in kept}:
+                arm.notes.append(f"link {name} has no mass: state one in the URDF, its joint moves nothing")
+
+
+def _made_possible(inertial: ElementTree.Element | None) -> bool:
+    """Raise the smaller principal moments until their sum is that of the greatest; True if that was necessary."""
+    inertia = None if inertial is None else inertial.find("inertia")
+    if inertia is None:
+        return False
+    matrix = np.array([[number(inertia, key) for key in row] for row in INERTIA])
+    moments, axes = np.linalg.eigh(matrix)
+    missing = float(moments[2] - moments[0] - moments[1])
+    if missing <= 1e-9:
+        return False
+    moments[:2] += 0.505 * missing
+    fitted = axes @ np.diag(moments) @ axes.T
+    for row, keys in enumerate(INERTIA):
+        for column, key in enumerate(keys):
+            inertia.set(key, f"{fitted[row, column]:.6g}")
+    return True
+
+
+def _made_plausible(link: ElementTree.Element, outline: Array) -> bool:
+    """Replace an inertia whose radius of gyration is beyond the size of the link by that of a solid box."""
+    mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
+    if mass is None or inertia is None or not number(mass, "value") > 0.0:
+        return False
+    kilograms, size = number(mass, "value"), outline.max(axis=0) - outline.min(axis=0)
+    greatest = max(number(inertia, key) for key in ("ixx", "iyy", "izz"))
+    if math.sqrt(greatest / kilograms) <= GYRATION * float(np.linalg.norm(size)):
+        return False
+    x, y, z = (size**2).tolist()
+    values = {"ixx": y + z, "iyy": x + z, "izz": x + y}
+    inertia.attrib = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    inertia.attrib |= {key: f"{kilograms / 12.0 * value:.4g}" for key, value in values.items()}
+    return True
+
+
+def _motor(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None:
+    limit = joint.find("limit")
+    if limit is None:
+        raise ProgramError(f"{arm.robot.path}: joint {name} has no <limit>: state lower, upper, effort and velocity")
+    for key, otherwise in (("effort", DEFAULT_EFFORT), ("velocity", DEFAULT_SPEED)):
+        if not number(limit, key) > 0.0:
+            limit.set(key, f"{otherwise:g}")
+            arm.notes.append(f"{name} has no {key}: {otherwise:g} is assumed; see its data sheet")
+    lower, upper = arm.robot.limits(name)
+    if not lower < upper:
+        raise ProgramError(
+            f"{arm.robot.path}: joint {name}: its limits are {lower:g} and {upper:g}; "
+            "expected: lower below upper, in rad or m"
+        )
+
+
+def _points(robot: RobotFile, link: str) -> list[Array]:
+    """Points of the outline of a link, in its axes: hull vertices of meshes, corners of boxes and cylinders."""
+    found = []
+    for part in robot.links[link].findall("collision") or robot.links[link].findall("visual"):
+        shape = part.find("geometry/*")
+        if shape is None:
+            continue
+        if shape.tag == "mesh":
+            points = robot.vertices(shape)
+        elif shape.tag == "box":
+            points = 0.5 * np.array(numbers(shape, "size", (0.0, 0.0, 0.0))) * _CORNERS
+        else:
+            radius = number(shape, "radius")
+            half = 0.5 * number(shape, "length") if shape.tag == "cylinder" else radius
+            points = np.array((radius, radius, half)) * _CORNERS
+        at = origin(part)
+        found.append(points @ at[:3, :3].T + at[:3, 3])
+    return found
+
+
+_CORNERS = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+
+
+def _meshes(arm: AdaptedArm, folder: str) -> None:
+    """Hulls instead of collision meshes; visual meshes by absolute path or package, without those not found."""
+    robot, worst_m = arm.robot, 0.0
+    for name, link in robot.links.items():
+        if not link.findall("collision"):
+            for visual in link.findall("visual"):
+                shape = copy.deepcopy(visual)
+                shape.tag = "collision"
+                for material in shape.findall("material"):
+                    shape.remove(material)
+                link.append(shape)
+        for n, collision in enumerate(link.findall("collision")):
+            mesh = collision.find("geometry/mesh")
+            if mesh is None:
+                continue
+            hull = hull_of(robot.vertices(mesh), f"{name}, collision {n}")
+            file = f"{folder}/{name}{f'-{n}' if n else ''}.obj"
+            arm.hulls[file] = hull.text
+            worst_m = max(worst_m, hull.left_out_m)
+            mesh.attrib = {"filename": file}
+            at = origin(collision)
+            if name != robot.root and _made_plausible(link, hull.vertices @ at[:3, :3].T + at[:3, 3]):
+                arm.notes.append(f"the inertia of {name} is far too great for its size: that of a box is taken")
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            if mesh is not None:
+                found = robot.mesh_file(str(mesh.get("filename")))
+                if found is None:
+                    link.remove(visual)
+                else:
+                    mesh.set("filename", _named(found))
+    if arm.hulls:
+        arm.notes.append(
+            f"{len(arm.hulls)} meshes are replaced by convex hulls in {folder}/, which the mesh exceeds by at most "
+            f"{1000 * worst_m:.1f} mm"
+        )
+
+
+def _named(file: Path) -> str:
+    path = str(file.resolve())
+    marker = f"/{DATA_PACKAGE}/"
+    return f"{PACKAGE}{DATA_PACKAGE}/{path.partition(marker)[2]}" if marker in path else path
+
+
+def _tool(arm: AdaptedArm) -> None:
+    """The frame tcp between the fingers: z out of the palm, y along the first finger's way to open."""
+    robot = arm.robot
+    if TCP in robot.links:
+        if robot.moving_way(TCP) == arm.joints:
+            return
+        raise ProgramError(f"{robot.path}: the link {TCP} does not move with {arm.palm}; rename it")
+    y = robot.placement(arm.fingers[0])[:3, :3] @ robot.axis(arm.fingers[0])
+    points = []
+    for joint in arm.fingers:
+        at = robot.placement(joint)
+        points += [p @ at[:3, :3].T + at[:3, 3] for p in _outline(arm, robot.child[joint])]
+    cloud = np.vstack(points)
+    middle = cloud.mean(axis=0)
+    out = middle - y * float(middle @ y)
+    if float(np.linalg.norm(out)) < 1e-3:
+        raise ProgramError(f"{robot.path}: the fingers are in the origin of {arm.palm}: add a link {TCP} yourself")
+    z = np.zeros(3)
+    z[int(np.abs(out).argmax())] = np.sign(out[int(np.abs(out).argmax())])
+    z -= y * float(z @ y)
+    z /= np.linalg.norm(z)
+    along = cloud @ z
+    tip_m, foot_m = float(along.max()), float(along.min())
+    height = tip_m - min(BELOW_TIP_M, 0.25 * (tip_m - foot_m))
+    sideways = np.cross(y, z)
+    centre = 0.5 * float((cloud @ sideways).max() + (cloud @ sideways).min())
+    frame = np.eye(4)
+    frame[:3, :3] = np.stack((sideways, y, z), axis=1)
+    frame[:3, 3] = height * z + centre * sideways
+    mount = ElementTree.SubElement(robot.robot, "joint", name=f"{TCP}_mount", type="fixed")
+    ElementTree.SubElement(mount, "parent", link=arm.palm)
+    ElementTree.SubElement(mount, "child", link=TCP)
+    rpy = geometry.to_rpy(geometry.from_matrix(frame)).tolist()
+    ElementTree.SubElement(
+        mount,
+        "origin",
+        xyz=" ".join(f"{round(x, 5) + 0.0:g}" for x in frame[:3, 3]),
+        rpy=" ".join(f"{round(x, 9) + 0.0:g}" for x in rpy),
+    )
+    ElementTree.SubElement(robot.robot, "link", name=TCP)
+    robot.index()
+    arm.notes.append(f"the frame {TCP} is {1000 * height:.0f} mm from {arm.palm}, between the fingers")
+
+
+def _outline(arm: AdaptedArm, link: str) -> list[Array]:
+    """As `_points`, after the meshes were replaced by hulls."""
+    found = []
+    for part in arm.robot.links[link].findall("collision"):
+        mesh = part.find("geometry/mesh")
+        text = "" if mesh is None else arm.hulls.get(str(mesh.get("filename")), "")
+        if text:
+            rows = [line.split()[1:] for line in text.splitlines() if line.startswith("v ")]
+            at = origin(part)
+            found.append(np.array(rows, dtype=float) @ at[:3, :3].T + at[:3, 3])
+    return found or _points(arm.robot, link)
+
+
+def _sensor(arm: AdaptedArm) -> str | None:
+    """A fixed joint on the way to the palm that is a sensor by its name; None: joint torques measure contact."""
+    fixed = [joint for joint in arm.robot.way_to(arm.palm) if arm.robot.type(joint) == "fixed"]
+    found = next((joint for joint in fixed if any(word in joint.lower() for word in SENSOR_WORDS)), None)
+    if found is None:
+        arm.notes.append("it has no wrist sensor: contact is measured by joint torques (sensor_joint: null)")
+    return found

@@ -1,0 +1,440 @@
+"""The first cell of an arm: what its URDF does not state is sampled or computed. Deterministic.
+
+The arm stands on a floor under gravity, before two pads and a cube, so that MOVE, GRASP and PLACE work at once.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+
+from rtc.apps.authoring import self_collisions
+from rtc.apps.authoring.adapt import TCP, AdaptedArm, adapt
+from rtc.apps.authoring.robot_file import RobotFile, number
+from rtc.model.cells.cell import Cell
+from rtc.model.cells.parts import Arm, Box, Frame, GraspPoint, Gripper, Object, Place, Seat, Vec3
+from rtc.model.robot.collision import CollisionWorld
+from rtc.model.robot.collision_scene import Scene
+from rtc.model.robot.kinematics import ArmModel
+from rtc.model.robot.numeric_ik import WHOLE
+from rtc.protocol.outcomes import ProgramError
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
+
+SEED, POSTURES = 1, 1500  # among which home and stow are chosen
+EFFORT = 0.6  # share of the motor torque that a posture may need against gravity
+FAR = 0.9  # half turns of a joint from home to stow, at most if the arm allows it
+NEAR_HOME = 0.06  # weight of half a turn of a joint from home, against a reach more of extent, for stow
+ACCELERATION = 0.4  # share of the remaining motor torque that accelerates the joint alone
+ACCELERATIONS = (0.5, 10.0)  # rad/s^2, m/s^2: range of what is proposed
+PAYLOADS_KG = (0.5, 10.0)
+GRAVITY = (0.0, 0.0, -9.81)
+GRIP_N, SPEED_M_S = 60.0, 0.05  # of a hand whose URDF states none
+CUBE_M, CUBE_KG, PAD_M, PAD_HEIGHT_M = 0.04, 0.5, 0.12, 0.05
+ABOVE_MIDDLE_M = 0.008  # of the cube is its grasp point, so that the finger tips do not touch the pad
+MAGNET_N = 10.0  # of a pad: the cube must not slide when a hand feels its sides with 5 N
+MARGIN_RAD = math.radians(8.0)
+ABOVE_M = 0.20  # a pad is reachable with the hand over it up to this height
+CARRY_M = 0.25  # height of the place before the arm
+REACHES, BEARINGS_DEG = (0.6, 0.5, 0.7, 0.4, 0.8), (25.0, 35.0, 15.0, 50.0)
+HEIGHTS = (1.0, 0.3)  # shares of the heights over the pads, for arms with fewer than six joints
+STEPS = 8
+
+
+@dataclass
+class Draft:
+    """A first cell and its files. `notes`: what was changed or assumed."""
+
+    cell: Cell
+    yaml: str
+    files: dict[str, str]  # relative name -> text
+    notes: list[str] = field(default_factory=list)
+
+
+def draft(urdf: Path, name: str = "", tip: str = "") -> Draft:
+    """The first cell for the arm of a URDF file. `name`: of the arm in sentences. Raises ProgramError."""
+    stem = _plain(name or RobotFile(urdf).name)
+    adapted = adapt(urdf, f"{stem}-hulls", tip)
+    files = {f"{stem}.urdf": adapted.urdf, **adapted.hulls}
+    files[f"{stem}.srdf"], notes = self_collisions.srdf(adapted.robot, files[f"{stem}.urdf"], files)
+    adapted.notes += notes
+    bare = _arm(adapted, stem, name or _title(adapted.robot.name))
+    cell = Cell(name=stem, gravity_m_s2=GRAVITY, arms=[bare], objects=[_floor()], texts=files)
+    cell = _with_postures(cell, adapted)
+    cell = _with_pads(cell, adapted)
+    return Draft(cell, _yaml(cell, adapted.notes), files, adapted.notes)
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "arm"
+
+
+def _title(text: str) -> str:
+    """A name for sentences: capital letters, digits and hyphens."""
+    plain = _plain(text).upper()
+    return plain if plain[0].isalpha() else f"ARM-{plain}"
+
+
+def _arm(adapted: AdaptedArm, stem: str, name: str) -> Arm:
+    rest = [0.0] * len(adapted.joints)
+    return Arm(
+        name=name,
+        end_effector=f"{name}-HAND",
+        urdf=f"{stem}.urdf",
+        srdf=f"{stem}.srdf",
+        base=Frame(),
+        joints=adapted.joints,
+        tcp_link=TCP,
+        sensor_joint=adapted.sensor,
+        home_deg=_written(adapted, rest),
+        stow_deg=_written(adapted, rest),
+        acceleration_deg_s2=["1 m/s2" if _slides(adapted, joint) else 100.0 for joint in adapted.joints],
+        payload_kg=1.0,
+        gripper=_gripper(adapted),
+    )
+
+
+def _slides(adapted: AdaptedArm, joint: str) -> bool:
+    return adapted.robot.type(joint) == "prismatic"
+
+
+def _written(adapted: AdaptedArm, values: Array | list[float]) -> list[float | str]:
+    """Joint values (rad, m) as in a cell file."""
+    return [
+        f"{value:.3f} m" if _slides(adapted, joint) else round(math.degrees(value), 1)
+        for joint, value in zip(adapted.joints, np.asarray(values).tolist(), strict=True)
+    ]
+
+
+def _gripper(adapted: AdaptedArm) -> Gripper:
+    limits = [adapted.robot.joints[joint].find("limit") for joint in adapted.fingers]
+    opening = 2.0 * min(adapted.robot.limits(joint)[1] for joint in adapted.fingers)
+    if not opening > 0.0:
+        raise ProgramError(f"{adapted.robot.path}: the fingers must open with positive values of their joints")
+    force_n = min(number(limit, "effort", GRIP_N) for limit in limits if limit is not None)
+    speed_m_s = min(number(limit, "velocity", SPEED_M_S) for limit in limits if limit is not None)
+    if force_n < GRIP_N:
+        adapted.notes.append(
+            f"the fingers have {force_n:g} N in the URDF; scripts grip with up to 45 N: the cell states {GRIP_N:g} N"
+        )
+    return Gripper(
+        max_opening_m=round(opening, 4),
+        max_force_n=max(force_n, GRIP_N),
+        speed_m_s=min(speed_m_s, SPEED_M_S),
+        finger_joints=adapted.fingers,
+        finger_links=adapted.finger_links,
+        palm_link=adapted.palm,
+    )
+
+
+def _floor() -> Object:
+    top = Box(
+        name="plate", size_m=(3.0, 3.0, 0.02), frame=Frame(xyz=(0.0, 0.0, -0.012)), colour=(0.62, 0.64, 0.66, 1.0)
+    )
+    return Object(name="FLOOR", kind="structure", fixed=True, mass_kg=100.0, shapes=[top])
+
+
+# --- postures ------------------------------------------------------------------------------------------
+
+
+def _with_postures(cell: Cell, adapted: AdaptedArm) -> Cell:
+    """The cell with home, stow, accelerations and payload of its arm."""
+    name = cell.arms[0].name
+    model, world = ArmModel.of(cell, name), CollisionWorld(cell)
+    free = [q for q in _samples(model) if world.check({name: q}, Scene(clearance_m=0.01)) is None]
+    held = np.array([q for q in free if _weight_share(model, q) < EFFORT])
+    if not len(held):
+        why = "every sampled posture collides" if not free else "its motors cannot hold it against gravity"
+        raise ProgramError(f"{adapted.robot.path}: no posture of {name} was found: {why}")
+    if len(free) < POSTURES / 20:
+        adapted.notes.append(f"only {len(free)} of {POSTURES} postures are free of collisions")
+    hands = np.array([model.fk(q) for q in held])
+    tool = np.array([geometry.rotate(pose, (0.0, 0.0, 1.0)) for pose in hands])
+    reach = float(np.linalg.norm(hands[:, :2], axis=1).max())
+    margin = np.min(np.minimum(held - model.limits.lower, model.limits.upper - held), axis=1)
+    singular = np.array([model.sigma_min(q) for q in held])
+    before = np.linalg.norm(hands[:, :3] - (0.5 * reach, 0.0, 0.45 * reach), axis=1)
+    home = held[int(np.argmin(before / reach - tool[:, 2] * -0.5 - np.clip(margin, 0, 0.4) - singular))]
+    home = _unwound(model, home, model.middle)
+    folded = np.array([_extent_m(model, q) for q in held]) / reach - np.clip(margin, 0, 0.2)
+    near_home = _unwound(model, held, home)
+    turns = np.abs(near_home - home).max(axis=1) / np.pi
+    avoided = np.where((hands[:, 2] < 0.2 * reach) | (turns > FAR), 1.0, 0.0)
+    stow = near_home[int(np.argmin(folded + NEAR_HOME * turns + avoided))]
+    spec = msgspec.structs.replace(
+        cell.arms[0],
+        home_deg=_written(adapted, home),
+        stow_deg=_written(adapted, stow),
+        acceleration_deg_s2=_accelerations(adapted, model, held),
+        payload_kg=_payload_kg(model, held),
+    )
+    return msgspec.structs.replace(cell, arms=[spec])
+
+
+def _samples(model: ArmModel) -> Iterator[Array]:
+    lower, upper = model.limits.lower, model.limits.upper
+    margin = np.minimum(MARGIN_RAD, 0.2 * (upper - lower))
+    yield from np.random.default_rng(SEED).uniform(lower + margin, upper - margin, (POSTURES, len(lower)))
+
+
+def _extent_m(model: ArmModel, q: Array) -> float:
+    """The greatest distance of a joint or of the hand from the base."""
+    data = model.model.createData()
+    pin.framesForwardKinematics(model.model, data, q)
+    places = [data.oMi[n].translation for n in range(1, model.model.njoints)] + [data.oMf[model.tcp_frame].translation]
+    return float(np.linalg.norm(places, axis=1).max())
+
+
+def _unwound(model: ArmModel, q: Array, near: Array) -> Array:
+    """The same postures, one or rows of them, with whole turns taken off, so that joints are nearer to `near`.
+
+    A joint that would then be beyond its limits stays.
+    """
+    turned = q - 2 * np.pi * np.round((q - near) / (2 * np.pi)) * ~np.array(model.slides)
+    margin = np.minimum(MARGIN_RAD, 0.2 * (model.limits.upper - model.limits.lower))
+    within = (turned >= model.limits.lower + margin) & (turned <= model.limits.upper - margin)
+    return np.where(within, turned, q)
+
+
+def _weight_share(model: ArmModel, q: Array) -> float:
+    still = np.zeros((1, len(q)))
+    return float((np.abs(model.torques(q[None], still, still)[0]) / model.limits.effort).max())
+
+
+def _accelerations(adapted: AdaptedArm, model: ArmModel, held: Array) -> list[float | str]:
+    """The acceleration that each motor can give to its joint alone in the worst of the postures, with a reserve."""
+    least = np.full(len(adapted.joints), np.inf)
+    for q in held[:200]:
+        still = np.zeros((1, len(q)))
+        weight = np.abs(model.torques(q[None], still, still)[0])
+        own = np.abs(np.diag(model.mass_matrix(q)))
+        least = np.minimum(least, ACCELERATION * (model.limits.effort - weight) / np.maximum(own, 1e-6))
+    return [
+        f"{value:.1f} m/s2" if _slides(adapted, joint) else float(5 * round(math.degrees(value) / 5))
+        for joint, value in zip(adapted.joints, np.clip(least, *ACCELERATIONS).tolist(), strict=True)
+    ]
+
+
+def _payload_kg(model: ArmModel, held: Array) -> float:
+    """The mass that the motors hold in the worst of the postures with half of what they have left."""
+    least = np.inf
+    for q in held[:200]:
+        still = np.zeros((1, len(q)))
+        weight = np.abs(model.torques(q[None], still, still)[0])
+        per_kg = np.abs(model.jacobian(q)[2]) * abs(GRAVITY[2])
+        least = min(least, float(((0.5 * (model.limits.effort - weight)) / np.maximum(per_kg, 1e-3)).min()))
+    return round(float(np.clip(least, *PAYLOADS_KG)), 1)
+
+
+# --- pads, cube and a place ----------------------------------------------------------------------------
+
+
+def _with_pads(cell: Cell, adapted: AdaptedArm) -> Cell:
+    """The cell with two pads on either side, a cube on the first, and a place between them."""
+    name, home = cell.arms[0].name, cell.arms[0].home_rad
+    model, margin = ArmModel.of(cell, name), math.radians(cell.numbers.joint_margin_deg)
+    farthest = max(float(np.linalg.norm(model.fk(q)[:2])) for q in _samples(model))
+    for how, share in itertools.product(_layouts(cell, model), REACHES):
+        down, reach_m = (180.0, 0.0, how.yaw_deg), share * farthest
+        front = Frame(xyz=(round(reach_m, 3), 0.0, round(PAD_HEIGHT_M + how.height * CARRY_M, 3)), rpy_deg=down)
+        if not model.ik(front.pose, home, margin):
+            continue  # at any bearing
+        for bearing_deg in BEARINGS_DEG:
+            bearing = math.radians(bearing_deg)
+            pads = [_pad(f"PAD-{n}", reach_m, sign * bearing, how) for n, sign in ((1, 1.0), (2, -1.0))]
+            tried = msgspec.structs.replace(
+                cell,
+                seats=pads,
+                objects=[*cell.objects, _cube(how)],
+                places=[Place(name="FRONT", poses={name: front})],
+                attitudes={"TOOL-DOWN": Frame(rpy_deg=down)},
+            )
+            if _can_work(tried, how.height * ABOVE_M):
+                return tried
+    adapted.notes.append(
+        "no pads were placed: the hand cannot point down near the floor; add objects and seats yourself"
+    )
+    return cell
+
+
+class _Layout(NamedTuple):
+    """`yaw_deg`: of the hand that points down; `radial`: pads and cube turn with the bearing, as the hand of an arm
+    does that cannot turn it; `height`: share of the usual heights over the pads."""
+
+    yaw_deg: float = 0.0
+    radial: bool = False
+    height: float = 1.0
+
+    @property
+    def quarter_deg(self) -> float:
+        """The yaw of the hand on a cube whose sides are parallel to its fingers."""
+        return 90.0 * round(self.yaw_deg / 90.0)
+
+    def turned_deg(self, bearing: float) -> float:
+        """The yaw of the pads and of the cube on them, which the hand grasps square."""
+        return self.yaw_deg - self.quarter_deg + (math.degrees(bearing) if self.radial else 0.0)
+
+
+def _layouts(cell: Cell, model: ArmModel) -> Iterator[_Layout]:
+    """Ways to place the pads. Of an arm with fewer than six joints the hand has the yaw that it has at home, seen from
+    the world or from the base."""
+    if len(model.joints) >= WHOLE:
+        yield from (_Layout(yaw_deg) for yaw_deg in (0.0, 90.0, 180.0, -90.0))
+        return
+    hand = model.fk(cell.arms[0].home_rad)
+    turned = geometry.to_matrix(hand)[:3, :3]
+    x, y = turned[:, 0], turned[:, 1]
+    yaw = math.atan2(y[0], -y[1]) if abs(y[2]) < abs(x[2]) else math.atan2(x[1], x[0])
+    bearing = math.atan2(hand[1] - model.base_pose[1], hand[0] - model.base_pose[0])
+    for height in HEIGHTS:
+        yield _Layout(height=height)
+        for half_turn in (0.0, 180.0):
+            yield _Layout(round(math.degrees(yaw) + half_turn, 1), False, height)
+            yield _Layout(round(math.degrees(yaw - bearing) + half_turn, 1), True, height)
+
+
+def _pad(name: str, reach_m: float, bearing: float, how: _Layout) -> Seat:
+    at: Vec3 = (
+        round(reach_m * math.cos(bearing), 3),
+        round(reach_m * math.sin(bearing), 3),
+        PAD_HEIGHT_M + 0.5 * CUBE_M,
+    )
+    block = Box(
+        name="block",
+        size_m=(PAD_M, PAD_M, PAD_HEIGHT_M),
+        frame=Frame(xyz=(0.0, 0.0, -0.5 * (PAD_HEIGHT_M + CUBE_M))),
+        colour=(0.45, 0.48, 0.52, 1.0),
+    )
+    return Seat(
+        name=name,
+        kind="pad",
+        frame=Frame(xyz=at, rpy_deg=(0.0, 0.0, round(how.turned_deg(bearing), 3))),
+        way_out=(0.0, 0.0, 1.0),
+        depth_m=0.02,
+        detent_n=MAGNET_N,
+        shapes=[block],
+    )
+
+
+def _cube(how: _Layout) -> Object:
+    side = (CUBE_M, CUBE_M, CUBE_M)
+    inertia = round(CUBE_KG * CUBE_M**2 / 6, 8)
+    return Object(
+        name="CUBE",
+        kind="module",
+        seat="PAD-1",
+        mass_kg=CUBE_KG,
+        inertia_kg_m2=(inertia, inertia, inertia),
+        shapes=[Box(name="body", size_m=side, colour=(0.15, 0.45, 0.75, 1.0))],
+        grasp_points=[
+            GraspPoint(
+                name="TOP",
+                frame=Frame(xyz=(0.0, 0.0, ABOVE_MIDDLE_M), rpy_deg=(180.0, 0.0, how.quarter_deg)),
+                width_m=CUBE_M,
+            )
+        ],
+    )
+
+
+def _can_work(cell: Cell, above_m: float) -> bool:
+    """Whether the arm reaches cube, both pads and the place, and comes down to the pads from above."""
+    name = cell.arms[0].name
+    model, world = ArmModel.of(cell, name), CollisionWorld(cell)
+    grasp = cell.object("CUBE").grasp_points[0].frame.pose
+    aside = Scene(poses={"CUBE": geometry.make_pose((0.0, 0.0, -1.0))})
+    goals = [geometry.compose(cell.seated_pose(seat.name), grasp) for seat in cell.seats]
+    goals.append(cell.places[0].poses[name].pose)
+    margin = math.radians(cell.numbers.joint_margin_deg)
+    for goal in goals:
+        heights = np.linspace(above_m, 0.0, STEPS)
+        line = [geometry.translate(goal, (0.0, 0.0, float(h))) for h in heights]
+        if not any(
+            _line_is_free(model, world, aside, line, q, margin)
+            for q in model.ik(line[0], cell.arms[0].home_rad, margin)
+        ):
+            return False
+    return True
+
+
+def _line_is_free(
+    model: ArmModel, world: CollisionWorld, scene: Scene, line: list[Array], start: Array, margin: float
+) -> bool:
+    rows = model.ik_along(line, start)
+    return len(rows) == len(line) and all(
+        model.limit_margin_rad(q) >= margin and world.check({model.name: q}, scene) is None for q in rows
+    )
+
+
+# --- the file ------------------------------------------------------------------------------------------
+
+
+def _yaml(cell: Cell, notes: list[str]) -> str:
+    """The cell file, with comments."""
+    plain = msgspec.to_builtins(msgspec.structs.replace(cell, texts={}))
+    arm = plain["arms"][0]
+    lines = [
+        f"# The first cell of {arm['name']}, written by `rtc cell new`. Check it: rtc cell check FILE",
+        "# World frame: z up; metres and degrees. What was changed or assumed:",
+        *(f"#   {note}" for note in notes),
+        f"name: {cell.name}",
+        f"gravity_m_s2: {_flow(list(cell.gravity_m_s2))}",
+        "",
+        "arms:",
+        *_block(arm, _ABOUT),
+    ]
+    for group in ("seats", "objects", "places"):
+        if plain.get(group):
+            lines += ["", f"{group}:"]
+            for part in plain[group]:
+                lines += _block(part, {})
+    if "attitudes" in plain:
+        lines += ["", "attitudes:", *(f"  {name}: {_flow(frame)}" for name, frame in plain["attitudes"].items())]
+    return "\n".join(lines) + "\n"
+
+
+_ABOUT = {
+    "base": "pose of the root link, world frame",
+    "tcp_link": "z out of the palm, y along the way of the first finger",
+    "sensor_joint": "the fixed joint of a wrist sensor; null: joint torques measure contact",
+    "acceleration_deg_s2": "proposed from the motor torques",
+    "payload_kg": "proposed from the motor torques; see the data sheet",
+}
+
+
+def _block(part: dict[str, object], about: dict[str, str]) -> list[str]:
+    """One item of a list in YAML: a line per field, its value in flow style."""
+    if "sensor_joint" in about and "sensor_joint" not in part:
+        part = {**part, "sensor_joint": "wrist_ft"}
+    lines = []
+    for n, (key, value) in enumerate(part.items()):
+        comment = f"  # {about[key]}" if key in about else ""
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            lines.append(f"{'  - ' if n == 0 else '    '}{key}:")
+            lines += [f"      - {_flow(item)}" for item in value]
+        else:
+            lines.append(f"{'  - ' if n == 0 else '    '}{key}: {_flow(value)}{comment}")
+    return lines
+
+
+def _flow(value: object) -> str:
+    """A value in YAML's flow style."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_flow(item) for item in value) + "]"
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return f"{value:.8f}".rstrip("0").rstrip(".")
+    return str(value)

@@ -1,0 +1,201 @@
+"""A URDF as a tree of links and joints, with its meshes. Reads mesh files, changes nothing.
+
+Poses are 4 x 4 matrices, child in parent. Values are rad and m.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from rtc.model.cells import urdf_values
+from rtc.model.cells.urdf_values import MOVING
+from rtc.protocol.outcomes import ProgramError
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
+
+PACKAGE = "package://"
+ANCESTORS = 4  # directories above a URDF in which the packages of its meshes are looked for
+Element = ElementTree.Element
+
+
+class RobotFile:
+    """A parsed URDF. Raises ProgramError for a file that cannot be read, or is not one tree of links."""
+
+    def __init__(self, path: Path, text: str | None = None) -> None:
+        """`text`: instead of that of the file."""
+        self.path = path
+        try:
+            self.robot = ElementTree.fromstring(path.read_text(encoding="utf-8") if text is None else text)
+        except OSError as error:
+            raise ProgramError(f"cannot read {path}: {error.strerror}") from error
+        except (ElementTree.ParseError, UnicodeDecodeError) as error:
+            raise ProgramError(f"{path} is not XML: {error}") from error
+        if self.robot.tag != "robot":
+            raise ProgramError(f"{path} is not a URDF: its outermost element is <{self.robot.tag}>, not <robot>")
+        self.name = self.robot.get("name", path.stem)
+        self.index()
+
+    def index(self) -> None:
+        """Builds the tables of links and joints. Raises ProgramError if they are not one tree."""
+        self.links = {str(link.get("name")): link for link in self.robot.findall("link")}
+        self.joints = {str(joint.get("name")): joint for joint in self.robot.findall("joint")}
+        self.parent = {name: end(joint, "parent") for name, joint in self.joints.items()}
+        self.child = {name: end(joint, "child") for name, joint in self.joints.items()}
+        for faulty in self._broken():
+            raise ProgramError(f"{self.path}: {faulty}")
+        self.carrier = {link: name for name, link in self.child.items()}
+        self.root = next(link for link in self.links if link not in self.carrier)
+
+    def _broken(self) -> Iterator[str]:
+        for ends, what in ((self.parent, "parent"), (self.child, "child")):
+            for joint, link in ends.items():
+                if link not in self.links:
+                    yield f"joint {joint}: there is no link {link or '(none)'}, its {what}"
+        children = list(self.child.values())
+        for link in children:
+            if children.count(link) > 1:
+                yield f"link {link} has more than one joint that carries it"
+        roots = [link for link in self.links if link not in children]
+        if len(roots) != 1:
+            yield f"one root link is needed; there are {', '.join(roots) or 'none, the joints form a ring'}"
+            return
+        reached = self.below(roots[0])
+        if len(reached) < len(self.links):
+            ring = ", ".join(link for link in self.links if link not in reached)
+            yield f"one tree is needed; the joints of {ring} form a ring"
+
+    def type(self, joint: str) -> str:
+        return str(self.joints[joint].get("type"))
+
+    def way_to(self, link: str) -> list[str]:
+        """The joints from the root to a link, in order."""
+        way: list[str] = []
+        while link in self.carrier:
+            way.append(self.carrier[link])
+            link = self.parent[way[-1]]
+        return way[::-1]
+
+    def moving_way(self, link: str) -> list[str]:
+        return [joint for joint in self.way_to(link) if self.type(joint) in MOVING]
+
+    def below(self, link: str) -> list[str]:
+        """The links carried by a link, itself first."""
+        found = [link]
+        for one in found:
+            found += [self.child[joint] for joint in self.joints if self.parent[joint] == one]
+        return found
+
+    def limits(self, joint: str) -> tuple[float, float]:
+        """(lower, upper); of a continuous joint one turn either way."""
+        if self.type(joint) == "continuous":
+            return -2 * np.pi, 2 * np.pi
+        limit = self.joints[joint].find("limit")
+        if limit is None:
+            return 0.0, 0.0
+        return number(limit, "lower"), number(limit, "upper")
+
+    def axis(self, joint: str) -> Array:
+        """The axis in the axes of the child link, of unit length."""
+        element = self.joints[joint].find("axis")
+        axis = np.array(numbers(element, "xyz", (1.0, 0.0, 0.0)))
+        return axis / max(float(np.linalg.norm(axis)), 1e-12)
+
+    def placement(self, joint: str) -> Array:
+        return origin(self.joints[joint])
+
+    def pose_in(self, link: str, ancestor: str) -> Array:
+        """Pose of a link in the axes of an ancestor, all joints at zero."""
+        pose = np.eye(4)
+        while link != ancestor:
+            pose = self.placement(self.carrier[link]) @ pose
+            link = self.parent[self.carrier[link]]
+        return pose
+
+    def mesh_file(self, name: str) -> Path | None:
+        """The file of a mesh: relative to the URDF, in a package beside or above it, or absolute. None: not found.
+
+        A path of a package that leads out of it is not followed.
+        """
+        plain = name.removeprefix("file://")
+        if plain.startswith(PACKAGE):
+            plain = plain.removeprefix(PACKAGE)
+            if ".." in Path(plain).parts or plain.startswith("/"):
+                return None
+        candidates = [Path(plain)] if plain.startswith("/") else []
+        rest = plain.partition("/")[2]
+        for folder in [self.path.parent, *self.path.absolute().parents[1:ANCESTORS]]:
+            candidates += [folder / plain, folder / rest]
+        candidates += [Path(root) / rest for root in _package(plain.partition("/")[0])]
+        return next((file for file in candidates if file.is_file()), None)
+
+    def vertices(self, mesh: Element) -> Array:
+        """The vertices of a <mesh>, scaled, [n][3]. Raises ProgramError if its file is missing or unreadable."""
+        name = str(mesh.get("filename"))
+        file = self.mesh_file(name)
+        if file is None:
+            raise ProgramError(f"{self.path}: the mesh {name} is not found beside the URDF or in a package above it")
+        try:
+            solid = coal.MeshLoader().load(str(file), np.array(numbers(mesh, "scale", (1.0, 1.0, 1.0))))
+        except (RuntimeError, ValueError) as error:
+            raise ProgramError(f"{self.path}: the mesh {file} cannot be read: {error}") from error
+        return np.array(solid.vertices())
+
+
+def _package(name: str) -> list[str]:
+    """The folders of an installed Python package that has the name of a mesh's package."""
+    try:
+        found = find_spec(name) if name.isidentifier() else None
+    except (ImportError, ValueError):
+        return []
+    return list(found.submodule_search_locations or []) if found is not None else []
+
+
+def end(joint: Element, which: str) -> str:
+    found = joint.find(which)
+    return "" if found is None else str(found.get("link"))
+
+
+def number(element: Element, field: str, otherwise: float = 0.0) -> float:
+    """A numeric attribute. Raises ProgramError if it is not a finite number."""
+    text = element.get(field)
+    if text is None:
+        return otherwise
+    values = urdf_values.parsed(text)
+    if values is None or len(values) != 1:
+        raise ProgramError(f"<{element.tag} {field}={text!r}> is not a number")
+    return values[0]
+
+
+def numbers(element: Element | None, field: str, otherwise: tuple[float, float, float]) -> tuple[float, float, float]:
+    text = None if element is None else element.get(field)
+    if text is None:
+        return otherwise
+    values = urdf_values.parsed(text)
+    if values is None or len(values) != 3:
+        raise ProgramError(f"<{element.tag if element is not None else ''} {field}={text!r}>: three numbers")
+    x, y, z = values
+    return x, y, z
+
+
+def kinematics(urdf: str, path: Path) -> pin.Model:
+    """The model of a URDF text. `path`: of its file. Raises ProgramError if pinocchio cannot read it."""
+    try:
+        return pin.buildModelFromXML(urdf)
+    except (ValueError, RuntimeError, IndexError) as error:
+        raise ProgramError(
+            f"{path}: pinocchio cannot read it: {error} Expected: a URDF that `check_urdf` accepts"
+        ) from error
+
+
+def origin(element: Element) -> Array:
+    """The <origin> of a joint, collision or visual as a 4 x 4 matrix."""
+    place = element.find("origin")
+    xyz, rpy = numbers(place, "xyz", (0.0, 0.0, 0.0)), numbers(place, "rpy", (0.0, 0.0, 0.0))
+    return geometry.to_matrix(geometry.from_rpy(xyz, rpy))

@@ -1,0 +1,34 @@
+"""rtc demo: run a scenario on its own cluster. Each scenario is a file in rtc/apps/demos/."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rtc.apps.cli.cluster import speed_of
+from rtc.apps.cli.output import console, exits_with, trouble
+
+DEMOS = ["grasp", "door", "faults"]  # modules of rtc.apps.demos, each with `run(console, speed, out) -> passed`
+
+
+def demo(
+    name: Annotated[str, typer.Argument(help=f"One of: {', '.join(DEMOS)}.", autocompletion=lambda: DEMOS)] = "grasp",
+    speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
+    out: Annotated[Path, typer.Option(help="Directory of the pictures.")] = Path("out"),
+) -> None:
+    """Start a cluster, run a scenario with a commentary, check it against the simulator, stop everything.
+
+    Exit status 0 only if every check passed.
+
+    Example:  rtc demo grasp
+    """
+    if name not in DEMOS:
+        raise trouble(f"there is no demo {name}; there are: {', '.join(DEMOS)}", 2)
+    speed_of(speed)
+    with exits_with(1):
+        passed = import_module(f"rtc.apps.demos.{name}").run(console, speed, out)
+    if not passed:
+        raise typer.Exit(1)

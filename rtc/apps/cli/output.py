@@ -1,0 +1,195 @@
+"""Output of the command line: console, exit codes, JSON line, and the layout of refusals.
+
+It knows outcomes and refusals, but not sockets. Text from outside is never interpreted as markup.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from rtc.apps.cli.stdio import OutputClosed
+from rtc.language.caret import CUT, show
+from rtc.language.refuse import visible
+from rtc.protocol.outcomes import OutcomeKind, Refusal
+from rtc.protocol.units import in_words
+
+NO_CLUSTER = 4
+LEFT_RUNNING = 130  # exit status after Ctrl-C, as in shells
+EXIT = {  # of several outcomes the first in this order decides
+    OutcomeKind.HALT_NOT_CONFIRMED: 3,
+    OutcomeKind.HALTED: 3,
+    OutcomeKind.LOST_SUBSYSTEM: 1,
+    OutcomeKind.FAILED: 1,
+    OutcomeKind.ABORTED: 1,
+    OutcomeKind.REFUSED: 2,
+    OutcomeKind.SUCCEEDED: 0,
+}
+COLOUR = {
+    OutcomeKind.SUCCEEDED: "bold green",
+    OutcomeKind.FAILED: "bold red",
+    OutcomeKind.REFUSED: "bold yellow",
+    OutcomeKind.ABORTED: "bold magenta",
+    OutcomeKind.HALTED: "bold magenta",
+    OutcomeKind.HALT_NOT_CONFIRMED: "bold white on red",
+    OutcomeKind.LOST_SUBSYSTEM: "bold white on red",
+}
+
+DURATION_UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}  # seconds per unit of a duration in an option
+MOST_QUOTED = 200  # characters of a quoted sentence
+PIPED_WIDTH = 160  # columns of a table without a terminal
+
+
+class Screen(Console):
+    """A console that shows control characters instead of obeying them, because names and labels come from outside."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                yield segment._replace(text="\n".join(map(visible, segment.text.split("\n"))))
+
+
+_on_terminal = sys.stdout is not None and sys.stdout.isatty()
+console = Screen(highlight=False, soft_wrap=True, width=None if _on_terminal else PIPED_WIDTH)
+errors = Screen(stderr=True, highlight=False, soft_wrap=True)
+
+RunDir = Annotated[Path | None, typer.Option("--run-dir", help="The cluster's run directory.", show_default="yours")]
+With = Annotated[Path | None, typer.Option("--with", help="A key file, for a cluster on another machine.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
+
+
+def exit_code(kinds: Iterable[OutcomeKind]) -> int:
+    """0 all succeeded, 1 a failure, 2 a refusal, 3 halted; the worst of several."""
+    seen = set(kinds)
+    return next((code for kind, code in EXIT.items() if kind in seen), 0)
+
+
+def emit_json(value: Any) -> None:
+    """Print the result as one line of JSON on stdout; characters that a terminal interprets are escaped."""
+    line = msgspec.json.encode(value).decode()
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() else _escaped(c) for c in line)
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def _escaped(character: str) -> str:
+    """Escape for a JSON string; json.dumps does not escape DEL."""
+    return "\\u007f" if character == "\x7f" else json.dumps(character)[1:-1]
+
+
+def trouble(message: str, code: int = 1, **known: Any) -> typer.Exit:
+    """Print an expected error (with --json also as JSON, with the fields `known`); raise the result of this call."""
+    errors.print(Text("rtc: ", style="bold red") + Text(message))
+    if "--json" in sys.argv:
+        with suppress(OutputClosed):  # the error is on stderr already
+            emit_json({"error": message, "exit": code, **known})
+    return typer.Exit(code)
+
+
+@contextmanager
+def exits_with(code: int) -> Iterator[None]:
+    """If stdout is broken inside the block, report that on stderr and exit with `code`."""
+    try:
+        yield
+    except OutputClosed as closed:
+        errors.print(f"rtc: {closed}")
+        raise typer.Exit(code) from None
+
+
+def refusal_lines(refusal: Refusal, text: str = "", *, details: bool = False) -> list[str]:
+    """A refusal for people: reason, what is allowed, what would clear it. `details`: also the place and the figures."""
+    lines = show(text, _without_repetition(refusal, located=bool(text))).splitlines()
+    if details and refusal.where and refusal.column is None:
+        lines.append(f"where: {refusal.where}")
+    if refusal.owner:
+        lines.append(f"owner: {refusal.owner}")
+    if details and (figures := _figures(refusal)):
+        lines.append(f"figures: {', '.join(figures)}")
+    if refusal.clears:
+        lines.append(f"to clear it: {refusal.clears}")
+    return lines
+
+
+def _without_repetition(refusal: Refusal, *, located: bool) -> Refusal:
+    """For display: the names that `clears` proposes are not listed as nearest too, nor as expected if they are all."""
+    proposed = bool(refusal.nearest) and all(name in refusal.clears for name in refusal.nearest)
+    return msgspec.structs.replace(
+        refusal,
+        column=refusal.column if located else None,
+        nearest=[] if proposed else refusal.nearest,
+        expected=[] if proposed and set(refusal.expected) <= set(refusal.nearest) else refusal.expected,
+    )
+
+
+def _figures(refusal: Refusal) -> list[str]:
+    """The figures that the message does not contain; numbers without a unit are always shown."""
+    rows = [with_unit(*row) for row in refusal.detail.items() if row[0] != "others"]
+    return [row for row in rows if not _is_in(row.partition(" ")[2], refusal.message)]
+
+
+def _is_in(value: str, message: str) -> bool:
+    known = re.search(rf"(?<![\w.-]){re.escape(value)}(?![\w-]|\.\d)", message)
+    return known is not None and re.search("[A-Za-z]", value) is not None
+
+
+def quoted(text: str, most: int = MOST_QUOTED) -> str:
+    """A sentence for output: one printable line, at most `most` characters."""
+    text = visible(text)
+    return text if len(text) <= most else text[: most - len(CUT)] + CUT
+
+
+#: suffix of a figure's name -> SI unit
+UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_nm": "N.m", "_rad": "rad", "_m": "m", "_n": "N", "_s": "s"}
+
+
+def with_unit(key: str, value: float | str) -> str:
+    """A figure of a refusal for people: value_rad 0.5 is "value 28.6 deg"."""
+    ending = next((ending for ending in UNITS if key.endswith(ending)), "")
+    if not ending or isinstance(value, str):
+        return f"{key} {figure(value)}"
+    number, unit = in_words(value, UNITS[ending]).split(" ", 1)
+    shown = float(number)
+    return f"{key.removesuffix(ending)} {shown:{'.4g' if abs(shown) < 1e4 else '.0f'}} {unit}"
+
+
+def figure(value: float | str) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def seconds(value: float) -> str:
+    """A duration for people: 0.4 ms, 37 ms, 2.15 s."""
+    if value < 0.01:
+        return f"{value * 1e3:.2f} ms"
+    return f"{value * 1e3:.0f} ms" if value < 1 else f"{value:.2f} s"
+
+
+def duration_s(text: str, option: str) -> float:
+    """Seconds of 2s, 500ms or 5m. Raises typer.Exit, with the reason printed, if it is not a duration."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ms|s|m|)", text.strip())
+    if found is None or not 0 < float(found[1]) < math.inf:
+        raise trouble(f"{option} is a duration such as 2s, 500ms or 5m; not {text}", 2)
+    return float(found[1]) * DURATION_UNITS[found[2]]
+
+
+def table(*columns: str, title: str = "") -> Table:
+    made = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
+    for column in columns:
+        right = column.endswith(">")
+        made.add_column(column.rstrip(">"), justify="right" if right else "left", overflow="fold")
+    return made

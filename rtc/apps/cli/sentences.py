@@ -1,0 +1,299 @@
+"""rtc do: submits sentences, shows their progress and one result for each, and handles Ctrl-C."""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.text import Text
+
+from rtc.apps.cli.halt import print_halt
+from rtc.apps.cli.long_steps import LongSteps
+from rtc.apps.cli.output import (
+    LEFT_RUNNING,
+    AsJson,
+    RunDir,
+    With,
+    console,
+    emit_json,
+    errors,
+    exit_code,
+    exits_with,
+    quoted,
+    refusal_lines,
+    trouble,
+)
+from rtc.apps.cli.progress import Board
+from rtc.apps.cli.stdio import OutputClosed
+from rtc.client.client import Client, Source, as_text
+from rtc.client.halt import HaltResult
+from rtc.language.fastpath import halt_scope
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
+
+LABEL = re.compile(r"[A-Z]+\d+:\s+")  # such as "C12: GRASP ..." in lists of sentences
+
+
+class LeftRunning(Exception):
+    """The operator chose to leave commands running."""
+
+
+class Signalled(Exception):
+    """SIGTERM or SIGHUP: this process ends, its commands continue."""
+
+    def __init__(self, number: int) -> None:
+        self.exit_code = 128 + number  # as in shells
+        super().__init__(f"ended by {signal.Signals(number).name}")
+
+
+def do(
+    sentences: Annotated[list[str] | None, typer.Argument(help="Sentences, each in quotes.")] = None,
+    file: Annotated[Path | None, typer.Option(help="Read sentences from a file, one a line; - is stdin.")] = None,
+    parallel: Annotated[bool, typer.Option("--parallel", help="Send all at once.")] = False,
+    keep_going: Annotated[bool, typer.Option("--keep-going", "-k", help="Go on after one that fails.")] = False,
+    no_wait: Annotated[bool, typer.Option("--no-wait", help="Return once they are accepted.")] = False,
+    source: Annotated[str, typer.Option("--as", help="operator, or aip (differs in records only).")] = "operator",
+    json: AsJson = False,
+    run_dir: RunDir = None,
+    key: With = None,
+) -> None:
+    """Submit sentences, show their progress and one result for each.
+
+    They run one after the other, until one does not succeed (-k continues). With --parallel all are sent at once, and
+    the cluster decides which can run at the same time. Exit status: 0 all succeeded, 1 a failure, 2 a refusal,
+    3 halted, 4 no cluster, 130 left running. Ctrl-C asks: leave them running, or halt. If stdout is closed (`| head`)
+    or full, or this process gets SIGTERM (exit status 143) or SIGHUP (129), they are left running, and stderr names
+    them.
+
+    Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
+    """
+    texts = [as_text(text) for text in (*(sentences or []), *(_lines(file) if file else []))]
+    if not all(text.strip() for text in texts) or not texts:
+        raise trouble('no sentence; give one in quotes: rtc do "STOW LEFT-ARM"', 2)
+    if source not in ("operator", "aip"):
+        raise trouble(f"--as is operator or aip, not {source}", 2)
+    halts = [halt_scope(text) for text in texts]
+    need_broker = not all(halts)
+    with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=show_silence, key=key) as rtc:
+        if no_wait:
+            code, results = _hand_in(rtc, texts)
+        else:
+            code, results = _see_through(rtc, texts, parallel and not any(halts), keep_going, json)
+    if hint := quotes_forgotten(texts, results):
+        errors.print(Text(hint))
+    if json:
+        with exits_with(code):
+            emit_json({"results": results, "exit": code})
+    raise typer.Exit(code)
+
+
+def quotes_forgotten(texts: list[str], results: list[dict[str, Any]]) -> str:
+    """A hint if several refused single words were probably meant as one sentence; otherwise empty."""
+    words = [text for text in texts if len(text.split()) == 1]
+    if len(words) < 2 or all(one["kind"] != "refused" or one["text"] not in words for one in results):
+        return ""
+    return f'each argument is a sentence; put one of several words in quotes: rtc do "{quoted(" ".join(words))}"'
+
+
+def _see_through(
+    rtc: Client, texts: list[str], parallel: bool, keep_going: bool, json: bool
+) -> tuple[int, list[dict[str, Any]]]:
+    """Run all sentences; the exit status and a result for each."""
+    kinds: list[OutcomeKind] = []
+    results: list[dict[str, Any]] = []
+    board = Board(texts, quiet=json)
+    try:
+        with board, asked_on_interrupt(rtc, board):
+            if parallel:
+                ended = rtc.run_many(
+                    texts,
+                    on_accept=board.accepted,
+                    on_progress=board.progress,
+                    on_end=board.ended,
+                )
+                kinds = [one.outcome.kind for one in ended]
+                results = [_result(one, text, board) for one, text in zip(ended, texts, strict=True)]
+            else:
+                for n, text in enumerate(texts):
+                    kind, result = _one(rtc, board, n, text)
+                    kinds.append(kind)
+                    results.append(result)
+                    if kind != OutcomeKind.SUCCEEDED and not keep_going:
+                        break
+    except LeftRunning:
+        console.print("left running; `rtc status` shows them, `rtc halt` stops them")
+        return LEFT_RUNNING, results
+    except (OutputClosed, Signalled) as gone:
+        return gone_away(gone, board, len(texts)), results
+    for text in texts[len(results) :]:
+        results.append({"text": text, "kind": "not_sent"})
+        if not json:
+            console.print(
+                Text("NOT SENT", style="bold") + Text(f"  {quoted(text)}  ") + Text("(use -k to go on)", style="dim")
+            )
+    return exit_code(kinds), results
+
+
+def gone_away(why: OutputClosed | Signalled, board: Board, sentences: int) -> int:
+    """Print on stderr which commands continue after the end of this process. Returns the exit status."""
+    running, others = board.running, sentences - len(board.running) - len(board.kinds)
+    parts = [str(why)]
+    if running:
+        parts.append(f"left running: {', '.join(running)}; rtc halt {running[0] if len(running) == 1 else ''}".rstrip())
+    if others:
+        parts.append(f"not known, or not sent: {others} more; rtc status")
+    errors.print(Text(f"rtc: {'; '.join(parts)}"))
+    if isinstance(why, Signalled):
+        return why.exit_code
+    if running:
+        return LEFT_RUNNING
+    return exit_code(board.kinds) or int(others > 0)
+
+
+def _one(rtc: Client, board: Board, n: int, text: str) -> tuple[OutcomeKind, dict[str, Any]]:
+    if scope := halt_scope(text):
+        halted = rtc.halt(scope)
+        print_halt(halted, errors if board.quiet else console)
+        kind = OutcomeKind.SUCCEEDED if halted.confirmed else OutcomeKind.HALT_NOT_CONFIRMED
+        return kind, {"text": text, "kind": kind.value, "halt": msgspec.to_builtins(halted)}
+    ended = rtc.run_many(
+        [text],
+        on_accept=lambda _, command: board.accepted(n, command),
+        on_progress=board.progress,
+        on_end=lambda _, one: board.ended(n, one),
+    )[0]
+    return ended.outcome.kind, _result(ended, text, board)
+
+
+def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
+    """Submit without waiting for outcomes."""
+    results: list[dict[str, Any]] = []
+    out = console
+    for text in texts:
+        if scope := halt_scope(text):
+            halted: HaltResult = rtc.halt(scope)
+            print_halt(halted)
+            results.append({"text": text, "kind": "halted", "halt": msgspec.to_builtins(halted)})
+            continue
+        try:
+            command = rtc.submit(text, progress=False).number
+        except RequestDeclined as declined:
+            for line in refusal_lines(declined.refusal, text):
+                errors.print(Text(line))
+            results.append({"text": text, "kind": "refused", "refusal": msgspec.to_builtins(declined.refusal)})
+            return 2, results
+        accepted = Text(f"{command} accepted  {quoted(text)}")
+        try:
+            out.print(accepted)
+        except OutputClosed:
+            out = errors  # the number must not be lost
+            out.print(accepted)
+        results.append({"text": text, "kind": "accepted", "command": command})
+    return 0, results
+
+
+@contextmanager
+def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
+    """Ctrl-C asks; a second Ctrl-C, or Ctrl-C without a terminal, halts.
+
+    The question is asked inside the signal handler. That is safe: the halt line shares nothing with the interrupted
+    code, and the wait continues afterwards to receive the outcomes.
+    """
+
+    steps = _long_steps(rtc, board)
+
+    def interrupted(*_: object) -> None:
+        if steps:
+            steps.drop()
+        board.pause()
+        answer = _ask() if sys.stdin.isatty() else "h"
+        if answer == "l":
+            raise LeftRunning
+        if answer == "h":
+            for scope in board.running or ["ALL"]:
+                print_halt(rtc.halt(scope), errors)
+        board.resume()
+
+    def ended(number: int, _: object) -> None:
+        for other in (signal.SIGTERM, signal.SIGHUP):  # a second signal must not interrupt the last message
+            signal.signal(other, signal.SIG_IGN)
+        raise Signalled(number)
+
+    before = {signal.SIGINT: signal.signal(signal.SIGINT, interrupted)}
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # nohup
+            before[number] = signal.signal(number, ended)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if steps:
+            steps.drop()
+
+
+def _long_steps(rtc: Client, board: Board) -> LongSteps | None:
+    """The question about long steps; None without a terminal."""
+    if board.quiet or not (sys.stdin.isatty() and console.is_terminal):
+        return None
+    steps = LongSteps(
+        lambda words: errors.print(Text(words, style="bold yellow")),
+        lambda command: print_halt(rtc.halt(command), errors),
+        sys.stdin.fileno(),
+    )
+    board.on_long = steps.take
+    return steps
+
+
+def show_silence(words: str) -> None:
+    """Print on stderr that the broker is silent or answers again."""
+    errors.print(Text(f"rtc: {words}", style="bold yellow"))
+
+
+def _ask() -> str:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        errors.print(Text("\n(l)eave running, (h)alt, or (w)ait on? Ctrl-C again halts: "), end="")
+        return (input().strip().lower() or "w")[0]
+    except (KeyboardInterrupt, EOFError):
+        return "h"
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _lines(file: Path) -> list[str]:
+    """Sentences of a file, without blank lines, # comments and labels such as C12:."""
+    try:
+        text = sys.stdin.read() if str(file) == "-" else file.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise trouble(f"cannot read {file}: {error}", 2) from None
+    lines = (line.strip() for line in text.splitlines())
+    return [LABEL.sub("", line, count=1) for line in lines if line and not line.startswith(("#", "--"))]
+
+
+def _result(ended: m.CommandEnded, text: str, board: Board) -> dict[str, Any]:
+    """One result of --json. `reports`: those of EVERY and WHEN, the latest if they are many."""
+    outcome = msgspec.to_builtins(ended.outcome)
+    result = {"command": ended.command, "text": text, **outcome, "took_s": round(ended.took_s, 6)}
+    if reports := board.reports.get(ended.command):
+        result["reports"] = [_report(note) for note in reports]
+        if older := board.reports_older[ended.command]:
+            result["reports_older"] = older
+    return result
+
+
+def _report(note: m.ProgressNote) -> dict[str, Any]:
+    """A report. `when`: the condition that was true, with what was measured; without it the report is periodic."""
+    when = {"when": note.note} if note.note else {}
+    return {"at_s": note.at_s, **when, **msgspec.to_builtins(note.measured)}
+
+
+def _source(name: str) -> Source:
+    return "aip" if name == "aip" else "operator"

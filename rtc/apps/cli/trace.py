@@ -1,0 +1,313 @@
+"""rtc trace, rtc why: the record of a command as a list of phases, and as a chain of causes in words."""
+
+from __future__ import annotations
+
+import re
+from itertools import groupby
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.text import Text
+
+from rtc.apps.cli.measured import duration, in_words
+from rtc.apps.cli.output import (
+    COLOUR,
+    AsJson,
+    RunDir,
+    With,
+    console,
+    emit_json,
+    quoted,
+    refusal_lines,
+    seconds,
+    trouble,
+)
+from rtc.apps.cli.progress import mended
+from rtc.client.client import Client
+from rtc.client.past_runs import Past, runs
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import NoCluster, OutcomeKind, RequestDeclined
+from rtc.runtime.settings import default_run_dir
+
+DID = {"parser": "parsed", "elaborator": "planned", "binder": "bound", "analyzer": "judged"}  # kind of worker -> verb
+
+NUMBER = re.compile(r"(?:C-)?(\d{1,17})", re.ASCII | re.IGNORECASE)
+
+Command = Annotated[
+    str, typer.Argument(help="Number of a command, live or ended: C-7 or 7.", show_default="the last one")
+]
+Previous = Annotated[bool, typer.Option("--previous", help="Use the run before the one in the run directory.")]
+
+
+def trace(
+    command: Command = "", previous: Previous = False, json: AsJson = False, run_dir: RunDir = None, key: With = None
+) -> None:
+    """Show every phase of a command: time, process (with its cube address), duration, result.
+
+    Without a number it shows the last command. After `rtc down` it reads the journal of the run that has ended.
+
+    Example:  rtc trace C-7
+    """
+    record, run = recall(command, previous, run_dir, key)
+    if json:
+        emit_json({**as_json(record), **run_as_json(run)})
+    else:
+        print_run(run)
+        print_trace(record)
+
+
+def recall(command: str, previous: bool, run_dir: Path | None, key: Path | None) -> tuple[m.CommandRecord, Past | None]:
+    """The record of a command, and the run it belongs to if that has ended. `command` "" is the last one.
+
+    Raises NoCluster if there is neither a cluster nor a journal, and typer.Exit, with the reason printed, if there is
+    no such command.
+    """
+    name = number(command) if command else ""
+    where = run_dir or default_run_dir()
+    if previous:
+        return _from_past(name, _before(where))
+    try:
+        with Client(run_dir, key=key) as rtc:
+            name = name or last_number(rtc)
+            if name:
+                return rtc.trace(name), None
+    except RequestDeclined as declined:
+        if key or not any(past.command(_n(name)) for past in _before(where)):
+            raise
+        raise trouble(f"{declined.refusal.message}; an earlier run had one: add --previous", 2) from None
+    except NoCluster:
+        if key or not (ended := list(runs(where))):
+            raise
+        return _from_past(name, ended[:1])
+    return _from_past("", [] if key else _before(where))
+
+
+def _before(run_dir: Path) -> list[Past]:
+    """The runs before the one with its journal in the run directory itself."""
+    return [past for past in runs(run_dir) if past.journal.parent != run_dir]
+
+
+def _n(name: str) -> int:
+    return int(name.removeprefix("C-"))
+
+
+def last_number(rtc: Client) -> str:
+    """The number of the newest command of a cluster; empty if there is none."""
+    accepted = rtc.status().get("commands_accepted", 0)
+    return f"C-{accepted}" if accepted else ""
+
+
+def _from_past(name: str, ended: list[Past]) -> tuple[m.CommandRecord, Past]:
+    for past in ended:
+        found = past.command(_n(name)) if name else next(iter(past.last(1)), None)
+        if found is not None:
+            return found, past
+    if not ended:
+        raise trouble("there is no command yet; rtc log lists them, rtc do gives one", 2)
+    raise trouble(f"there is no command {name} in the run that ended; rtc log lists its commands", 2)
+
+
+def print_run(run: Past | None) -> None:
+    if run is not None:
+        console.print(Text(run.title, style="dim"))
+
+
+def run_as_json(run: Past | None) -> dict[str, Any]:
+    return {} if run is None else {"run_ended_at": run.ended_at}
+
+
+def number(command: str) -> str:
+    """C-7 for C-7, c-7 or 7. Raises typer.Exit, with the reason printed, for anything else."""
+    if (found := NUMBER.fullmatch(command.strip())) is None:
+        raise trouble(f"{quoted(command)!r} is not the number of a command, such as C-7 or 7; rtc log lists them", 2)
+    return f"C-{int(found[1])}"
+
+
+def print_trace(record: m.CommandRecord) -> None:
+    """Print lines, not a table, because a phase's result may be long. The phases of a step follow its name."""
+    console.print(
+        Text(f"{record.command}  {quoted(record.text)}  ", style="bold") + Text(f"({record.source})", style="dim")
+    )
+    console.print(Text(f"{'since':>9}  {'took':>8}  {'done by':<13} {'at':<4} now", style="bold"))
+    step, node = "", ""
+    for note in record.notes:
+        if note.node and note.node == node and not note.note:
+            continue  # repeats the process
+        node = note.node
+        if note.step and note.step != step and note.phase != m.Phase.ENDED:
+            step = note.step
+            console.print(Text(step, style="cyan"))
+        console.print(Text(trace_line(note, record.accepted_at_s)))
+    print_reports(record)
+    _print_decision(record)
+
+
+def print_reports(record: m.CommandRecord) -> None:
+    """The latest reports of EVERY and WHEN, which the running broker keeps."""
+    if record.reports_older:
+        console.print(Text(f"reports: {record.reports_older} older ones are no longer kept", style="dim"))
+    for note in record.reports:
+        words = ([note.note] if note.note else []) + (in_words(note.measured) if note.measured else [])
+        console.print(Text(f"{seconds(note.at_s - record.accepted_at_s):>9}  reported: {'; '.join(words)}"))
+
+
+def trace_line(note: m.ProgressNote, accepted_at_s: float) -> str:
+    took = seconds(note.took_s) if note.node else ""
+    line = f"{seconds(note.at_s - accepted_at_s):>9}  {took:>8}  {note.node:<13} {address(note.node):<4} "
+    words = [note.note] if note.note else []
+    words += [f"about {duration(note.expected_s)}"] if note.expected_s else []
+    words += in_words(note.measured) if note.measured else []
+    return line + (f"{note.phase.value:<11}  {'; '.join(words)}" if words else note.phase.value)
+
+
+def why(
+    command: Command = "", previous: Previous = False, json: AsJson = False, run_dir: RunDir = None, key: With = None
+) -> None:
+    """Show the chain of causes: sentence -> script line -> primitive -> report -> decision, and what would clear it.
+
+    Without a number it shows the last command. After `rtc down` it reads the journal of the run that has ended.
+
+    Example:  rtc why
+    Example:  rtc why C-7
+    """
+    record, run = recall(command, previous, run_dir, key)
+    waits: list[str] = []
+    if run is None and record.phase in (m.Phase.HELD, m.Phase.WAITING):
+        with Client(run_dir, key=key) as rtc:
+            waits = waits_for(rtc.status(), record)
+    if json:
+        outcome = as_json(record)["outcome"]
+        found = {"command": record.command, "chain": chain(record), "outcome": outcome, "waits_for": waits}
+        emit_json({**found, **run_as_json(run)})
+    else:
+        print_run(run)
+        print_why(record)
+        for line in waits:
+            console.print(Text("    " + line))
+
+
+def waits_for(status: dict[str, Any], record: m.CommandRecord) -> list[str]:
+    """What a held command waits for now, and what would clear it. `status`: of the broker."""
+    commands = {row["command"]: row for row in status.get("commands", [])}
+    lines, owners = [], []
+    for row in status.get("resources", []):
+        if record.command not in row["waiting"]:
+            continue
+        ahead = row["waiting"][: row["waiting"].index(record.command)]
+        queue = f"; before it in the line: {', '.join(ahead)}" if ahead else ""
+        lines.append(f"waits for {row['name']}, {_taken(row['owner'], commands)}{queue}")
+        owners += [name for name in [*row["owner"].split(", "), *ahead] if name in commands]
+    give_up = f"to give this one up: ABORT {record.command}"
+    if owners := list(dict.fromkeys(owners)):
+        lines.append(f"to clear it: wait for {', '.join(owners)}, or: ABORT {owners[0]}; {give_up}")
+    elif not lines and record.notes:  # for another command, or for the space of an arm
+        lines += [record.notes[-1].note, give_up]
+    return lines
+
+
+def _taken(owner: str, commands: dict[str, Any]) -> str:
+    """The owner of a resource in words, with its sentence and what it does."""
+    if owner.startswith("quarantine"):
+        return "which is closed until rest is confirmed or its facts are written (rtc status)"
+    if (row := commands.get(owner)) is None:
+        return f"in use by {owner}" if owner else "which is not yet granted"
+    now = ": ".join(filter(None, [row["phase"], row["step"]]))
+    return f"in use by {owner} ({now}): {quoted(row['text'])}"
+
+
+def print_why(record: m.CommandRecord) -> None:
+    for line in chain(record):
+        console.print(Text(line))
+    _print_decision(record)
+
+
+def address(node: str) -> str:
+    """The cube address of a worker, 10 for binder@2; empty for other processes."""
+    _, at, number = node.partition("@")
+    return format(int(number), "02b") if at and number.isdigit() else ""
+
+
+def as_json(record: m.CommandRecord) -> dict[str, Any]:
+    """The record, its notes with times since acceptance and addresses."""
+    shown: dict[str, Any] = msgspec.to_builtins(record)
+    shown.setdefault("outcome", None)
+    for note, source in zip(shown.get("notes", []), record.notes, strict=True):
+        note["since_accept_s"] = round(source.at_s - record.accepted_at_s, 6)
+        note["address"] = address(source.node)
+    return shown
+
+
+def chain(record: m.CommandRecord) -> list[str]:
+    """The record in words: one line for each successful step, all links for the last one."""
+    lines = [f"{record.command} was given by the {record.source}: {quoted(record.text)}"]
+    steps = [(step, list(notes)) for step, notes in groupby(_by_step(record.notes), key=lambda pair: pair[0])]
+    last = len(steps) - 1
+    ended_well = record.outcome is not None and record.outcome.kind == OutcomeKind.SUCCEEDED
+    for n, (step, pairs) in enumerate(steps):
+        notes = [note for _, note in pairs]
+        if not step:
+            lines += [link(note) for note in notes if note.node or note.phase == m.Phase.HELD]
+        elif n == last and not ended_well:
+            lines.append(f"script line {step}")
+            lines += ["    " + link(note) for note in notes if note.node or note.note]
+        else:
+            lines.append(f"script line {step}: {_in_short(notes)}")
+    return lines
+
+
+def link(note: m.ProgressNote) -> str:
+    """One link of the chain."""
+    if not note.node:
+        return f"{note.phase.value}: {note.note}".rstrip(": ")
+    if note.note == "started":
+        return f"started by {note.node}"
+    done = DID.get(note.node.partition("@")[0], "reported")
+    return f"{done} by {note.node} in {seconds(note.took_s)}" + (f": {note.note}" if note.note else "")
+
+
+def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:
+    """Each note with its step: a note about finished work may already carry the next step.
+    Notes that only repeat the process are left out."""
+    pairs: list[tuple[str, m.ProgressNote]] = []
+    step, node = "", ""
+    for note in notes:
+        kind = note.node.partition("@")[0]
+        about = {"parser": "", "elaborator": "", "analyzer": step}.get(kind, note.step)
+        if note.note or not note.node or note.node != node:
+            pairs.append((about, note))
+        step, node = note.step, note.node
+    return pairs
+
+
+def _in_short(notes: list[m.ProgressNote]) -> str:
+    """The result of a step, as its subsystem reported it, and what the analyzer found in the report."""
+    reports = [note for note in notes if note.node and "@" not in note.node and note.note != "started"]
+    shown = reports or [note for note in notes if note.note]
+    if not shown:
+        return "done"
+    note = shown[-1]
+    judged = [one.note.partition("; ")[2] for one in notes if one.node.startswith("analyzer")]
+    found = "".join(f"; {words}" for words in judged if words)
+    return f"{note.node} {note.note} after {seconds(note.took_s)}{found}" if reports else link(note)
+
+
+def _print_decision(record: m.CommandRecord) -> None:
+    outcome = record.outcome
+    if outcome is None:
+        console.print(Text(f"now: {record.phase.value}", style="bold"))
+        return
+    assert record.ended_at_s is not None
+    line = Text("decision: ", style="bold").append(outcome.kind.value.upper().replace("_", " "), COLOUR[outcome.kind])
+    line.append(f" after {seconds(record.ended_at_s - record.accepted_at_s)}")
+    line.append(f": {outcome.message}" if outcome.message else "")
+    console.print(line)
+    for text in in_words(outcome.measured) if outcome.measured else ():
+        console.print(Text("    " + text))
+    if outcome.trims:
+        console.print(Text("    " + mended(outcome) + ", ".join(outcome.trims)))
+    if outcome.refusal is not None:
+        for text in refusal_lines(outcome.refusal, record.text, details=True):
+            if text != outcome.message:
+                console.print(Text("    " + text))

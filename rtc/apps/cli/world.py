@@ -1,0 +1,327 @@
+"""rtc world: shows the facts of the world database with age, source and validity; `reset` alone changes some."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext, suppress
+from typing import Annotated, Any, NoReturn
+
+import msgspec
+import typer
+from rich.text import Text
+
+from rtc.apps.cli.cluster_cell import cell_file, cell_of
+from rtc.apps.cli.output import AsJson, RunDir, With, console, emit_json, exit_code, seconds, table, trouble
+from rtc.apps.cli.progress import print_result
+from rtc.client.client import Client
+from rtc.drawing.scene import centimetres, degrees
+from rtc.model.cells.cell import Cell
+from rtc.model.cells.taught import arm_of
+from rtc.protocol.messages import Fact, Validity, View
+from rtc.protocol.outcomes import OutcomeKind, RtcError
+from rtc.world.client import WorldClient
+from rtc.world.spread import in_words
+
+BROKER_S = 1.0  # maximum wait for what the arms are doing; the facts are shown without a broker too
+HISTORY = 1000  # maximum number of facts of one key that `at` searches
+COLOUR = {Validity.VALID: "green", Validity.SUSPECT: "bold yellow", Validity.INVALID: "red", Validity.CHANGING: "cyan"}
+
+JointUnits = Mapping[str, Sequence[str]]  # arm -> mm or deg of each joint
+
+RESET = "SET WORLD FACTS INITIAL"
+
+Key = Annotated[str, typer.Argument(help="A fact (MACS-NEW.frame) or all of a location (MACS-NEW).")]
+
+app = typer.Typer(
+    help="The world database: facts with validity, version, source and age.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@app.command("list")
+def list_facts(json: AsJson = False, run_dir: RunDir = None, key_file: With = None) -> None:
+    """Print all facts. Facts that a moving arm changes are shown as changing, with its path and the time since its
+    start.
+
+    Example:  rtc world list
+    """
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
+        view, motions, units = rtc.world.view(), _motions(rtc), joint_units(rtc)
+    _show(changing(view.facts, motions, time.monotonic(), whole=True), json, view.version, units)
+
+
+@app.command()
+def get(key: Key, json: AsJson = False, run_dir: RunDir = None, key_file: With = None) -> None:
+    """Print one fact, or all of a location. Exit status 2 if there is none.
+
+    Example:  rtc world get MACS-NEW.frame
+    """
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
+        view, motions, units = rtc.world.view(keys=[spelt(key)]), _motions(rtc), joint_units(rtc)
+        if not view.facts:
+            raise _unknown(key, rtc.world)
+    _show(changing(view.facts, motions, time.monotonic(), whole="." not in key), json, view.version, units)
+
+
+@app.command()
+def watch(
+    key: Annotated[str, typer.Argument(help="A fact or a location; without it, everything.")] = "",
+    every: Annotated[float, typer.Option(min=0.02, max=3600, help="Seconds between two looks.")] = 0.2,
+    run_dir: RunDir = None,
+    key_file: With = None,
+) -> None:
+    """Print facts as they change, until Ctrl-C.
+
+    Example:  rtc world watch RIGHT-ARM
+    """
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
+        keys = [spelt(key)] if key else None
+        seen = rtc.world.view(keys=keys)
+        if key and not seen.facts:
+            raise _unknown(key, rtc.world)
+        units = joint_units(rtc)
+        _show(seen.facts, False, seen.version, units)
+        with suppress(KeyboardInterrupt):
+            _follow(rtc, seen, keys, every, units)
+
+
+def _follow(rtc: Client, seen: View, keys: list[str] | None, every_s: float, units: JointUnits) -> NoReturn:
+    while True:
+        time.sleep(every_s)
+        news = rtc.world.view(since=seen.version, keys=keys)
+        for fact in sorted(news.facts, key=lambda fact: fact.version):
+            console.print(Text(f"{fact.version:>6}  {fact.key}  {stated(fact, units)}  {fact.validity}  {fact.source}"))
+        seen = news
+
+
+@app.command()
+def history(
+    key: Annotated[str, typer.Argument(help="A fact (MACS-NEW.frame), or a location: all its facts.")],
+    limit: Annotated[int, typer.Option(min=1, max=HISTORY, help="Maximum number, the newest first.")] = 20,
+    json: AsJson = False,
+    run_dir: RunDir = None,
+    key_file: With = None,
+) -> None:
+    """Print the history of a fact, newest first, with sources.
+
+    Example:  rtc world history MACS-NEW.frame
+    """
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
+        known = rtc.world.view(keys=[spelt(key)]).facts
+        if not known:
+            raise _unknown(key, rtc.world)
+        facts = [old for fact in known for old in rtc.world.history(fact.key, limit)]
+        units = joint_units(rtc)
+    _show(sorted(facts, key=lambda fact: -fact.version)[:limit], json, None, units, by_key=False)
+
+
+@app.command()
+def at(
+    version: Annotated[int, typer.Argument(min=1, help="A version of the world.")],
+    key: Annotated[str, typer.Argument(help="A fact or a location; without it, everything.")] = "",
+    json: AsJson = False,
+    run_dir: RunDir = None,
+    key_file: With = None,
+) -> None:
+    """Print the facts at an earlier version of the world.
+
+    Example:  rtc world at 42 MACS-NEW
+    """
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
+        now = rtc.world.view(keys=[spelt(key)] if key else None)
+        if key and not now.facts:
+            raise _unknown(key, rtc.world)
+        if version > now.version:
+            raise trouble(f"there is no version {version} of the world yet; the newest is {now.version}", 2)
+        pasts = (rtc.world.history(fact.key, HISTORY) for fact in now.facts)
+        then = [old for past in pasts for old in past[:] if old.version <= version]
+        units = joint_units(rtc)
+    newest: dict[str, Fact] = {}
+    for fact in then:
+        if fact.key not in newest or newest[fact.key].version < fact.version:
+            newest[fact.key] = fact
+    _show(newest.values(), json, version, units)
+
+
+@app.command()
+def reset(json: AsJson = False, run_dir: RunDir = None) -> None:
+    """Put the facts of all objects and seats back to those of the cell. No body is moved, neither simulated nor real.
+
+    It is the sentence SET WORLD FACTS INITIAL: an analyzer writes the facts. Joints and hands keep theirs, because they
+    are measured; taught places stay. Refused while a command is in progress or a hand holds something.
+
+    Example:  rtc world reset
+    """
+    with Client(run_dir) as client:
+        if live := client.status()["commands"]:
+            running = ", ".join(row["command"] for row in live)
+            raise trouble(f"in progress: {running}; wait for the end, or halt: rtc halt", 2)
+        ended = client.run(RESET)
+        seen = sorted({tag.body for tag in Cell.load(cell_of(run_dir)).tags})
+    if ended.outcome.kind is not OutcomeKind.SUCCEEDED:
+        print_result(ended, RESET, console)
+        raise typer.Exit(exit_code([ended.outcome.kind]))
+    hint = f"a body that was moved is not where the facts say: first LOCATE it ({', '.join(seen)})"
+    hint = hint if seen else "a body that was moved is not where the facts say: state where it is by SET, or VERIFY it"
+    if json:
+        emit_json({"command": ended.command, "moved": [], "hint": hint})
+    else:
+        console.print(Text(f"the facts are those of the cell again ({ended.command}); no body was moved"))
+        console.print(Text(hint))
+
+
+def _motions(rtc: Client) -> list[dict[str, Any]]:
+    """What the arms are doing, as the broker knows it; empty without a broker that answers."""
+    try:
+        found: list[dict[str, Any]] = rtc.status(within_s=BROKER_S).get("motions", [])
+    except RtcError:
+        return []
+    return found
+
+
+def changing(facts: Iterable[Fact], motions: Sequence[Mapping[str, Any]], now_s: float, *, whole: bool) -> list[Fact]:
+    """The facts, with those that a motion changes as changing. The world database has their values before it.
+
+    `whole`: with a fact ARM.motion for each moving arm among them: its path, and the time since its start."""
+    facts = list(facts)
+    held = {fact.key.partition(".")[0]: fact.value for fact in facts if fact.key.endswith(".held_by")}
+    arms = {one["arm"]: one for one in motions}
+
+    def shown_as(fact: Fact) -> Fact:
+        location, _, attribute = fact.key.partition(".")
+        own = location in arms and attribute == "joints"
+        carried = held.get(location) in arms and attribute in ("frame", "seat")
+        return msgspec.structs.replace(fact, validity=Validity.CHANGING) if own or carried else fact
+
+    known = {fact.key.partition(".")[0]: fact.version for fact in facts}
+    added = [
+        Fact(
+            key=f"{arm}.motion",
+            value={name: one[name] for name in ("primitive", "started_ago_s", "time_s", "positions")},
+            validity=Validity.CHANGING,
+            version=known[arm],
+            source=one["command"],
+            at_s=now_s - (one["started_ago_s"] or 0.0),
+        )
+        for arm, one in arms.items()
+        if whole and arm in known
+    ]
+    return [*map(shown_as, facts), *added]
+
+
+def spelt(key: str) -> str:
+    """A key as in the database: the location in capitals with '-', the attribute unchanged."""
+    place, dot, attribute = key.partition(".")
+    return place.upper().replace("_", "-") + dot + attribute.lower()
+
+
+def shown(value: Any) -> str:
+    """A value for people, with at most four decimals."""
+    if isinstance(value, list | tuple):
+        return "[" + " ".join(shown(item) for item in value) + "]"
+    if isinstance(value, float):
+        return f"{round(value, 4) + 0.0:g}"  # + 0.0: no minus before a zero
+    return "-" if value in (None, "") else str(value)
+
+
+def joint_units(rtc: Client) -> JointUnits:
+    """The units of the joints of each arm, from the cell of the cluster; empty if it cannot be read now."""
+    try:
+        with cell_file(rtc.cell()) if rtc.far else nullcontext(rtc.settings.cell) as name:
+            return units_in(Cell.load(name))
+    except RtcError:
+        return {}
+
+
+def units_in(cell: Cell) -> JointUnits:
+    return {arm.name: tuple("mm" if isinstance(value, str) else "deg" for value in arm.home_deg) for arm in cell.arms}
+
+
+def stated(fact: Fact, units: JointUnits) -> str:
+    """The value; for a pose also its spread."""
+    words = in_words(fact.spread)
+    location, _, attribute = fact.key.rpartition(".")
+    if attribute in ("joints", "motion") or arm_of(attribute):
+        value = JOINTS.get(attribute, joints_in_words)(fact.value, units.get(arm_of(attribute) or location))
+    else:
+        value = UNITS.get(attribute, shown)(fact.value)
+    return f"{value} +- {words}" if words else value
+
+
+def _pose(value: Any) -> str:
+    return f"{centimetres(value)} cm, {degrees(value)} deg" if isinstance(value, list | tuple) else shown(value)
+
+
+def joints_in_words(value: Any, units: Sequence[str] | None) -> str:
+    """90 0 deg; with a joint that slides each has its unit. `units`: of the joints; None: they are not known."""
+    if not isinstance(value, list | tuple):
+        return shown(value)
+    if units is None or len(units) != len(value):
+        return f"{shown(value)} (rad, or m of a joint that slides)"
+    figures = [1e3 * n if unit == "mm" else math.degrees(n) for n, unit in zip(value, units, strict=True)]
+    texts = [f"{round(figure, 2) + 0.0:g}" for figure in figures]
+    if "mm" not in units:
+        return " ".join(texts) + " deg"
+    return ", ".join(f"{text} {unit}" for text, unit in zip(texts, units, strict=True))
+
+
+def _width(value: Any) -> str:
+    return f"{round(100 * value, 2) + 0.0:g} cm" if isinstance(value, float | int) else shown(value)
+
+
+def _sighting(value: Any) -> str:
+    """What a camera saw: the evidence for the frame."""
+    if not isinstance(value, dict):
+        return shown(value)
+    words = f"{' and '.join(value['cameras'])}: tags {shown(value['tags'])[1:-1]} in {value['pictures']} pictures, "
+    words += f"{value['error_px']:.2f} px off, +- {1e3 * value['deviation_m']:.1f} mm "
+    words += f"{math.degrees(value['deviation_rad']):.2f} deg (1 sigma), {1e3 * value['age_s']:.0f} ms old then"
+    return words + (", ambiguous attitude" if value["ambiguous"] else "")
+
+
+def _motion(value: Any, units: Sequence[str] | None) -> str:
+    """Where an arm is going."""
+    ago_s, takes_s = value["started_ago_s"], value["time_s"][-1]
+    since = "not started yet" if ago_s is None else f"started {ago_s:.1f} s ago"
+    return f"to {joints_in_words(value['positions'][-1], units)} in {takes_s:.1f} s, {since} ({value['primitive']})"
+
+
+#: attribute with joints -> its value for people, with the units of the joints; postures of places have any other name
+JOINTS: dict[str, Callable[[Any, Sequence[str] | None], str]] = {"joints": joints_in_words, "motion": _motion}
+#: attribute -> its value for people; JSON has m, rad and quaternions
+UNITS: dict[str, Callable[[Any], str]] = {
+    "frame": _pose,
+    "grasp": _pose,
+    "hand_width": _width,
+    "sighting": _sighting,
+    "mass": lambda value: f"{shown(value)} kg",
+}
+VALUE = "value (x y z cm, roll pitch yaw deg)"
+
+
+def _show(facts: Iterable[Fact], json: bool, version: int | None, units: JointUnits, *, by_key: bool = True) -> None:
+    facts = sorted(facts, key=lambda fact: fact.key) if by_key else list(facts)
+    if json:
+        emit_json({"version": version, "facts": [msgspec.to_builtins(fact) for fact in facts]})
+        return
+    print_facts(facts, units)
+    if version is not None:
+        console.print(f"version {version} of the world, {len(facts)} facts")
+
+
+def print_facts(facts: Iterable[Fact], units: JointUnits) -> None:
+    out = table("fact", VALUE, "validity", "version>", "source", "age>")
+    now_s = time.monotonic()
+    for fact in facts:
+        validity = Text(fact.validity.value, style=COLOUR.get(fact.validity, ""))
+        age = seconds(max(0.0, now_s - fact.at_s))
+        out.add_row(fact.key, Text(stated(fact, units)), validity, str(fact.version), Text(fact.source), age)
+    console.print(out)
+
+
+def _unknown(key: str, world: WorldClient) -> typer.Exit:
+    locations = sorted({fact.key.partition(".")[0] for fact in world.view().facts})
+    return trouble(f"nothing is known of {key}; known are: {', '.join(locations)}", 2)

@@ -1,0 +1,285 @@
+"""A work-cell as data: arms, seats, objects, places, regions, cameras, tags and numbers.
+
+A cell is a YAML file and the robot models that it names. `Cell.load` reads them and embeds the texts of the models, so
+that one `encode()`d document is all that a process needs (no shared files, R51). A cell is checked when it is
+constructed: all its references and lengths are valid.
+
+The types of its parts are in `rtc.model.cells.parts`. This module knows no kinematics and does not check reachability.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+import msgspec
+import msgspec.yaml
+
+from rtc.model.cells import extension, model_checks
+from rtc.model.cells.parts import (
+    Arm,
+    Camera,
+    Frame,
+    Hinge,
+    Maintained,
+    Numbers,
+    Object,
+    Place,
+    Region,
+    Seat,
+    Tag,
+    Vec3,
+    named,
+)
+from rtc.protocol.digest import digest
+from rtc.protocol.outcomes import ProgramError
+from rtc.spatial import geometry, hinges
+
+EXTENDS = re.compile(rb"(?m)^extends:")
+CELLS = Path(__file__).parent  # the cells of the project: cells/NAME/cell.yaml
+
+
+class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
+    name: str
+    gravity_m_s2: Vec3 = (0.0, 0.0, 0.0)
+    arms: list[Arm]
+    seats: list[Seat] = []
+    objects: list[Object] = []
+    places: list[Place] = []
+    regions: list[Region] = []
+    cameras: list[Camera] = []
+    tags: list[Tag] = []
+    attitudes: dict[str, Frame] = {}  # of the tcp, world frame; for POSE-DURING-MOTION
+    maintain: Maintained = Maintained()
+    numbers: Numbers = Numbers()
+    texts: dict[str, str] = {}  # URDF, SRDF and hulls by file name; filled by `load`
+
+    def __post_init__(self) -> None:
+        for place, problem in problems(self):
+            raise ValueError(f"$.{place}: {problem}")
+
+    # --- reading and sending ---------------------------------------------------------------------------
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> Cell:
+        """The cell of a name (cells/NAME/cell.yaml) or file, models embedded. Raises ProgramError with the place."""
+        path = file_of(name_or_path)
+        bare, folders = _read(path)
+        texts = dict(bare.texts)
+        for n, arm in enumerate(bare.arms):
+            for field, file in (("urdf", arm.urdf), ("srdf", arm.srdf)):
+                if file not in texts:
+                    folder = next((one for one in folders if (one / file).is_file()), path.parent)
+                    try:
+                        texts[file] = (folder / file).read_text(encoding="utf-8")
+                    except (OSError, UnicodeDecodeError) as error:
+                        raise ProgramError(f"{path}: $.arms[{n}].{field}: cannot read {file}: {error}") from error
+            for file in model_checks.hulls(texts[arm.urdf]):
+                own = next((one for one in folders if (one / file).is_file()), None)
+                if file not in texts and own is not None:
+                    texts[file] = (own / file).read_text(encoding="utf-8", errors="replace")
+        cell = msgspec.structs.replace(bare, texts=texts)
+        for place, problem in model_checks.problems(cell.arms, cell.texts):
+            raise ProgramError(f"{path}: $.{place}: {problem}")
+        return cell
+
+    @classmethod
+    def from_bytes(cls, document: bytes) -> Cell:
+        """The cell of an `encode()`d document, or of any self-contained YAML document. Raises ProgramError."""
+        cell = _decode(document, "cell document")
+        for n, arm in enumerate(cell.arms):
+            for field, file in (("urdf", arm.urdf), ("srdf", arm.srdf)):
+                if file not in cell.texts:
+                    raise ProgramError(f"cell document: $.arms[{n}].{field}: the text of {file} is not embedded")
+        return cell
+
+    def encode(self) -> bytes:
+        """One self-contained document (JSON, which is YAML); equal cells give equal bytes."""
+        return msgspec.json.encode(self, order="deterministic")
+
+    def digest(self) -> str:
+        return digest(self.encode())
+
+    # --- look-ups (KeyError for an unknown name) ----------------------------------------------------------------------
+
+    def arm(self, name: str) -> Arm:
+        return named(self.arms, name, "arm")
+
+    def seat(self, name: str) -> Seat:
+        return named(self.seats, name, "seat")
+
+    def object(self, name: str) -> Object:
+        return named(self.objects, name, "object")
+
+    def place(self, name: str) -> Place:
+        return named(self.places, name, "place")
+
+    def region(self, name: str) -> Region:
+        return named(self.regions, name, "region")
+
+    def camera(self, name: str) -> Camera:
+        return named(self.cameras, name, "camera")
+
+    def urdf(self, arm: str) -> str:
+        """The URDF text of an arm."""
+        return self.texts[self.arm(arm).urdf]
+
+    def srdf(self, arm: str) -> str:
+        return self.texts[self.arm(arm).srdf]
+
+    def seated_pose(self, seat: str) -> geometry.Array:
+        """World pose of a module in `seat`."""
+        found = self.seat(seat)
+        return geometry.compose(found.frame.pose, found.module_frame.pose)
+
+    def object_pose(self, name: str) -> geometry.Array:
+        """Initial world pose of an object."""
+        found = self.object(name)
+        if found.hinge is not None:
+            return hinges.turned(found.frame.pose, found.hinge.axis, math.radians(found.hinge.at_deg))
+        if found.seat is None:
+            return found.frame.pose
+        return geometry.compose(self.seated_pose(found.seat), found.frame.pose)
+
+    def names(self) -> Iterator[str]:
+        """All names in this cell that a sentence may use."""
+        for arm in self.arms:
+            yield from (arm.name, arm.end_effector)
+        for group in (self.seats, self.objects, self.places, self.regions, self.cameras):
+            yield from (part.name for part in group)
+
+
+def file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:
+    """The file of a cell: its name, its folder or the file itself, relative to `folder`. Raises ProgramError."""
+    path = folder / name_or_path
+    if path.suffix not in (".yaml", ".yml"):
+        path = (path if (path / "cell.yaml").is_file() else CELLS / name_or_path) / "cell.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.parent.name for p in CELLS.glob("*/cell.yaml")))
+        raise ProgramError(f"no cell {name_or_path}: there is no file {path}; cells of the project: {known}")
+    return path
+
+
+def _read(path: Path) -> tuple[Cell, list[Path]]:
+    """The cell of a file, without the texts of its models, and the folders where they may be."""
+    document = extension.document_of(path)
+    if not EXTENDS.search(document):
+        return _decode(document, str(path)), [path.parent]
+    merged, folders = extension.read(path, file_of)
+    try:
+        return msgspec.convert(merged, Cell), folders
+    except msgspec.ValidationError as error:
+        raise ProgramError(f"{path}: {error} (of the cell as extended)") from error
+
+
+def _decode(document: bytes, source: str) -> Cell:
+    try:
+        if document.startswith(b"{"):  # JSON from `encode`; 20 times faster than the YAML reader
+            return msgspec.json.decode(document, type=Cell)
+        return msgspec.yaml.decode(document, type=Cell)
+    except msgspec.MsgspecError as error:
+        if str(error).startswith("Object contains unknown field") and "$" not in str(error):
+            known = ", ".join(sorted(set(Cell.__struct_fields__) - {"texts"}))
+            raise ProgramError(f"{source} is not a cell: {error}; a cell has {known}") from error
+        raise ProgramError(f"{source}: {error}") from error
+
+
+def problems(cell: Cell) -> Iterator[tuple[str, str]]:
+    """(place, problem) for faults that the types do not exclude."""
+    if not cell.arms:
+        yield "arms", "a cell needs an arm"
+    yield from _repeated_names(cell)
+    seats = {seat.name for seat in cell.seats}
+    arms = {arm.name: arm for arm in cell.arms}
+    taken: dict[str, str] = {}
+    for n, arm in enumerate(cell.arms):
+        for field in ("home_deg", "stow_deg", "acceleration_deg_s2"):
+            if len(getattr(arm, field)) != len(arm.joints):
+                yield f"arms[{n}].{field}", f"{len(arm.joints)} joints need as many values"
+    for n, seat in enumerate(cell.seats):
+        if abs(math.hypot(*seat.way_out) - 1.0) > 1e-6:
+            yield f"seats[{n}].way_out", "must be of unit length"
+    for n, thing in enumerate(cell.objects):
+        if thing.seat is not None and thing.seat not in seats:
+            yield f"objects[{n}].seat", f"no seat {thing.seat}; there are {', '.join(sorted(seats))}"
+        if thing.seat is not None and taken.setdefault(thing.seat, thing.name) != thing.name:
+            yield f"objects[{n}].seat", f"{thing.seat} already holds {taken[thing.seat]}"
+        if not thing.shapes:
+            yield f"objects[{n}].shapes", "an object needs at least one shape"
+        if thing.thread is not None and not thing.fixed:
+            yield f"objects[{n}].thread", "an object with a thread must be fixed: it only turns"
+        if thing.hinge is not None:
+            yield from ((f"objects[{n}].{field}", problem) for field, problem in _wrong_hinge(thing, thing.hinge))
+    for n, place in enumerate(cell.places):
+        for field in ("poses", "joints_deg"):
+            for name in getattr(place, field):
+                if name not in arms:
+                    yield f"places[{n}].{field}.{name}", f"no arm {name}; there are {', '.join(sorted(arms))}"
+        for name, joints in place.joints_deg.items():
+            if len(joints) != len(arms[name].joints):
+                yield f"places[{n}].joints_deg.{name}", f"{len(arms[name].joints)} joints need as many values"
+            elif [isinstance(value, str) for value in joints] != [isinstance(v, str) for v in arms[name].home_deg]:
+                yield (
+                    f"places[{n}].joints_deg.{name}",
+                    "a joint that slides needs metres, one that turns degrees, as home",
+                )
+    regions = sorted(region.name for region in cell.regions)
+    for field, known in (("safe_work_range", regions), ("avoid_task_region", regions)):
+        if (name := getattr(cell.maintain, field)) is not None and name not in known:
+            yield f"maintain.{field}", f"no region {name}; there are {', '.join(known)}"
+    if (name := cell.maintain.pose_during_motion) is not None and name not in cell.attitudes:
+        yield "maintain.pose_during_motion", f"no attitude {name}; there are {', '.join(sorted(cell.attitudes))}"
+    yield from _blind_cameras(cell, arms)
+    yield from _loose_tags(cell)
+
+
+def _wrong_hinge(thing: Object, hinge: Hinge) -> Iterator[tuple[str, str]]:
+    least, most = hinge.range_deg
+    if abs(math.hypot(*hinge.axis) - 1.0) > 1e-6:
+        yield "hinge.axis", "must be of unit length"
+    if not -180.0 < least < most < 180.0:
+        yield "hinge.range_deg", "two angles between -180 and 180, the least first"
+    elif not least <= hinge.at_deg <= most:
+        yield "hinge.at_deg", f"{hinge.at_deg:g} is not within {least:g} to {most:g}"
+    if thing.fixed or thing.seat is not None:
+        yield "hinge", "an object with a hinge is neither fixed nor in a seat"
+
+
+def _blind_cameras(cell: Cell, arms: Collection[str]) -> Iterator[tuple[str, str]]:
+    for n, camera in enumerate(cell.cameras):
+        if camera.arm is not None and camera.arm not in arms:
+            yield f"cameras[{n}].arm", f"no arm {camera.arm}; there are {', '.join(sorted(arms))}"
+        try:
+            _ = camera.pose
+        except ValueError as error:
+            yield f"cameras[{n}].looks_at", str(error)
+
+
+def _loose_tags(cell: Cell) -> Iterator[tuple[str, str]]:
+    bodies = {seat.name for seat in cell.seats} | {thing.name for thing in cell.objects}
+    places: dict[int, int] = {}
+    for n, tag in enumerate(cell.tags):
+        if tag.body not in bodies:
+            yield f"tags[{n}].body", f"no seat or object {tag.body}; there are {', '.join(sorted(bodies))}"
+        if (other := places.setdefault(tag.id, n)) != n:
+            yield f"tags[{n}].id", f"{tag.id} is already the id of $.tags[{other}]"
+
+
+def _repeated_names(cell: Cell) -> Iterator[tuple[str, str]]:
+    seen: dict[str, str] = {}
+    for group in ("arms", "seats", "objects", "places", "regions", "cameras"):
+        for n, part in enumerate(getattr(cell, group)):
+            where = f"{group}[{n}]"
+            names = [part.name, part.end_effector] if isinstance(part, Arm) else [part.name]
+            for name in names:
+                if seen.setdefault(name, where) != where:
+                    yield f"{where}.name", f"{name} is already the name of $.{seen[name]}"
+    for group in ("seats", "objects"):
+        for n, body in enumerate(getattr(cell, group)):
+            for field in ("shapes", "grasp_points"):
+                pieces = [piece.name for piece in getattr(body, field, [])]
+                for m, name in enumerate(pieces):
+                    if name in pieces[:m]:
+                        yield f"{group}[{n}].{field}[{m}].name", f"{name} is used twice"

@@ -1,0 +1,103 @@
+"""The connection of a subsystem to the broker: decodes orders, encodes reports, notices a new broker.
+
+A message that does not decode is counted, logged (at most once per second) and dropped. An Execute that does not decode
+becomes an InvalidOrder, so that it is answered.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import chain
+
+import msgspec
+import zmq
+
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import WireError
+from rtc.protocol.wire import reader, split
+from rtc.runtime.process import Every, Process, inbox, send
+from rtc.runtime.settings import Settings
+from rtc.subsystems.base.subsystem import InvalidOrder, Outgoing
+
+PER_TURN = 20  # maximum number of messages read at once
+LOG_EVERY_S = 1.0
+
+_read_broker = reader(m.BrokerToSubsystem)
+
+
+class BrokerLink:
+    """`socket` and `monitor` are polled by `Process.wait`, unless `poll` is False."""
+
+    def __init__(self, me: Process, settings: Settings, identity: str, *, poll: bool = True) -> None:
+        self._log = me.log
+        self.socket = me.socket(zmq.DEALER, settings.endpoint("subsystems"), identity=identity, poll=poll)
+        self.monitor = self.socket.get_monitor_socket(zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED)
+        if poll:
+            me.poller.register(self.monitor, zmq.POLLIN)
+        self.connected = True  # assumed until the monitor reports otherwise: first messages are queued for the broker
+        self.dropped: Counter[str] = Counter()  # messages that did not decode
+        self._log_due = Every(LOG_EVERY_S)
+
+    def orders(self, now_s: float) -> Iterator[m.Execute | m.Pace | m.HaltOrder | m.ReportAck | InvalidOrder]:
+        """The messages of the broker."""
+        for parts in chain.from_iterable(map(split, inbox(self.socket, PER_TURN))):
+            try:
+                order = _read_broker(parts)
+            except WireError as error:
+                self._count(error, now_s)
+                if (invalid := invalid_order(parts)) is not None:
+                    yield invalid
+                continue
+            if isinstance(order, m.Declined):
+                self._log.error("the broker declined this subsystem: %s", order.refusal.message)
+            else:
+                yield order
+
+    def newly_connected(self) -> bool:
+        """True once after every new connection to the broker."""
+        found = False
+        for event_frame, *_ in inbox(self.monitor, PER_TURN):
+            event = int.from_bytes(event_frame[:2], "little")
+            self.connected = found = event == zmq.Event.HANDSHAKE_SUCCEEDED
+            self._log.info("connected to the broker" if found else "broker disconnected; continuing alone")
+        return found
+
+    def send(self, out: Outgoing) -> None:
+        """Send to the broker; without a connection the messages are dropped."""
+        if self.connected:
+            for _, message in out:
+                send(self.socket, message)
+
+    def _count(self, error: WireError, now_s: float) -> None:
+        self.dropped["broker"] += 1
+        if self._log_due.due(now_s):
+            self._log.warning("broker: dropped a message (%d so far): %s", self.dropped["broker"], error)
+
+
+class _PrimitiveHead(msgspec.Struct):
+    id: m.Name
+    performer: m.Name = ""
+
+
+class _ExecuteHead(msgspec.Struct, tag="Execute"):
+    primitive: _PrimitiveHead
+    pid: int = 0
+
+
+_read_execute = reader(m.Execute)
+_read_head = reader(_ExecuteHead)
+
+
+def invalid_order(parts: Sequence[bytes]) -> InvalidOrder | None:
+    """An Execute whose primitive does not decode: its id and the error. None if it is not an Execute or has no id."""
+    try:
+        head = _read_head(parts)
+    except WireError:
+        return None
+    try:
+        _read_execute(parts)
+    except WireError as error:
+        why = f"it is not a primitive: {error}"
+        return InvalidOrder(head.primitive.id, head.primitive.performer, head.pid, why) if head.primitive.id else None
+    return None

@@ -1,0 +1,69 @@
+"""When a primitive has reached its goal: one test per kind of trajectory. Pure.
+
+A test sees the observation of this tick and the time of the profile. The joints must rest at the goal, or lean on
+something near it; a hand must have its opening, or its force. This module must not know states or stop functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rtc.protocol import primitive as p
+from rtc.subsystems.motion.observation import Observation
+from rtc.subsystems.motion.stop_functions import Finding
+
+GOAL_RAD = 0.002  # maximum joint error at the goal
+# An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position.
+LEANING_TICKS, LEANING_RAD = 100, 0.03
+WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
+PRESSED = 0.95  # share of the commanded force at which the grip is complete
+TURNED_RAD = 1e-6  # tolerance of the turn of a spindle
+
+Arrived = Callable[[float], Finding | None]  # time of the profile (s) -> (measured, limit, '') at the goal
+
+
+def arrival(trajectory: p.Trajectory, seen: Observation, duration_s: float, turned: Callable[[], float]) -> Arrived:
+    """The test of a trajectory. `duration_s`: of its profile; `turned`: what the spindle has turned (rad)."""
+    if isinstance(trajectory, p.HandMotion):
+        return lambda time_s: _hand(trajectory, seen)
+    if isinstance(trajectory, p.SpindleMotion):
+        wanted = abs(trajectory.turn_rad) - TURNED_RAD
+        return lambda time_s: (done, wanted, "") if (done := abs(turned())) >= wanted else None
+    if isinstance(trajectory, p.HoldStill):
+        hold_s = trajectory.duration_s
+        return lambda time_s: None if hold_s is None or time_s < hold_s else (time_s, hold_s, "")
+    assert isinstance(trajectory, p.JointTrajectory)
+    return _Path(trajectory, seen, duration_s)
+
+
+class _Path:
+    """The end of a path."""
+
+    def __init__(self, trajectory: p.JointTrajectory, seen: Observation, duration_s: float) -> None:
+        self._goal, self._seen, self._duration_s = trajectory.positions[-1], seen, duration_s
+        self._leaning_ticks = 0
+
+    def __call__(self, time_s: float) -> Finding | None:
+        if time_s < self._duration_s:
+            return None
+        error, rests = self._seen.off(self._goal), self._seen.joints_rest()
+        self._leaning_ticks = self._leaning_ticks + 1 if rests else 0
+        if rests and error <= GOAL_RAD:
+            return error, GOAL_RAD, ""
+        if self._leaning_ticks >= LEANING_TICKS and error <= LEANING_RAD:
+            return error, LEANING_RAD, ""
+        return None
+
+
+def _hand(trajectory: p.HandMotion, seen: Observation) -> Finding | None:
+    if not seen.fingers_rest():
+        return None
+    error = abs(seen.width_m - trajectory.width_m)
+    if error <= WIDTH_M:
+        return error, WIDTH_M, ""
+    # On an object off the centre of the hand one finger presses more and the other less by the same amount.
+    pressed = 0.5 * sum(seen.sample.finger_forces)
+    closing = seen.width_m > trajectory.width_m
+    if closing and pressed >= PRESSED * trajectory.force_n and seen.grip_n >= 0.5 * trajectory.force_n:
+        return pressed, trajectory.force_n, ""
+    return None

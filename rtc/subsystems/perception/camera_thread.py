@@ -1,0 +1,127 @@
+"""The thread that takes pictures, one at a time, and finds the tags in each.
+
+How a picture is made is known to the driver alone, a `Cameras`: simulated ones are `sim_mcm.cameras.simulated`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import socket
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtc.model.cells.cell import Cell
+from rtc.protocol.outcomes import RtcError
+from rtc.sensing import optics
+from rtc.sensing.optics import Window
+from rtc.subsystems.perception.look_task import Evaluated
+
+if TYPE_CHECKING:
+    from rtc.sensing.detector import TagDetector
+
+IDLE_S = 30.0  # after this time without a picture the driver releases what only pictures need
+
+
+class Photograph(NamedTuple):
+    at_s: float  # time of the exposure
+    parts: Sequence[NDArray[np.uint8]]  # the windows of the picture, or the whole picture alone
+    tcp: list[float] | None  # measured pose of the hand that carries the camera, world frame
+
+
+class Cameras(Protocol):
+    def photograph(self, camera: str, windows: Sequence[Window] = ()) -> Photograph:
+        """A picture, or windows of it. Raises RtcError without one."""
+
+    def release(self) -> None:
+        """Release what only pictures need."""
+
+
+class Failed(NamedTuple):
+    """A camera gave no picture."""
+
+    why: str
+
+
+class _Order(NamedTuple):
+    camera: str
+    windows: Mapping[int, Window]  # by tag; empty: the whole picture
+
+
+class Result(NamedTuple):
+    camera: str
+    found: Evaluated | Failed
+
+
+class CameraThread:
+    """Takes pictures in a thread. `wake_fd` becomes readable with each result. `cameras` makes the driver, in it."""
+
+    def __init__(self, cell: Cell, cameras: Callable[[], Cameras], idle_s: float = IDLE_S) -> None:
+        self._cell, self._cameras, self._idle_s = cell, cameras, idle_s
+        self._wanted: queue.SimpleQueue[_Order | None] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[Result] = queue.SimpleQueue()
+        self._wake_end, self._wake_start = socket.socketpair()
+        self._wake_end.setblocking(False)
+        self.wake_fd = self._wake_end.fileno()
+        self.busy = False  # a picture is under way
+        self._thread: threading.Thread | None = None
+
+    def look(self, camera: str, windows: Mapping[int, Window] | None = None) -> None:
+        """Order a picture; one at a time. `windows`: only the parts in which these tags are expected."""
+        assert not self.busy
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, daemon=True)
+            self._thread.start()
+        self.busy = True
+        self._wanted.put(_Order(camera, windows or {}))
+
+    def result(self) -> Result | None:
+        """The picture that was ordered, if it is there."""
+        with contextlib.suppress(BlockingIOError):
+            self._wake_end.recv(64)
+        try:
+            found = self._results.get_nowait()
+        except queue.Empty:
+            return None
+        self.busy = False
+        return found
+
+    def close(self) -> None:
+        if self._thread is not None:
+            self._wanted.put(None)
+            self._thread.join(2.0)
+
+    def _work(self) -> None:
+        from rtc.sensing.detector import TagDetector  # its library is loaded with the first look
+
+        detector, cameras = TagDetector(), self._cameras()
+        while True:
+            try:
+                order = self._wanted.get(timeout=self._idle_s)
+            except queue.Empty:
+                cameras.release()
+                order = self._wanted.get()
+            if order is None:
+                cameras.release()
+                return
+            try:
+                found: Evaluated | Failed = self._evaluated(order, cameras, detector)
+            except RtcError as error:
+                found = Failed(f"{order.camera} gives no picture: {error}")
+            self._results.put(Result(order.camera, found))
+            self._wake_start.send(b"\0")
+
+    def _evaluated(self, order: _Order, cameras: Cameras, detector: TagDetector) -> Evaluated:
+        """Raises RtcError without a picture."""
+        taken = cameras.photograph(order.camera, list(order.windows.values()))
+        view = optics.view(self._cell.camera(order.camera), taken.tcp)
+        if not order.windows:
+            (image,) = taken.parts
+            return Evaluated(taken.at_s, view, image, detector.find(image))
+        parts = zip(order.windows.items(), taken.parts, strict=True)
+        marks = detector.find_in({tag: (window, image) for (tag, window), image in parts})
+        return Evaluated(taken.at_s, view, None, marks)

@@ -1,0 +1,56 @@
+"""S&P as a subsystem (`rtc.subsystems.base`): its performers are cameras. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from rtc.protocol.primitive import Primitive
+from rtc.subsystems.base.subsystem import Outgoing, Reports, Subsystem, in_scope
+from rtc.subsystems.perception.camera import MOST_LOOKS, Camera
+
+NAME = "S&P"
+
+
+class PerceptionSubsystem(Subsystem[Camera]):
+    """`scale`: our seconds per second of the simulation."""
+
+    def __init__(self, cameras: Iterable[str], pid: int = 0, scale: float = 1.0) -> None:
+        super().__init__({name: Camera(name, scale) for name in cameras}, NAME, pid, queues=True)
+
+    def next_camera(self, now_s: float) -> Camera | None:
+        """The camera whose next picture has been due for longest; None: none is due."""
+        due = [(camera.due_s, camera) for camera in self.performers.values()]
+        waiting = [(due_s, camera) for due_s, camera in due if due_s is not None and due_s <= now_s]
+        return min(waiting, key=lambda one: one[0])[1] if waiting else None
+
+    def due_s(self) -> float:
+        """When the next picture is due; infinite: none is wanted."""
+        return min((due_s for one in self.performers.values() if (due_s := one.due_s) is not None), default=math.inf)
+
+    def _primitives(self, performer: Camera) -> list[str]:
+        return performer.primitives
+
+    def _busy(self, primitive: Primitive) -> str:
+        """Why a further camera of the look cannot take pictures for it."""
+        further = primitive.performers[1:]
+        unknown = [name for name in further if name not in self.performers]
+        full = [name for name in further if name in self.performers and self.performers[name].full]
+        if unknown:
+            return f"{self.name} has no {', '.join(unknown)}; it has {', '.join(self.performers)}"
+        return f"{', '.join(full)}: {MOST_LOOKS} looks already" if full else ""
+
+    def _accept(self, performer: Camera, primitive: Primitive, now_s: float) -> Reports:
+        reports = performer.accept(primitive, now_s)
+        for name in primitive.performers[1:]:
+            performer.share(primitive.id, self.performers[name])
+        return reports
+
+    def _tick(self, performer: Camera, now_s: float) -> Outgoing:
+        return self._sent(performer.tick(now_s), now_s)
+
+    def _stop(self, performer: Camera, scope: str) -> bool:
+        return performer.halt(scope)
+
+    def _rests(self, performer: Camera, scope: str) -> bool:
+        return not any(in_scope(scope, performer.name, primitive) for primitive in performer.primitives)

@@ -1,0 +1,60 @@
+"""First cells of two arms that the project does not know, from the URDF files of pybullet_data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pybullet_data
+import pytest
+
+from rtc.apps.authoring.draft import Draft, draft
+from rtc.model.cells.cell import Cell
+from tests.apps.authoring import small_arms
+
+DATA = Path(pybullet_data.getDataPath())
+ARMS = {
+    "PANDA": (DATA / "franka_panda" / "panda.urdf", ""),
+    "IIWA": (DATA / "kuka_iiwa" / "model.urdf", ""),
+    "XARM": (DATA / "xarm" / "xarm6_with_gripper.urdf", "link6"),
+}
+
+
+@pytest.fixture(scope="session")
+def first_cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The file of the first cell of an arm, as `rtc cell new` writes it."""
+    made: dict[str, Path] = {}
+
+    def file_of(arm: str) -> Path:
+        if arm not in made:
+            urdf, tip = ARMS[arm]
+            made[arm] = _written(draft(urdf, arm, tip), tmp_path_factory.mktemp(arm.lower()))
+        return made[arm]
+
+    return file_of
+
+
+@pytest.fixture(scope="session")
+def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Cell]:
+    """The first cell of one of the small arms, which is named UNIT there."""
+
+    def cell_of(kind: str) -> Cell:
+        folder = tmp_path_factory.mktemp(kind.lower())
+        urdf = folder / "arm.urdf"
+        urdf.write_text(small_arms.urdf("arm", getattr(small_arms, kind)))
+        return Cell.load(_written(draft(urdf, "UNIT"), folder))
+
+    return cell_of
+
+
+def _written(found: Draft, folder: Path) -> Path:
+    """The cell file, beside its other files."""
+    for name, text in {**found.files, "cell.yaml": found.yaml}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder / "cell.yaml"
+
+
+@pytest.fixture
+def panda_cell(first_cell: Callable[[str], Path]) -> Cell:
+    return Cell.load(first_cell("PANDA"))

@@ -1,0 +1,54 @@
+"""Ctrl-C at any moment after Python itself has started: one line, exit status 130, no traceback, nothing left."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+#: `rtc`, announced on stderr as soon as its first function can be called
+RTC = """
+import os, signal, sys
+from rtc.apps.cli import entry, interrupts
+signal.signal(signal.SIGINT, interrupts.leave)
+os.write(2, b"!")
+entry.main()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [["up", "--mcm", "kinematic"], ["demo"]])
+@pytest.mark.parametrize("after_s", [0.03, 0.1, 0.3])
+def test_interrupted_early(words: list[str], after_s: float, tmp_path: Path) -> None:
+    environment = {**os.environ, "RTC_RUN_DIR": str(tmp_path)}
+    command = [sys.executable, "-P", "-c", RTC, *words]
+    rtc = subprocess.Popen(
+        command,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=tmp_path,
+    )
+    assert rtc.stderr is not None
+    assert rtc.stderr.read(1) == b"!"
+    select.select([], [], [], after_s)  # any moment is good: each finds the command somewhere else
+    rtc.send_signal(signal.SIGINT)
+    _, errors = rtc.communicate(timeout=60)
+    lines = errors.decode().splitlines()
+
+    assert not any("Traceback" in line for line in lines), errors
+    assert lines[-1] in ("rtc: interrupted", "rtc: stopped before the cluster was ready")
+    assert rtc.returncode in (130, 1)
+
+
+def test_nothing_slow_is_imported_before_ctrl_c_is_handled() -> None:
+    """Before that, Ctrl-C meets Python's own traceback."""
+    code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import rtc.apps.cli.entry; print(*sys.modules)"
+    bare = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=True)
+    assert not {"typing", "re", "pathlib", "msgspec", "typer"} & set(bare.stdout.split())

@@ -1,0 +1,44 @@
+"""Names that fit where they are offered, in the sentence that is being typed."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc.apps.cli.offers import CellNames
+from rtc.language.completion import complete
+from rtc.language.parse import default_grammar
+from rtc.model.cells.cell import Cell
+
+MODULES = ["MACS-NEW", "MACS-OLD"]
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("GRASP ", MODULES),
+        ("GRASP RIGHT-END-EFF ", MODULES),
+        ("GRASP RIGHT-END-EFF MACS-NEW ", ["HANDLE-A", "HANDLE-B"]),
+        ("TEST GRASP macs_new h", ["HANDLE-A", "HANDLE-B"]),
+        ("GRASP MACS-NEW AT ", ["HANDLE-A", "HANDLE-B"]),
+        ("APPROACH SATELLITE ", []),
+        ("LIFT ", MODULES),
+        ("PLACE MACS-NEW ON ", ["BAY-2", "RACK-1", "RACK-2"]),
+        ("MOVE RIGHT-ARM TO R", ["RACK-1-FRONT", "RACK-2-FRONT"]),
+        ("MOVE RIGHT-ARM TO-NEIGHBORHOOD-OF ", [*MODULES, "SATELLITE"]),
+        ("MOVE RIGHT-ARM BY 5 CM ALONG T", ["TOOL-X", "TOOL-Y", "TOOL-Z"]),
+        ("STOW LEFT-ARM MAINTAIN AVOID-TASK-REGION ", ["BAY-2-RANGE", "CELL-RANGE", "SOLAR-ARRAY"]),
+        ("LIFT MACS-NEW MAINTAIN POSE-DURING-MOTION ", ["LEVEL"]),
+        ("STOW LEFT-ARM AFTER ", ["LAST"]),
+        ("VERIFY ", [*MODULES, "SATELLITE"]),
+        ("SET ", None),
+        ("", None),
+    ],
+)
+def test_names_that_fit(text: str, names: list[str] | None, cell: Cell) -> None:
+    grammar = default_grammar()
+    reserved = grammar.vocabulary.reserved
+    offered = [word for word in complete(grammar, text, CellNames(cell)) if word not in reserved]
+    if names is not None:
+        assert offered == names
+    elif text:
+        assert set(MODULES) < set(offered)

@@ -1,0 +1,139 @@
+"""The chain of causes, from the notes of a command."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from rtc.apps.cli.trace import address, as_json, chain, link, waits_for
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
+
+
+def note(phase: m.Phase, **fields: Any) -> m.ProgressNote:
+    return m.ProgressNote(seq=1, at_s=10.5, command="C-7", phase=phase, **fields)
+
+
+def failed_in_step_2() -> m.CommandRecord:
+    """As the Decision Unit tells it: what ends a phase bears the phase and the step that follow."""
+    one, two = "1 of 2: go before HANDLE-A", "2 of 2: feel one side"
+    notes = [
+        note(m.Phase.PARSING),
+        note(m.Phase.ELABORATING, node="parser@0", took_s=0.001),
+        note(m.Phase.ELABORATING, node="elaborator@1", took_s=0.002, note="grasp-centering of 2 candidates"),
+        note(m.Phase.BINDING, node="elaborator@1", took_s=0.002, step=one),
+        note(m.Phase.EXECUTING, node="binder@2", took_s=0.02, step=one),
+        note(m.Phase.EXECUTING, node="MCM", step=one, note="started"),
+        note(m.Phase.ANALYZING, node="MCM", took_s=2.5, step=one, note="ended: goal"),
+        note(m.Phase.ANALYZING, node="analyzer@3", took_s=0.001, step=one, note="goal: as expected"),
+        note(m.Phase.BINDING, node="analyzer@3", took_s=0.001, step=two),
+        note(m.Phase.EXECUTING, node="binder@2", took_s=0.01, step=two, note="0.8 s predicted"),
+        note(m.Phase.ANALYZING, node="MCM", took_s=1.0, step=two, note="ended: force_limit"),
+        note(m.Phase.ENDED, node="analyzer@3", took_s=0.001, step=two, note="failed: a finger landed on the handle"),
+    ]
+    outcome = Outcome(kind=OutcomeKind.FAILED, message="a finger landed on the handle", stop=StopReason.FORCE_LIMIT)
+    return m.CommandRecord(
+        command="C-7",
+        text="GRASP MACS-OLD",
+        source="aip",
+        request="r",
+        accepted_at_s=10.0,
+        phase=m.Phase.ENDED,
+        notes=notes,
+        outcome=outcome,
+        ended_at_s=14.0,
+    )
+
+
+def test_a_failure_has_every_link_of_its_last_step_and_one_line_for_the_others() -> None:
+    assert chain(failed_in_step_2()) == [
+        "C-7 was given by the aip: GRASP MACS-OLD",
+        "parsed by parser@0 in 1.00 ms",
+        "planned by elaborator@1 in 2.00 ms: grasp-centering of 2 candidates",
+        "script line 1 of 2: go before HANDLE-A: MCM ended: goal after 2.50 s",
+        "script line 2 of 2: feel one side",
+        "    bound by binder@2 in 10 ms: 0.8 s predicted",
+        "    reported by MCM in 1.00 s: ended: force_limit",
+        "    judged by analyzer@3 in 1.00 ms: failed: a finger landed on the handle",
+    ]
+
+
+def test_the_start_of_a_motion_has_no_duration() -> None:
+    assert link(note(m.Phase.EXECUTING, node="MCM", note="started")) == "started by MCM"
+
+
+def test_a_held_command_says_for_whom_it_waits() -> None:
+    record = m.CommandRecord(
+        command="C-8",
+        text="STOW RIGHT-ARM",
+        source="operator",
+        request="r",
+        accepted_at_s=10.0,
+        phase=m.Phase.HELD,
+        notes=[note(m.Phase.HELD, note="RIGHT-ARM is in use by C-7")],
+    )
+    assert chain(record)[-1] == "held: RIGHT-ARM is in use by C-7"
+
+
+def held(words: str) -> m.CommandRecord:
+    notes = [note(m.Phase.HELD, note=words)]
+    return m.CommandRecord(
+        command="C-8", text="X", source="operator", request="r", accepted_at_s=10.0, phase=m.Phase.HELD, notes=notes
+    )
+
+
+def test_a_held_command_shows_its_present_owner_the_line_before_it_and_what_clears_it() -> None:
+    """The note names the owner when the waiting began; another one has the arm now."""
+    status = {
+        "resources": [
+            {"name": "LEFT-ARM", "owner": "C-1", "waiting": []},
+            {"name": "RIGHT-ARM", "owner": "C-6", "waiting": ["C-7", "C-8", "C-9"]},
+        ],
+        "commands": [
+            {"command": name, "text": f"text of {name}", "phase": "executing", "step": "1 of 1: go"}
+            for name in ("C-1", "C-6", "C-7", "C-8")
+        ],
+    }
+    waits, clears = waits_for(status, held("RIGHT-ARM is in use by C-5"))
+    assert all(word in waits for word in ("RIGHT-ARM", "C-6", "executing", "text of C-6", "C-7"))
+    assert "C-5" not in waits
+    assert "C-1" not in waits
+    assert all(word in clears for word in ("wait for C-6, C-7", "ABORT C-6", "ABORT C-8"))
+
+
+def test_a_command_that_waits_for_another_shows_that() -> None:
+    waits, clears = waits_for({"resources": [], "commands": []}, held("waits for C-5 to succeed"))
+    assert waits == "waits for C-5 to succeed"
+    assert clears.endswith("ABORT C-8")
+
+
+def test_a_closed_resource_has_no_owner_to_abort() -> None:
+    resources = [{"name": "RIGHT-ARM", "owner": "quarantine: MCM", "waiting": ["C-8"]}]
+    (waits,) = waits_for({"resources": resources, "commands": []}, held("RIGHT-ARM is in use by MCM"))
+    assert "rtc status" in waits
+
+
+def test_a_worker_has_an_address_in_the_cube_and_a_subsystem_has_none() -> None:
+    assert [address(node) for node in ("binder@2", "parser@4", "MCM", "")] == ["10", "100", "", ""]
+
+
+def test_json_has_times_since_acceptance_and_addresses() -> None:
+    record_json = as_json(failed_in_step_2())
+    assert record_json["notes"][4]["since_accept_s"] == 0.5
+    assert record_json["notes"][4]["address"] == "10"
+    assert record_json["outcome"]["kind"] == "failed"
+
+
+def test_what_the_analyzer_found_in_a_report_is_in_the_line_of_its_step() -> None:
+    step = "1 of 1: look for MACS-OLD with CAMERA-2"
+    notes = [
+        note(m.Phase.ANALYZING, node="S&P", took_s=0.4, step=step, note="ended: found"),
+        note(
+            m.Phase.ENDED, node="analyzer@3", step=step, note="look for MACS-OLD with CAMERA-2; 20.0 mm off; tags 8, 9"
+        ),
+    ]
+    record = msgspec.structs.replace(
+        failed_in_step_2(), notes=notes, outcome=Outcome(kind=OutcomeKind.SUCCEEDED, steps_done=1)
+    )
+    assert chain(record)[-1] == f"script line {step}: S&P ended: found after 400 ms; 20.0 mm off; tags 8, 9"

@@ -1,0 +1,87 @@
+"""Keys as people type them, values as people read them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rtc.apps.cli.world import changing, shown, spelt, stated, units_in
+from rtc.model.cells.cell import Cell
+from rtc.protocol import messages as m
+
+UNITS = {"LEFT-ARM": ("deg", "deg"), "RIGHT-ARM": ("deg", "deg"), "GANTRY": ("mm", "deg")}
+
+
+@pytest.mark.parametrize(
+    ("typed", "key"), [("macs_new.frame", "MACS-NEW.frame"), ("RIGHT-ARM", "RIGHT-ARM"), ("bay-2.SEAT", "BAY-2.seat")]
+)
+def test_a_key_is_spelt_as_the_database_does(typed: str, key: str) -> None:
+    assert spelt(typed) == key
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [([0.123456, 1.0], "[0.1235 1]"), (None, "-"), ("", "-"), ("RACK-1", "RACK-1"), (-0.00001, "0")]
+)
+def test_a_value_is_readable(value: Any, text: str) -> None:
+    assert shown(value) == text
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [
+        ("MACS-NEW.frame", [0.8, -0.8, 0.605, 0.0, 0.0, 1.0, 0.0], "80 -80 60.5 cm, 0 0 180 deg"),
+        ("MACS-NEW.grasp", None, "-"),
+        ("LEFT-ARM.joints", [1.5707963, 0.0], "90 0 deg"),
+        ("GANTRY.joints", [-0.05, 1.5707963], "-50 mm, 90 deg"),
+        ("OVER.posture_of_gantry", [0.5, 0.0], "500 mm, 0 deg"),
+        ("STRANGE.joints", [0.5, 0.0], "[0.5 0] (rad, or m of a joint that slides)"),
+        ("GANTRY.joints", None, "-"),
+        ("LEFT-ARM.hand_width", 0.08, "8 cm"),
+        ("MACS-NEW.mass", 2.0, "2 kg"),
+        ("MACS-NEW.seat", "RACK-1", "RACK-1"),
+        ("BOLT.turns", 2.5, "2.5"),
+    ],
+)
+def test_a_fact_is_stated_in_the_units_of_sentences(key: str, value: Any, text: str) -> None:
+    fact = m.Fact(key=key, value=value, validity=m.Validity.VALID, version=1, source="cell", at_s=0.0)
+    assert stated(fact, UNITS) == text
+
+
+def test_the_units_of_joints_are_those_of_the_cell() -> None:
+    units = units_in(Cell.load("gantry"))
+    assert units["GANTRY"] == ("mm", "mm", *("deg",) * 6)
+
+
+def test_the_goal_of_a_slide_is_stated_in_millimetres() -> None:
+    path = {"time_s": [0.0, 4.0], "positions": [[0.0, 0.0], [0.25, 0.0]]}
+    value = {"primitive": "C-2.1@x", "started_ago_s": 1.5, **path}
+    fact = m.Fact(key="GANTRY.motion", value=value, validity=m.Validity.CHANGING, version=1, source="C-2", at_s=0.0)
+    assert stated(fact, UNITS) == "to 250 mm, 0 deg in 4.0 s, started 1.5 s ago (C-2.1@x)"
+
+
+def test_what_a_moving_arm_changes_is_shown_as_changing_with_its_path_and_start() -> None:
+    values = {
+        "RIGHT-ARM.joints": [0.0, 0.0],
+        "RIGHT-ARM.holding": "MACS-NEW",
+        "MACS-NEW.frame": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+        "MACS-NEW.held_by": "RIGHT-ARM",
+        "MACS-OLD.frame": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+        "LEFT-ARM.joints": [0.0, 0.0],
+    }
+    facts = [
+        m.Fact(key=key, value=value, validity=m.Validity.VALID, version=n, source="C-1/5", at_s=1.0)
+        for n, (key, value) in enumerate(values.items())
+    ]
+    path = {"time_s": [0.0, 4.0], "positions": [[0.0, 0.0], [1.5707963, 0.0]]}
+    motion = {"arm": "RIGHT-ARM", "command": "C-2", "primitive": "C-2.1@x", "started_ago_s": 1.5, **path}
+
+    found = {fact.key: fact for fact in changing(facts, [motion], 10.0, whole=True)}
+
+    moved = {"RIGHT-ARM.joints", "MACS-NEW.frame", "RIGHT-ARM.motion"}
+    assert {key for key, fact in found.items() if fact.validity is m.Validity.CHANGING} == moved
+    assert found["RIGHT-ARM.motion"].value["positions"] == path["positions"]
+    assert found["RIGHT-ARM.motion"].at_s == 8.5
+    assert stated(found["RIGHT-ARM.motion"], UNITS) == "to 90 0 deg in 4.0 s, started 1.5 s ago (C-2.1@x)"
+    assert len(changing(facts[:1], [motion], 10.0, whole=False)) == 1
+    assert changing(facts, [], 10.0, whole=True) == facts

@@ -1,0 +1,51 @@
+"""The main job, as `make demo` runs it: it checks itself against the simulator."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from rtc.apps.demos import door, faults
+
+
+def test_an_arm_is_judged_over_several_samples_however_quickly_the_broker_is_back():
+    """Telemetry comes every 20 ms; a broker may be back after 5."""
+    samples = [(0.02 * n, 0.3) for n in range(100)]
+    assert faults.judged_speed_rad_s(samples, struck_s=1.001, back_s=0.005) == 0.3
+    assert faults.judged_speed_rad_s([*samples, (1.1, 0.01)], struck_s=1.001, back_s=0.005) == 0.01
+    assert faults.judged_speed_rad_s([], struck_s=1.001, back_s=0.005) == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.untimed
+@pytest.mark.timeout(400)
+def test_the_grasp_demo_passes_all_its_checks_and_leaves_its_pictures(tmp_path):
+    command = [sys.executable, "-m", "rtc.apps.cli.main", "demo", "grasp", "--speed", "max"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=380)
+    failed = [line for line in done.stdout.splitlines() if "FAIL" in line]
+    assert (done.returncode, failed) == (0, []), done.stdout[-3000:]
+    assert len(list((tmp_path / "out").glob("*.png"))) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.untimed
+@pytest.mark.timeout(400)
+def test_the_door_demo_opens_takes_out_inserts_and_closes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(door, "FRAME_S", 20.0)  # a film of a few frames: drawing them all takes a minute
+    with Console(record=True, width=200) as console:
+        passed = door.run(console, "max", tmp_path)
+    assert passed, console.export_text()[-3000:]
+    assert (tmp_path / "door.gif").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_the_faults_demo_passes_all_its_checks():
+    """At real speed: it strikes in the middle of motions."""
+    with Console(record=True, width=200) as console:
+        passed = faults.run(console)
+    assert passed, console.export_text()[-3000:]

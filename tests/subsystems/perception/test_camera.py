@@ -1,0 +1,396 @@
+"""A camera as a performer, on pictures with exact corners: what it finds, when it gives up, what it refuses."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from rtc.drawing.scene import SceneView
+from rtc.protocol import messages as m
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import StopReason
+from rtc.spatial import geometry
+from rtc.subsystems.base.subsystem import BROKER, REPEAT_S
+from rtc.subsystems.perception.camera import MOST_LOOKS, Camera
+from rtc.subsystems.perception.subsystem import PerceptionSubsystem
+from tests.workers.eyes import PERIOD_S, Ideal
+
+MODULE, FACE = "MACS-NEW", "SATELLITE"
+UNSEEN_S = 1.0
+
+
+@pytest.fixture
+def eyes(cell):
+    return Ideal(cell)
+
+
+@pytest.fixture
+def look(cell):
+    def build(body: str = MODULE, id: str = "C-1.1", camera: str = "CAMERA-1", **how: object) -> p.Primitive:
+        every_s = how.pop("report_s", None)
+        follows = "duration_s" in how
+        goal = StopReason.GOAL if follows else StopReason.FOUND
+        return p.Primitive(
+            id=id,
+            performer=camera,
+            trajectory=p.Look(
+                tags=[
+                    p.TagGeometry(id=tag.id, size_m=tag.size_m, pose=tag.frame.pose.tolist())
+                    for tag in cell.tags
+                    if tag.body == body
+                ],
+                believed=cell.object_pose(body).tolist(),
+                **how,  # type: ignore[arg-type]
+            ),
+            stop_functions=[
+                p.StopFunction(reason=goal, when=p.GoalReached()),
+                p.StopFunction(reason=StopReason.NOT_SEEN, when=p.UnseenAbove(UNSEEN_S)),
+                p.StopFunction(reason=StopReason.TIMEOUT, when=p.TimeAbove(20.0)),
+            ],
+            reporting=p.Reporting(every_s=every_s),  # type: ignore[arg-type]
+        )
+
+    return build
+
+
+def at(cell, body: str, by: list[float], yaw_deg: float = 0.0) -> tuple[SceneView, list[float]]:
+    """A scene with this body displaced, and its true pose."""
+    pose = geometry.compose(
+        geometry.translate(cell.object_pose(body), by), geometry.from_rpy((0, 0, 0), (0, 0, math.radians(yaw_deg)))
+    )
+    return SceneView(poses={body: pose.tolist()}), pose.tolist()
+
+
+def test_a_body_is_found_where_it_is_and_not_where_it_is_believed_to_be(cell, eyes, look) -> None:
+    scene, true = at(cell, MODULE, [0.01, -0.02, 0.0], yaw_deg=5.0)
+    report = eyes.perform(look(pictures=2, every_s=0.3), scene)
+    assert report.reason is StopReason.FOUND
+    assert report.joints == report.tcp_pose == []
+    seen = report.sighting
+    assert geometry.distance(seen.pose, true) < 1e-6
+    assert geometry.angle(seen.pose, true) < 1e-6
+    assert (seen.pictures, seen.ambiguous) == (2, False)
+    assert seen.velocity == pytest.approx([0.0] * 6, abs=1e-6)
+    assert {0, 1, 2, 3} <= set(seen.tags)
+    assert 0.0 <= seen.age_s < 2 * PERIOD_S
+    assert 0.0 < math.sqrt(seen.covariance[0]) < 0.002
+
+
+def test_what_is_out_of_view_is_not_seen_and_the_report_states_why(cell, eyes, look) -> None:
+    report = eyes.perform(look(body="MACS-OLD"), SceneView())
+    assert report.reason is StopReason.NOT_SEEN
+    assert report.message == "out of view"
+    assert report.sighting is None
+    assert report.measured >= UNSEEN_S
+
+
+def test_a_camera_without_pictures_does_not_claim_that_it_sees_nothing(look) -> None:
+    camera = Camera("CAMERA-1")
+    camera.accept(look(), 10.0)
+    camera.fail("its cable is out", 10.1)
+    assert camera.tick(10.0 + 5 * UNSEEN_S) == []
+    (report,) = camera.tick(31.0)
+    assert report.reason is StopReason.TIMEOUT
+    assert report.message == "its cable is out"
+
+
+def test_a_picture_from_before_the_look_is_not_used(cell, eyes, look) -> None:
+    camera = Camera("CAMERA-1")
+    camera.accept(look(), eyes.now_s + 1.0)
+    camera.take(eyes.picture("CAMERA-1", SceneView()))
+    assert camera.tick(eyes.now_s + 1.0) == []
+
+
+def test_one_camera_serves_several_looks_in_turn_and_a_halt_ends_its_command_only(cell, eyes, look) -> None:
+    camera = Camera("CAMERA-1")
+    camera.accept(look(id="C-1.1", duration_s=60.0), eyes.now_s)
+    camera.accept(look(id="C-2.1", duration_s=60.0), eyes.now_s)
+    eyes.now_s += PERIOD_S
+    camera.take(eyes.picture("CAMERA-1", SceneView()))
+    camera.accept(look(id="C-3.1"), eyes.now_s)
+    eyes.now_s += PERIOD_S
+    camera.take(eyes.picture("CAMERA-1", SceneView()))
+    (found,) = camera.tick(eyes.now_s)
+    assert (found.primitive, found.reason) == ("C-3.1", StopReason.FOUND)
+
+    assert camera.halt("C-1")
+    (halted,) = camera.tick(eyes.now_s)
+    assert (halted.primitive, halted.reason) == ("C-1.1", StopReason.HALT)
+    assert halted.sighting is not None  # what it has seen until then
+    assert camera.primitives == ["C-2.1"]
+    assert not camera.halt("C-1")
+
+
+def test_a_slowly_turning_body_is_followed_ten_times_a_second(cell, eyes, look) -> None:
+    """A degree per second about the axis of the bay, and 2 mm/s to the left."""
+    camera, rate, speed = Camera("CAMERA-3"), math.radians(1.0), 0.002
+    camera.accept(look(FACE, camera="CAMERA-3", duration_s=3.0, report_s=0.1), eyes.now_s)
+    begun_s, messages = eyes.now_s, []
+    while not messages or not isinstance(messages[-1], m.EndReport):
+        eyes.now_s += 0.02
+        if eyes.now_s >= camera.due_s:
+            after_s = eyes.now_s - begun_s
+            turned = geometry.from_rpy((0, speed * after_s, 0), (rate * after_s, 0, 0))
+            pose = geometry.make_pose(
+                cell.object_pose(FACE)[:3] + turned[:3], geometry.compose(turned, cell.object_pose(FACE))[3:]
+            )
+            camera.take(eyes.picture("CAMERA-3", SceneView(poses={FACE: pose.tolist()})))
+        messages += camera.tick(eyes.now_s)
+    *progress, end = messages
+    assert end.reason is StopReason.GOAL
+    assert end.duration_s == pytest.approx(3.0, abs=0.05)
+    assert len(progress) == pytest.approx(30, abs=2)
+    assert end.sighting.velocity == pytest.approx([0, speed, 0, rate, 0, 0], abs=1e-4)
+    turned = [geometry.angle(one.sighting.pose, cell.object_pose(FACE)) for one in progress]
+    assert np.all(np.diff(turned) > 0.0)
+
+
+def test_a_look_for_a_body_at_rest_measures_that_it_moves(cell, eyes, look) -> None:
+    camera, speed = Camera("CAMERA-1"), 0.003
+    camera.accept(look(pictures=2, every_s=0.3), eyes.now_s)
+    begun_s, messages = eyes.now_s, []
+    while not messages:
+        eyes.now_s += 0.02
+        if camera.due_s is not None and eyes.now_s >= camera.due_s:
+            scene, _ = at(cell, MODULE, [0.0, 0.0, speed * (eyes.now_s - begun_s)])
+            camera.take(eyes.picture("CAMERA-1", scene))
+        messages += camera.tick(eyes.now_s)
+    (end,) = messages
+    assert end.reason is StopReason.FOUND
+    assert end.sighting.pictures == 2
+    assert end.sighting.velocity == pytest.approx([0.0, 0.0, speed, 0.0, 0.0, 0.0], abs=1e-5)
+
+
+def test_a_body_that_goes_out_of_sight_ends_the_following(cell, eyes, look) -> None:
+    camera = Camera("CAMERA-1")
+    camera.accept(look(duration_s=60.0), eyes.now_s)
+    sent = []
+    for n in range(40):
+        eyes.now_s += PERIOD_S
+        eyes.blind = n >= 10
+        camera.take(eyes.picture("CAMERA-1", SceneView()))
+        sent += camera.tick(eyes.now_s)
+    (end,) = sent
+    assert end.reason is StopReason.NOT_SEEN
+    assert end.sighting.age_s >= UNSEEN_S
+
+
+def test_a_body_that_is_followed_is_looked_for_where_it_is_expected(cell, eyes, look) -> None:
+    """Windows of a tenth of the picture; the whole picture again when it is not there, and for another look."""
+    camera = Camera("CAMERA-3")
+    camera.accept(look(FACE, camera="CAMERA-3", duration_s=60.0), eyes.now_s)
+    assert camera.windows(eyes.now_s) == {}
+    for n in range(5):
+        scene, _ = at(cell, FACE, [0.0, 0.01 * n, 0.0])
+        eyes.now_s += PERIOD_S
+        camera.take(eyes.picture("CAMERA-3", scene))
+    eyes.now_s += PERIOD_S
+    parts = camera.windows(eyes.now_s)
+    whole = eyes.picture("CAMERA-3", at(cell, FACE, [0.0, 0.05, 0.0])[0])  # it goes on
+    assert {tag.id for tag in cell.tags if tag.body == FACE} == set(parts)
+    assert sum(window.width * window.height for window in parts.values()) < 0.12 * 640 * 480
+    for mark in (mark for mark in whole.marks if mark.tag in parts):
+        x, y, width, height = parts[mark.tag]
+        assert np.all(mark.corners >= (x, y))
+        assert np.all(mark.corners <= (x + width, y + height))
+
+    camera.take(whole._replace(image=None, marks=[]))
+    assert camera.windows(eyes.now_s) == {}
+    assert camera.due_s <= eyes.now_s  # at once
+    camera.take(whole)
+    assert camera.tick(eyes.now_s) == []
+    eyes.now_s += PERIOD_S
+    assert camera.windows(eyes.now_s)
+    camera.accept(look("MACS-OLD", id="C-2.1", camera="CAMERA-3"), eyes.now_s)
+    assert camera.windows(eyes.now_s) == {}
+
+
+def refused(camera: Camera, made: p.Primitive) -> str:
+    (answer,) = camera.accept(made, 0.0)
+    assert answer.reason is StopReason.REFUSED
+    assert camera.primitives == [] or len(camera.primitives) == MOST_LOOKS
+    return answer.message
+
+
+def test_what_a_camera_cannot_do_is_refused(look) -> None:
+    camera, good = Camera("CAMERA-1"), look()
+    complete = good.stop_functions
+
+    def changed(**fields: object) -> p.Primitive:
+        return p.Primitive(**{name: getattr(good, name) for name in good.__struct_fields__} | fields)
+
+    assert "cannot execute a HoldStill" in refused(camera, changed(trajectory=p.HoldStill()))
+    force = p.StopFunction(reason=StopReason.FORCE_LIMIT, when=p.ForceAbove(limit_n=5.0))
+    assert "cannot watch ForceAbove" in refused(camera, changed(stop_functions=[*complete, force]))
+    nowhere = p.Look(tags=good.trajectory.tags, believed=[math.nan] * 7)
+    assert "not 7 finite numbers" in refused(camera, changed(trajectory=nowhere))
+    for n in range(MOST_LOOKS):
+        camera.accept(look(id=f"C-{n}.1"), 0.0)
+    assert f"{MOST_LOOKS} looks already" in refused(camera, look(id="C-99.1"))
+
+
+def test_an_arm_refuses_to_look(cell, make_arm, look) -> None:
+    answers = make_arm.accept(look(camera="RIGHT-ARM"), 0.0)
+    assert answers[0].reason is StopReason.REFUSED
+    assert "only a camera looks" in answers[0].message
+
+
+@pytest.fixture
+def make_arm(cell):
+    from rtc.subsystems.motion.executor import Executor
+    from sim_mcm.arms.kinematic_arm import KinematicCell
+
+    return Executor(KinematicCell(cell).arms["RIGHT-ARM"])
+
+
+# --- the subsystem ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def subsystem(cell):
+    return PerceptionSubsystem([camera.name for camera in cell.cameras], pid=7)
+
+
+def test_its_hello_states_that_cameras_are_queues(subsystem) -> None:
+    ((_, hello),) = subsystem.hello()
+    assert hello.name == "S&P"
+    assert hello.queues == hello.performers == ["CAMERA-1", "CAMERA-2", "CAMERA-3", "CAMERA-4"]
+    assert hello.at_rest
+
+
+@pytest.mark.parametrize("scope", ["ALL", "CAMERA-1", "C-1"])
+def test_a_halt_stops_a_look_and_its_report_precedes_the_confirmation(subsystem, look, scope) -> None:
+    subsystem.handle(m.Execute(primitive=look(duration_s=60.0)), BROKER, 1.0)
+    out = subsystem.handle(m.HaltOrder(halt="H-1", scope=scope), BROKER, 2.0) + subsystem.tick(2.001)
+    report, started, rest = [message for _, message in out]
+    assert (report.primitive, report.reason) == ("C-1.1", StopReason.HALT)
+    assert started.moving == ["CAMERA-1"]
+    assert rest.at_rest
+    assert "CAMERA-1" in rest.performers
+    assert subsystem.idle
+
+
+def test_a_halt_of_another_command_leaves_a_look_alone(subsystem, look) -> None:
+    subsystem.handle(m.Execute(primitive=look(duration_s=60.0)), BROKER, 1.0)
+    out = subsystem.handle(m.HaltOrder(halt="H-1", scope="C-2"), BROKER, 2.0)
+    assert [type(message) for _, message in out] == [m.HaltStarted, m.HaltAtRest]
+    assert subsystem.outstanding == ["C-1.1"]
+
+
+def test_its_end_report_is_repeated_until_it_is_acknowledged(subsystem, eyes, look) -> None:
+    subsystem.handle(m.Execute(primitive=look()), BROKER, eyes.now_s)
+    assert subsystem.next_camera(eyes.now_s).name == "CAMERA-1"
+    eyes.now_s += PERIOD_S
+    subsystem.performers["CAMERA-1"].take(eyes.picture("CAMERA-1", SceneView()))
+    ((_, first),) = subsystem.tick(eyes.now_s)
+    assert subsystem.next_camera(eyes.now_s) is None
+    ((_, again),) = subsystem.tick(eyes.now_s + REPEAT_S)
+    assert again == first
+    subsystem.handle(m.ReportAck(primitive=first.primitive), BROKER, eyes.now_s)
+    assert subsystem.tick(eyes.now_s + 5 * REPEAT_S) == []
+
+
+# --- several cameras -------------------------------------------------------------------------------------
+
+PAIR = {"camera": "CAMERA-3", "cameras": ["CAMERA-4"]}
+
+
+def noisy(picture, random: np.random.Generator, pixels: float = 0.3):
+    """The same picture with corners that are off by so much (standard deviation)."""
+    moved = [mark._replace(corners=mark.corners + random.normal(0.0, pixels, (4, 2))) for mark in picture.marks]
+    return picture._replace(marks=moved)
+
+
+def located(cell, eyes, made: p.Primitive, scene: SceneView, random: np.random.Generator) -> m.EndReport:
+    subsystem = PerceptionSubsystem([camera.name for camera in cell.cameras])
+    subsystem.handle(m.Execute(primitive=made), BROKER, eyes.now_s)
+    while True:
+        for _, message in subsystem.tick(eyes.now_s):
+            if isinstance(message, m.EndReport):
+                return message
+        eyes.now_s += PERIOD_S
+        while (camera := subsystem.next_camera(eyes.now_s)) is not None:
+            camera.take(noisy(eyes.picture(camera.name, scene), random))
+
+
+def test_two_cameras_measure_the_distance_better_than_one(cell, eyes, look) -> None:
+    """Along the optical axis of the first camera, and in all; the covariance states as much."""
+    random, errors = np.random.default_rng(3), {1: [], 2: []}
+    axis = np.array(cell.camera("CAMERA-3").looks_at) - cell.camera("CAMERA-3").pose[:3]
+    axis /= np.linalg.norm(axis)
+    stated = {}
+    for n in range(25):
+        scene, true = at(cell, FACE, random.uniform(-0.02, 0.02, 3).tolist())
+        for count, cameras in ((1, {"camera": "CAMERA-3"}), (2, PAIR)):
+            seen = located(cell, eyes, look(FACE, id=f"C-{n}.{count}", **cameras), scene, random).sighting
+            errors[count].append((np.array(seen.pose) - true)[:3])
+            covariance = np.array(seen.covariance).reshape(6, 6)[:3, :3]
+            stated[count] = math.sqrt(axis @ covariance @ axis)
+    along = {count: np.std(np.array(one) @ axis) for count, one in errors.items()}
+    whole = {count: np.median(np.linalg.norm(one, axis=1)) for count, one in errors.items()}
+    assert along[2] < 0.8 * along[1]
+    assert whole[2] < 0.8 * whole[1]
+    assert stated[2] < 0.8 * stated[1]
+
+
+def test_a_pair_of_cameras_decides_which_way_a_single_tag_is_tilted(cell, eyes, look) -> None:
+    random, wrong = np.random.default_rng(4), {1: 0, 2: 0}
+    (tag,) = (p.TagGeometry(id=tag.id, size_m=0.03, pose=tag.frame.pose.tolist()) for tag in cell.tags if tag.id == 18)
+    small = [one for one in cell.tags if one.id != 18] + [
+        msgspec.structs.replace(one, size_m=0.03) for one in cell.tags if one.id == 18
+    ]
+    eyes.cell = msgspec.structs.replace(cell, tags=small)
+    for n in range(12):
+        for count, cameras in ((1, {"camera": "CAMERA-3"}), (2, PAIR)):
+            made = look(FACE, id=f"C-{n}.{count}", **cameras)
+            made = msgspec.structs.replace(made, trajectory=msgspec.structs.replace(made.trajectory, tags=[tag]))
+            seen = located(cell, eyes, made, SceneView(), random).sighting
+            wrong[count] += geometry.angle(seen.pose, cell.object_pose(FACE)) > math.radians(10.0)
+    assert wrong[1] > 0
+    assert wrong[2] == 0
+
+
+def test_a_camera_that_does_not_see_the_body_is_left_out(cell, eyes, look) -> None:
+    made = look(camera="CAMERA-1", cameras=["CAMERA-2"], pictures=2)
+    report = located(cell, eyes, made, SceneView(), np.random.default_rng(1))
+    assert report.reason is StopReason.FOUND
+    assert (report.sighting.cameras, report.sighting.pictures) == ([], 2)
+    assert report.duration_s >= UNSEEN_S
+    assert report.message == "CAMERA-2: out of view"
+
+    both = located(cell, eyes, look(FACE, id="C-2.1", **PAIR, pictures=2), SceneView(), np.random.default_rng(1))
+    assert (both.sighting.cameras, both.sighting.pictures) == (["CAMERA-3", "CAMERA-4"], 4)
+
+
+def test_what_no_camera_of_several_sees_is_not_seen(cell, eyes, look) -> None:
+    made = look(camera="CAMERA-1", cameras=["CAMERA-2"])
+    scene, _ = at(cell, MODULE, [0.0, 0.0, 2.0])
+    report = located(cell, eyes, made, scene, np.random.default_rng(1))
+    assert report.reason is StopReason.NOT_SEEN
+    assert "CAMERA-1: something hides it" in report.message
+    assert "CAMERA-2: out of view" in report.message
+
+
+@pytest.mark.parametrize("scope", ["CAMERA-4", "C-1"])
+def test_a_halt_of_one_of_several_cameras_stops_their_look(subsystem, look, scope) -> None:
+    subsystem.handle(m.Execute(primitive=look(FACE, **PAIR)), BROKER, 1.0)
+    assert subsystem.outstanding == ["C-1.1"]
+    out = subsystem.handle(m.HaltOrder(halt="H-1", scope=scope), BROKER, 2.0) + subsystem.tick(2.001)
+    report, started, rest = [message for _, message in out]
+    assert (report.performer, report.reason) == ("CAMERA-3", StopReason.HALT)
+    assert "CAMERA-4" in started.moving
+    assert rest.at_rest
+    assert subsystem.idle
+
+
+@pytest.mark.parametrize(
+    ("how", "words"), [({"cameras": ["CAMERA-9"]}, "no CAMERA-9"), (PAIR | {"duration_s": 5.0}, "only one camera")]
+)
+def test_what_several_cameras_cannot_do_is_refused(subsystem, look, how, words) -> None:
+    ((_, report),) = subsystem.handle(m.Execute(primitive=look(FACE, **how)), BROKER, 1.0)
+    assert report.reason is StopReason.REFUSED
+    assert words in report.message
+    assert subsystem.idle
