@@ -38,7 +38,7 @@ MIDDLE_M = (0.46, 0.0, 0.6)  # between the handles at the start
 SOFT = p.ControlLaw(name="impedance", compliance=p.Compliance(stiffness=[600.0] * 3 + [30.0] * 3))
 GRIP_N = 30.0
 WAY_M, SPEED_M_S = 0.1, 0.1
-EARLIEST_S, LATEST_S = 0.4, 1.2  # of a halt, after the start of a motion of 1.9 s
+MIN_DELAY_S, MAX_DELAY_S = 0.4, 1.2  # of a halt, after the start of a motion of 1.9 s
 WIDTH_M = 0.02  # of the bar that each hand holds
 MARGIN_RAD = 0.05
 
@@ -90,7 +90,7 @@ class Carrying:
         name = f"C-2.{self._motions}"
         self.mcm.order(m.Execute(primitive=self._both(name, np.array((0.0, 0.0, up)))))
         self.mcm.wait(m.Started, name)
-        time.sleep(self._rng.uniform(EARLIEST_S, LATEST_S))
+        time.sleep(self._rng.uniform(MIN_DELAY_S, MAX_DELAY_S))
         with real_time(self._rank):
             halt = m.HaltOrder(halt=f"H-{self._motions}", scope="ALL", called_at_s=time.monotonic())
             self._client.send_multipart(frames(halt))

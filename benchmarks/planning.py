@@ -30,7 +30,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal
 from rtc.runtime import process
 from rtc.spatial.geometry import Array
-from workers.elaborator.backtrack import MOST_DETOURED
+from workers.elaborator.backtrack import MAX_DETOURED
 from workers.planning.motion.path import CHECK_RAD, Path
 from workers.planning.motion.plan import find_joint_way, in_time
 from workers.planning.motion.request import FreeWay, fault
@@ -152,7 +152,7 @@ def _to_goal(query: Query) -> Path | None:
 
 def _to_any(query: Query) -> Path | None:
     """To the first postures of the goal, as the elaborator tries them."""
-    paths = (_to_goal(replace(query, goals=[goal])) for goal in query.goals[:MOST_DETOURED])
+    paths = (_to_goal(replace(query, goals=[goal])) for goal in query.goals[:MAX_DETOURED])
     return next((path for path in paths if path is not None), None)
 
 

@@ -38,7 +38,7 @@ def live(run_dir: Path, fd: int = -1) -> None:
     """Run the broker until it is ordered to end. `fd`: descriptor handed over by the supervisor
     (rtc.runtime.handover)."""
     process.show_name("broker")
-    given = handover.begin("broker", run_dir, fd)
+    given = handover.claim_role("broker", run_dir, fd)
     settings = given.settings
     with process.start("broker", run_dir) as me:
         priority = process.raise_priority(RANK, NICENESS)
@@ -68,7 +68,7 @@ def _serve(
     settings, now = given.settings, time.monotonic()
     lost = lost_batches(journal, state, given, now, secrets.token_hex(2))
     store = ProgramStore(journal, state.programs)
-    journal.written = lambda batch: given.remember("broker", state.life.encode(), batch, state.accepted)
+    journal.written = lambda batch: given.save_counters("broker", state.life.encode(), batch, state.accepted)
     router = Router(me, settings, journal, state, store, given, start_check=sandbox.CheckProcess, guard=MemoryGuard())
     if given.fd >= 0:  # started by a supervisor
         me.end_with_parent(ORPHAN_LIMIT_S * settings.timeout_scale + LAST_S)

@@ -42,7 +42,7 @@ TEMPLATE = "template"  # process name of the fork server of workers; NAME-templa
 STANDBY = "twin-template"  # standby fork server: a start takes seconds, so each of the two is forked from the other
 PREVIOUS = "previous"
 RUNS_KEPT = 3  # in previous, previous-2, previous-3
-LONGEST_DOWN_S = 120.0  # for a supervisor to end all, on a busy machine
+MAX_DOWN_S = 120.0  # for a supervisor to end all, on a busy machine
 REST_S = 1.5  # limit for the arms to come to rest when the cluster ends
 # Of the supervisor: it needs little time, and work of a dead process waits for it. Real-time if permitted.
 RANK, NICENESS = 1, -10
@@ -112,7 +112,7 @@ def worker(settings: Settings, address: int) -> Spec:
 def new_worker(settings: Settings, address: int, fd: int) -> Spec | None:
     """The spec of a further worker. None if the address belongs to workers on other machines. Then this machine has its
     maximum number of workers of that kind, and one of them is starting."""
-    return None if address >= settings.first_far_node else _hand(worker(settings, address), fd)
+    return None if address >= settings.first_remote_node else _hand(worker(settings, address), fd)
 
 
 def _with_template(name: str, module: str, settings: Settings) -> list[Spec]:
@@ -347,10 +347,10 @@ def _running(run_dir: Path) -> tuple[int, int] | None:
 
 
 def _ended(pid: int, pidfd: int, wait_s: float) -> bool:
-    """Wait for the end of a process; again for `wait_s` if it has used the processor, at most LONGEST_DOWN_S."""
+    """Wait for the end of a process; again for `wait_s` if it has used the processor, at most MAX_DOWN_S."""
     poller = zmq.Poller()
     poller.register(pidfd, zmq.POLLIN)
-    until_s = process.now_s() + LONGEST_DOWN_S
+    until_s = process.now_s() + MAX_DOWN_S
     while process.now_s() < until_s:
         with contextlib.suppress(OSError):
             before = process.usage(pid)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from rtc.protocol.messages import WorkerKind
-from rtc.runtime.settings import LEAST_DIM, MOST_DIM
+from rtc.runtime.settings import MAX_DIM, MIN_DIM
 
 KINDS = tuple(WorkerKind)  # the two low bits of an address are an index into this
 
@@ -24,9 +24,9 @@ def name_of(address: int) -> str:
 
 
 def addresses(dim: int) -> range:
-    """All addresses of a cube. Raises ValueError unless LEAST_DIM <= dim <= MOST_DIM: a smaller cube lacks kinds."""
-    if not LEAST_DIM <= dim <= MOST_DIM:
-        raise ValueError(f"the cube's dimension is {LEAST_DIM} to {MOST_DIM}, not {dim}")
+    """All addresses of a cube. Raises ValueError unless MIN_DIM <= dim <= MAX_DIM: a smaller cube lacks kinds."""
+    if not MIN_DIM <= dim <= MAX_DIM:
+        raise ValueError(f"the cube's dimension is {MIN_DIM} to {MAX_DIM}, not {dim}")
     return range(1 << dim)
 
 

@@ -15,7 +15,7 @@ import subprocess
 from pathlib import Path
 
 from deploy.child import begin, open_log
-from rtc.protocol.messages import Asked, AskMore, WorkerKind
+from rtc.protocol.messages import RequestWorkers, WorkerKind, WorkerRequest
 from rtc.protocol.outcomes import ClusterError
 from rtc.runtime.process import now_s
 from rtc.runtime.process_table import in_words
@@ -32,8 +32,11 @@ def check_more(settings: Settings) -> None:
     """Check the command line. Raises ClusterError, with what would clear it, if it could have no effect."""
     if not settings.more:
         default = Settings(run_dir=settings.run_dir)
-        if (settings.more_most, settings.more_wait_s) != (default.more_most, default.more_wait_s):
-            raise ClusterError("--more-most and --more-wait have no effect without --more; give a command line, too")
+        if (settings.scale_out_max, settings.scale_out_timeout_s) != (
+            default.scale_out_max,
+            default.scale_out_timeout_s,
+        ):
+            raise ClusterError("--more-max and --more-wait have no effect without --more; give a command line, too")
         return
     words = _words(settings.more)
     if not settings.listen:
@@ -76,8 +79,8 @@ class MoreCommand:
 
     def __init__(self, line: str, log: Path) -> None:
         self._words, self.log = _words(line), log
-        self._asked: dict[WorkerKind, Asked] = {}
-        self._run: Asked | None = None  # the run in progress
+        self._asked: dict[WorkerKind, WorkerRequest] = {}
+        self._run: WorkerRequest | None = None  # the run in progress
         self._popen: subprocess.Popen[bytes] | None = None
         self._end_at_s = 0.0
         self._log_from = 0  # size of the log at the start of the run
@@ -89,16 +92,18 @@ class MoreCommand:
         """Process id of the run in progress; 0 = none."""
         return self._popen.pid if self._popen else 0
 
-    def asked(self) -> list[Asked]:
+    def asked(self) -> list[WorkerRequest]:
         """The latest run for each kind."""
         return list(self._asked.values())
 
-    def start(self, order: AskMore) -> str:
+    def start(self, order: RequestWorkers) -> str:
         """Start a run, unless one is in progress. Returns words about it for people."""
         if self._popen is not None:
             return ""
         words = [word.format(kind=order.kind.value, count=order.count) for word in self._words]
-        self._run = Asked(kind=order.kind, count=order.count, had=order.had, at_s=now_s(), running=True)
+        self._run = WorkerRequest(
+            kind=order.kind, count=order.count, registered_before=order.registered_before, at_s=now_s(), running=True
+        )
         self._asked[order.kind] = self._run
         me = os.getpid()
         try:
@@ -146,8 +151,13 @@ class MoreCommand:
     def _finish(self, failed: str) -> str:
         assert self._run is not None
         run, line = self._run, self._last_line()
-        self._asked[run.kind] = Asked(
-            kind=run.kind, count=run.count, had=run.had, at_s=run.at_s, failed=failed, output=line
+        self._asked[run.kind] = WorkerRequest(
+            kind=run.kind,
+            count=run.count,
+            registered_before=run.registered_before,
+            at_s=run.at_s,
+            failed=failed,
+            output=line,
         )
         self._run = None
         return f"the command for more workers {failed}{f': {line}' if line else ''}" if failed else ""

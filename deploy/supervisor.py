@@ -23,12 +23,12 @@ from deploy.restarts import DEFAULT, Death, Policy, delay_s
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     AllEnded,
-    AskMore,
     BrokerToSupervisor,
     KillProcess,
     ProcessExited,
     ProcessRow,
     ProcessTable,
+    RequestWorkers,
     RetireWorker,
     Shutdown,
     SpawnWorker,
@@ -43,12 +43,12 @@ IDLE_S = 20.0  # a starting process without use of the processor for this time i
 REPORT_WAITING_S = 10.0  # period of messages about processes that are not ready
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL, of processor time or of time without any
 END_AGAIN_S = 1.0  # period of checks after the first limit
-LONGEST_END_S = 60.0  # the same by the clock
+MAX_END_S = 60.0  # the same by the clock
 TABLE_S = 1.0  # period of the process table for the broker and of the health checks
 STOOD_STILL_S = 3.0  # longer gap between health checks: the supervisor itself, or the machine, was stopped
 # A process with `beats` and without output is hung after this processor time, or this time without any, ...
 SILENT_S = 4.0
-LONGEST_SILENT_S = 60.0  # ... or this time by the clock
+MAX_SILENT_S = 60.0  # ... or this time by the clock
 STOPPED_S = 2.0  # a process stopped by a signal for this time is hung
 OUTCOMES_S, OUTCOMES_AGAIN_S = 3.0, 0.2  # limit for the outcomes of all commands at the end; period of requests
 SHOWN = 10  # maximum number of stopped commands in a message
@@ -443,7 +443,7 @@ class Supervisor:
                 child = self._children.get(name)
                 if child and child.spec.node is not None:
                     self._retire(child)
-            case AskMore():
+            case RequestWorkers():
                 self._ask_more(order)
             case Shutdown():
                 self._show("the broker asks the cluster to end")
@@ -451,7 +451,7 @@ class Supervisor:
             case AllEnded():
                 self._all_ended = order
 
-    def _ask_more(self, order: AskMore) -> None:
+    def _ask_more(self, order: RequestWorkers) -> None:
         if self._more is None or self._more.pid:
             return
         self._show(self._more.start(order))
@@ -489,14 +489,14 @@ def _hung(child: Child, now: float) -> str:
         return ""
     if child.stopped_since_s and (stopped_s := now - child.stopped_since_s) >= STOPPED_S:
         return f"hung, stopped for {stopped_s:.1f} s"
-    hangs = child.worked_s >= SILENT_S or idle_s > SILENT_S or silent_s > LONGEST_SILENT_S
+    hangs = child.worked_s >= SILENT_S or idle_s > SILENT_S or silent_s > MAX_SILENT_S
     return f"hung, silent for {silent_s:.1f} s" if child.spec.beats and silent_s > SILENT_S and hangs else ""
 
 
 def _ended_too_late(child: Child, now: float) -> bool:
     """Whether a process that is to end hangs. On a busy machine one that does not hang needs longer too."""
     idle_s, passed_s = now - max(child.since_s, child.busy_s), now - child.since_s
-    return child.worked_s > END_LIMIT_S or idle_s >= END_LIMIT_S or passed_s > LONGEST_END_S
+    return child.worked_s > END_LIMIT_S or idle_s >= END_LIMIT_S or passed_s > MAX_END_S
 
 
 def _last_words(child: Child) -> list[str]:

@@ -165,7 +165,7 @@ class Station:
         if self._heartbeat.due(now_s):
             sockets.send([(BROKER, m.Heartbeat(name=NAME, own_s=self._clock.sim_s))])
             if sockets.dropped:
-                sockets.send([(BROKER, m.Dropped(counts=dict(sockets.dropped)))])
+                sockets.send([(BROKER, m.UnreadableMessages(counts=dict(sockets.dropped)))])
             if self._guard.alarm(now_s):
                 self._me.log.warning("more than %.0f MB: opening estop and bench anew", self._guard.limit_mb)
                 sockets.reopen(self._settings)
@@ -286,7 +286,7 @@ def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> No
     """Run the MCM until it is stopped. `fd`: handover from the supervisor (rtc.runtime.handover); `simulation`: a
     prepared one in its initial state."""
     process.show_name(NAME)
-    given = handover.begin(NAME, Path(run_dir), fd)
+    given = handover.claim_role(NAME, Path(run_dir), fd)
     settings = given.settings
     with process.start(NAME, run_dir) as me:
         me.end_with_parent(END_S * settings.timeout_scale + LAST_S)

@@ -10,7 +10,7 @@ from rtc.subsystems.motion.arm import TICK_S
 
 CATCH_UP_S = 0.05  # a longer delay (stopped process, stalled machine) is not caught up
 # An overload: so much more time than the forgiven part of it was not caught up. One long delay alone is none.
-OVERLOAD_S, FORGIVEN, MOST_COUNTED_S = 0.3, 0.01, 0.1
+OVERLOAD_S, FORGIVEN, MAX_COUNTED_S = 0.3, 0.01, 0.1
 
 
 class Clock:
@@ -55,5 +55,5 @@ class Clock:
         return found
 
     def _lose(self, late_s: float, now_s: float) -> None:
-        self._lost_s = max(0.0, self._lost_s - FORGIVEN * (now_s - self._lost_at_s)) + min(late_s, MOST_COUNTED_S)
+        self._lost_s = max(0.0, self._lost_s - FORGIVEN * (now_s - self._lost_at_s)) + min(late_s, MAX_COUNTED_S)
         self._lost_at_s = now_s

@@ -21,8 +21,8 @@ ALL = "ALL"
 FARTHEST = 10.0  # m or rad, maximum displacement; pybullet fails at 1e300 m
 FASTEST = 0.5  # m/s or rad/s, of a drifting object
 DRIFT_TICKS = 5  # it is moved once in so many ticks
-MOST_SENSED = 1000.0  # N or N.m, maximum offset of a sensor
-LEAST_SLOW_S, MOST_SLOW_S = 1e-4, 0.05  # per tick; more would count as a hung process
+MAX_SENSED = 1000.0  # N or N.m, maximum offset of a sensor
+MIN_SLOW_S, MAX_SLOW_S = 1e-4, 0.05  # per tick; more would count as a hung process
 MOVED_M, MOVED_RAD = 0.001, 0.01  # a displaced object that is farther from there was moved since
 
 Undo = Callable[[], str]  # returns a note for the user, or ''
@@ -138,8 +138,8 @@ class Injections:
     def _falsify(self, fault: f.FalseSensor, check: bool) -> Undo:
         _known(fault.arm, self._executors, "arm")
         offset = fault.offset
-        if offset is not None and (len(offset) != 6 or not all(abs(part) <= MOST_SENSED for part in offset)):
-            raise Refused(f"offset: six finite numbers are required, none beyond {MOST_SENSED:g} N or N.m")
+        if offset is not None and (len(offset) != 6 or not all(abs(part) <= MAX_SENSED for part in offset)):
+            raise Refused(f"offset: six finite numbers are required, none beyond {MAX_SENSED:g} N or N.m")
         if check:
             return _nothing
         faulty = self._faulty(fault.arm)
@@ -190,8 +190,8 @@ class Injections:
         return _quietly(lambda: self.blind.discard(fault.camera))
 
     def _slow(self, fault: f.SlowLoop, check: bool) -> Undo:
-        if not LEAST_SLOW_S <= fault.tick_s <= MOST_SLOW_S:  # false for NaN too
-            least, most = 1e3 * LEAST_SLOW_S, 1e3 * MOST_SLOW_S
+        if not MIN_SLOW_S <= fault.tick_s <= MAX_SLOW_S:  # false for NaN too
+            least, most = 1e3 * MIN_SLOW_S, 1e3 * MAX_SLOW_S
             raise Refused(f"a tick can be slowed by {least:g} to {most:g} ms, not by {1e3 * fault.tick_s:g} ms")
         if check:
             return _nothing

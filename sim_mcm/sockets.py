@@ -81,7 +81,7 @@ class Sockets:
                 refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)
                 send(self._estop, m.Declined(request="", refusal=refusal), caller)
 
-    def orders(self, now_s: float) -> Iterator[m.Execute | m.Pace | m.HaltOrder | m.ReportAck | InvalidOrder]:
+    def orders(self, now_s: float) -> Iterator[m.Execute | m.SetPaused | m.HaltOrder | m.ReportAck | InvalidOrder]:
         """Messages of the broker. An Execute that does not decode becomes an InvalidOrder, so that it is answered."""
         if self._link.socket in self._ready:
             yield from self._link.orders(now_s)

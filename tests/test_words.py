@@ -67,7 +67,7 @@ RETIRED_TYPES = {
 #: retired names of modules
 RETIRED_MODULES = {
     "belief", "doors", "front_door", "gate", "hardware", "legs", "lifeline", "naming", "outlet", "pools", "program_fit",
-    "program_place", "registered", "roster", "silence", "situation", "starting_points", "stories", "telling", "untold",
+    "program_place", "registered", "roster", "silence", "situation", "starting_points", "telling", "untold",
     "warm",
 }  # fmt: skip
 #: (word, place, text in the line): the uses that stay, each with its reason
@@ -81,15 +81,6 @@ ALLOWED: tuple[tuple[str, str, str], ...] = (
     ("gate", "tests/processes/test_gateway.py", "dropped_gate_"),
     ("gate", "tests/broker/gateway/test_refusals.py", "gate_stale"),
     # Keys of messages and of programs.
-    ("told", "", 'name="told"'),
-    ("told", "rtc/programs/", '"told"'),
-    ("told", "rtc/programs/schema.py", "told: "),
-    ("told", "rtc/programs/schema.py", "told_of_seats: "),
-    ("told", "workers/binder/bind.py", '"told": bind_stated_facts'),
-    ("told", "workers/elaborator/set_fact.py", "program."),
-    ("told", "workers/analyzer/", '"told_m"'),
-    ("told", "tests/workers/analyzer/", '"told_m"'),
-    ("told", "tests/apps/cli/test_cluster.py", 'result["told"]'),
     # Names of processes in logs and in `rtc status`.
     ("twin", "", '"twin-template"'),
     # A parameter of the library rich.

@@ -14,12 +14,12 @@ from benchmarks.hypercube.model import Broker, Command, Halt, Network, Peer, Wor
 from benchmarks.hypercube.queues import Host, Simulation
 from benchmarks.hypercube.routing import homes, hops
 from benchmarks.report import percentile
-from rtc.protocol.wire import MOST_TOGETHER
+from rtc.protocol.wire import MAX_BATCH
 
 ARMS = 1024  # of one broker: so many that commands do not wait for one
 HALT_PERIOD_S = 0.03
 FULL_BEFORE, FULL_DURING = 1.5, 2.0  # times the window: commands of the warm-up, and of the measurement, at least
-LONGEST_S = 20.0
+MAX_S = 20.0
 
 
 class Plan(NamedTuple):
@@ -87,8 +87,8 @@ class Client:
         now_s, send = self._world.sim.now_s, self._world.network.send
         self.sent += how_many
         commands = [Command(next(self._arms) % self._plan.arms, now_s) for _ in range(how_many)]
-        for first in range(0, how_many, MOST_TOGETHER):
-            some = commands[first : first + MOST_TOGETHER]
+        for first in range(0, how_many, MAX_BATCH):
+            some = commands[first : first + MAX_BATCH]
             send(self._world.costs.client.io_per_message, -1, -1, self._broker.receive, "front", some)
 
     def _arrive(self) -> None:
@@ -159,7 +159,7 @@ def simulate(costs: Costs, plan: Plan, *, seconds: float, seed: int, warm_up_s: 
 
 
 def _run_until(sim: Simulation, clients: list[Client], until_s: float, ended: float) -> None:
-    """Run until this time, and longer until each client has seen so many ends on average, at most LONGEST_S longer."""
+    """Run until this time, and longer until each client has seen so many ends on average, at most MAX_S longer."""
     sim.run(until_s)
-    while sum(len(client.ended) for client in clients) < ended * len(clients) and sim.now_s < until_s + LONGEST_S:
+    while sum(len(client.ended) for client in clients) < ended * len(clients) and sim.now_s < until_s + MAX_S:
         sim.run(sim.now_s + 0.05)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from benchmarks.hypercube.cluster import Plan, Result, simulate
 from benchmarks.hypercube.costs import Costs
 
-WINDOW_MOST = {"trivial": 1000, "real": 400, "asleep-4ms": 400}  # commands in progress at one broker
+WINDOW_MAX = {"trivial": 1000, "real": 400, "asleep-4ms": 400}  # commands in progress at one broker
 WORKLOAD = "asleep-4ms"
 BROKERS = (4, 16, 64)
 LOADS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)  # of the throughput with a full window
@@ -38,7 +38,7 @@ class Run(NamedTuple):
 def plans(dims: Sequence[int]) -> Iterator[tuple[str, Plan]]:
     """The cases: name of the experiment, and plan."""
     for dim in dims:
-        for workload in WINDOW_MOST:
+        for workload in WINDOW_MAX:
             yield "one broker", _plan(dim, 1, workload=workload)
         yield "one broker, dimension-order", _plan(dim, 1, cubic=True)
         for brokers in BROKERS:
@@ -50,8 +50,8 @@ def plans(dims: Sequence[int]) -> Iterator[tuple[str, Plan]]:
 
 
 def _plan(dim: int, brokers: int, *, workload: str = WORKLOAD, **options: bool) -> Plan:
-    """Four commands in progress per worker, at most WINDOW_MOST at one broker."""
-    window = max(4, min(WINDOW_MOST[workload], (4 << dim) // brokers))
+    """Four commands in progress per worker, at most WINDOW_MAX at one broker."""
+    window = max(4, min(WINDOW_MAX[workload], (4 << dim) // brokers))
     return Plan(dim=dim, workload=workload, window=window, brokers=brokers, tcp=True, **options)
 
 

@@ -15,9 +15,9 @@ from benchmarks.hypercube.costs import ALONE, BESIDE, REBOUND, Costs, Payload, P
 from benchmarks.hypercube.queues import NORMAL, REAL_TIME, Host, Simulation
 from benchmarks.hypercube.registry import Registry, Slot
 from benchmarks.hypercube.routing import between
-from broker.router.ingress import MOST_EVENTS
+from broker.router.ingress import MAX_EVENTS
 from broker.router.loop import CHECK_S
-from rtc.protocol.wire import MOST_TOGETHER
+from rtc.protocol.wire import MAX_BATCH
 from workers.runtime.worker_loop import HEARTBEAT_S, QUICK_S
 
 EVENTS = ("parsed", "elaborated", "bound", "analyzed")  # of a result, by the kind of the worker
@@ -238,8 +238,8 @@ class Broker:
         self.halts_s += [self._world.sim.now_s - item.called_s for item in items if isinstance(item, Halt)]
         ended = [item for item in items if isinstance(item, Command)]
         io_s = self._world.costs.subsystem.io_per_message
-        for first in range(0, len(ended), MOST_TOGETHER):
-            some = ended[first : first + MOST_TOGETHER]
+        for first in range(0, len(ended), MAX_BATCH):
+            some = ended[first : first + MAX_BATCH]
             self._world.network.send(io_s, -1, -1, self.receive, "reports", some)
 
     # --- a turn of the loop -----------------------------------------------------------------------------
@@ -279,7 +279,7 @@ class Broker:
             while waiting:
                 events += handle(waiting.popleft(), batch)
                 batch.messages_in += 1
-                if events >= MOST_EVENTS[socket]:
+                if events >= MAX_EVENTS[socket]:
                     break
         for kind, slot, jobs in self.registry.assign():
             batch.jobs.append((kind, slot, jobs))
@@ -357,8 +357,8 @@ class Broker:
         for _, slot, jobs in batch.jobs:
             worker = slot.worker
             send(io_s, self.node, worker.node, worker.receive, self, slot, jobs)
-        for first in range(0, len(batch.primitives), MOST_TOGETHER):
-            some = batch.primitives[first : first + MOST_TOGETHER]
+        for first in range(0, len(batch.primitives), MAX_BATCH):
+            some = batch.primitives[first : first + MAX_BATCH]
             send(io_s, -1, -1, self.subsystem.receive, some)
         if batch.accepted:
             send(io_s, -1, -1, self.accepted)
@@ -390,7 +390,7 @@ class _Batch:
     def messages_out(self) -> int:
         """Messages sent; those for one peer travel together, up to a limit."""
         orders, answers = len(self.primitives) + self.acknowledged, self.accepted + len(self.ended)
-        return len(self.halts) + len(self.jobs) + -(-orders // MOST_TOGETHER) + -(-answers // MOST_TOGETHER)
+        return len(self.halts) + len(self.jobs) + -(-orders // MAX_BATCH) + -(-answers // MAX_BATCH)
 
     def cost_s(self, costs: Costs, workers: int, ratio: float) -> float:
         """Processor time of the turn."""

@@ -15,8 +15,8 @@ from broker.decisions.state import Command, PendingOutcome, State, request_key
 from rtc.protocol.messages import Accepted, Phase, ProgressNote
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 
-JOBS_APART = 10_000  # offset of job numbers after the loss, so that they differ from lost ones
-FURTHEST = 1_000_000  # a client's number is accepted up to this far above the known ones
+JOB_NUMBER_GAP = 10_000  # offset of job numbers after the loss, so that they differ from lost ones
+MAX_NUMBER_AHEAD = 1_000_000  # a client's number is accepted up to this far above the known ones
 CLEARS = "check what was done, then give it again"
 
 
@@ -27,7 +27,7 @@ def on_journal_lost(context: DecisionContext, event: JournalLost) -> None:
     context.count("journals_lost")
     over = PendingOutcome(kind=OutcomeKind.FAILED, message=f"{event.why}; {CLEARS}", stop=StopReason.SUBSYSTEM_LOST)
     for command in state.commands.values():
-        command.jobs += JOBS_APART
+        command.jobs += JOB_NUMBER_GAP
         context.enqueue_stimulus(command.id, Stimulus.STOP, over)
 
 
@@ -62,7 +62,7 @@ def new_number(state: State, event: CommandReceived) -> str:
     """The next command number; after a loss the one known to the client, if it is free."""
     name, number = event.known_as, _digits(event.known_as) if state.lost else 0
     taken = name in state.commands or name in state.ended
-    free = 0 < number <= state.accepted + FURTHEST and not taken
+    free = 0 < number <= state.accepted + MAX_NUMBER_AHEAD and not taken
     if not free:
         number = state.accepted + 1
     state.accepted = max(state.accepted, number)

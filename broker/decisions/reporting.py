@@ -9,7 +9,7 @@ from broker.decisions.state import Command, ReportHead
 from rtc.protocol.messages import EndReport, ProgressNote, ProgressReport
 from rtc.protocol.outcomes import Measured
 
-MOST_PER_S = 100  # maximum rate of periodic reports to one client; the rest is dropped and counted
+MAX_PER_S = 100  # maximum rate of periodic reports to one client; the rest is dropped and counted
 
 
 def at_end(command: Command, report: EndReport) -> Measured | None:

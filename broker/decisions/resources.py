@@ -148,7 +148,7 @@ class Resources(msgspec.Struct, kw_only=True):
         for claim in gone:
             if claim.name not in self.lines:  # the usual case
                 continue
-            for command in self._behind(claim):
+            for command in self._waiting_for(claim):
                 wanted = self.waiting[command]
                 if command not in found and self._is_first(command, wanted) and self.blocker(command, wanted) is None:
                     found[command] = None
@@ -158,7 +158,7 @@ class Resources(msgspec.Struct, kw_only=True):
         """True if it is first in line for all its exclusive names. This cheap check precedes `blocker`."""
         return all(self.lines[name][0] == command for name, exclusive in claim.items() if exclusive)
 
-    def _behind(self, gone: RemovedClaim) -> list[str]:
+    def _waiting_for(self, gone: RemovedClaim) -> list[str]:
         """The waiting commands that a removed claim may have blocked.
 
         A removed shared claim can unblock only the first waiter. A removed exclusive claim can unblock the waiters

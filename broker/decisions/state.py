@@ -84,7 +84,7 @@ class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep", gc=F
 
     subsystem: str = ""
     primitive: msgspec.Raw = NIL
-    report: msgspec.Raw = msgspec.field(default=NIL, name="told")  # end report of a step without a subsystem
+    report: msgspec.Raw = msgspec.field(default=NIL)  # end report of a step without a subsystem
     evaluation: msgspec.Raw = NIL
     bindings: dict[str, msgspec.Raw] = {}
     limit_s: float = 0.0

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 from broker.dispatch.worker_registry import Worker, WorkerRegistry
-from rtc.protocol.messages import Asked, AskMore, WorkerKind
+from rtc.protocol.messages import RequestWorkers, WorkerKind, WorkerRequest
 
 WAITED_S = 1.0  # waiting time of a job that shows that this machine alone is too slow
 PAUSE_S = 5.0  # least time between two requests for a kind, so that those that have joined take jobs first
@@ -31,8 +31,12 @@ class MoreWorkers:
         self._ordered_s: dict[WorkerKind, float] = {}
 
     def orders(
-        self, registry: WorkerRegistry, processes: Sequence[dict[str, Any]], asked: Collection[Asked], now: float
-    ) -> Iterator[AskMore]:
+        self,
+        registry: WorkerRegistry,
+        processes: Sequence[dict[str, Any]],
+        asked: Collection[WorkerRequest],
+        now: float,
+    ) -> Iterator[RequestWorkers]:
         """Yield at most one order. `asked`: the latest requests, from the supervisor's table."""
         if not self._command or any(one.running for one in asked):
             return
@@ -48,14 +52,14 @@ class MoreWorkers:
             waiting = len(registry.queues[kind]) if "{count}" in self._command else 1
             if (count := min(waiting, self._far - far)) > 0:
                 self._ordered_s[kind] = now
-                yield AskMore(kind=kind, count=count, had=far)
+                yield RequestWorkers(kind=kind, count=count, registered_before=far)
                 return
 
     def _too_few(self, registry: WorkerRegistry, kind: WorkerKind, there: int, now: float) -> bool:
         waiting_s = registry.waiting_s(kind, now)
         return waiting_s is not None and waiting_s > WAITED_S and there >= self._own
 
-    def _may_ask(self, last: Asked | None, far: int, now: float) -> bool:
+    def _may_ask(self, last: WorkerRequest | None, far: int, now: float) -> bool:
         if last is None:
             return True
         ago_s = now - last.at_s
@@ -70,6 +74,6 @@ def far_of(workers: Collection[Worker], local: Collection[str]) -> int:
     return sum(1 for worker in workers if worker.name not in local)
 
 
-def joined(asked: Asked, far: int) -> int:
+def joined(asked: WorkerRequest, far: int) -> int:
     """How many of the workers asked for have joined; `far`: workers of that kind on other machines now."""
-    return min(asked.count, max(0, far - asked.had))
+    return min(asked.count, max(0, far - asked.registered_before))

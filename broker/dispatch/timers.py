@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 DEAD_KEPT = 1_000  # entries of the heap that no longer count, before it is made anew
-MOST_SLOWED = 60.0  # a subsystem slower than this, as a factor, is late nevertheless
+MAX_SLOWED = 60.0  # a subsystem slower than this, as a factor, is late nevertheless
 LOOK_AGAIN_S = 0.1  # least time between two looks at the same timer; signs of life arrive every 0.25 s
 
 
@@ -44,9 +44,7 @@ class Timers:
         self._put(name, at_s)
         if subsystems:
             limit_s, own_s = at_s - now, self._own_s
-            self._counts[name] = Count(
-                limit_s, {one: own_s.get(one) for one in subsystems}, now + MOST_SLOWED * limit_s
-            )
+            self._counts[name] = Count(limit_s, {one: own_s.get(one) for one in subsystems}, now + MAX_SLOWED * limit_s)
         elif name in self._counts:
             del self._counts[name]
 

@@ -27,7 +27,7 @@ DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BI
 PROGRESS_S = 0.001  # least processor time that counts as progress of a job
 SILENCE_S = 3.0  # time limit for a sign of life of an idle worker, which sends one every 0.5 s
 BUSY_SILENCE_S = 30.0  # the same during a job: on a busy machine its signs of life are late
-LONGEST_JOB_S = 600.0  # of any job, by the clock: one that only looks busy
+MAX_JOB_S = 600.0  # of any job, by the clock: one that only looks busy
 QUEUE_LIMIT_S = 60.0  # maximum wait of a job while no worker of its kind answers or makes progress
 
 
@@ -255,4 +255,4 @@ def _why_hung(worker: Worker, now: float) -> str:
         return f"job {job} has not used the processor for {idle_s:.1f} s"
     if silent_s > BUSY_SILENCE_S:
         return f"silent for {silent_s:.1f} s, with job {job} in hand for {in_hand_s:.1f} s"
-    return f"job {job} in hand for {in_hand_s:.1f} s" if in_hand_s > LONGEST_JOB_S else ""
+    return f"job {job} in hand for {in_hand_s:.1f} s" if in_hand_s > MAX_JOB_S else ""

@@ -24,7 +24,7 @@ from rtc.runtime.settings import BOUNDS, Settings
 
 PUBLISHED = ("events", "telemetry")  # endpoints that publish; the others answer
 HALTS = ("halt", "estop")
-MOST_MESSAGES = 16  # messages read per socket and loop iteration, so that the next halt is read soon
+MAX_MESSAGES = 16  # messages read per socket and loop iteration, so that the next halt is read soon
 REBIND_S = 0.0005  # period of attempts to bind a port again
 
 
@@ -98,13 +98,13 @@ class ServerSockets:
         """Forward published messages outwards and subscriptions inwards."""
         outside, inside = self.outside[endpoint], self.inside[endpoint]
         if outside in ready:
-            for frame, *more in inbox(outside, MOST_MESSAGES):
+            for frame, *more in inbox(outside, MAX_MESSAGES):
                 if not more and frame[:1] in (b"\0", b"\1") and wire.PROTOCOL.startswith(frame[1:]):
                     push(inside, [frame])
                 else:
                     self.count("unreadable", f"at {endpoint}: not a subscription")
         if inside in ready:
-            for parts in inbox(inside, MOST_MESSAGES):
+            for parts in inbox(inside, MAX_MESSAGES):
                 push(outside, parts)
 
     def messages(self, endpoint: str) -> Iterator[tuple[Peer, Sequence[bytes]]]:
@@ -172,7 +172,7 @@ def push(socket: zmq.Socket[bytes], parts: Sequence[bytes]) -> bool:
 
 def _received(socket: zmq.Socket[bytes]) -> Iterator[tuple[Peer, list[bytes]]]:
     """Yield (sender, frames)."""
-    for _ in range(MOST_MESSAGES):
+    for _ in range(MAX_MESSAGES):
         try:
             part = socket.recv(AT_ONCE, copy=False)
         except zmq.Again:

@@ -22,7 +22,7 @@ import msgspec
 import zmq
 
 from broker.gateway.admission import RELOAD_S, Admission
-from broker.gateway.endpoints import HALTS, MOST_MESSAGES, PUBLISHED, Peer, ServerSockets, push
+from broker.gateway.endpoints import HALTS, MAX_MESSAGES, PUBLISHED, Peer, ServerSockets, push
 from broker.gateway.halts import RETRY_S, HaltForwarder
 from broker.gateway.sessions import Link, Sessions, node_of
 from rtc.language.parse import default_grammar, parse
@@ -113,7 +113,7 @@ class Gateway:
             self._report_peers(now)
             if counts != self._reported:
                 self._reported = dict(counts)
-                send(self._broker, m.Dropped(counts={f"gate_{what}": n for what, n in counts.items()}))
+                send(self._broker, m.UnreadableMessages(counts={f"gate_{what}": n for what, n in counts.items()}))
         if self._endpoints.lost_workers.happened():
             self._search_until_s = now + SEARCH_S
         if (self._search if now < self._search_until_s else self._probe).due(now):
@@ -253,7 +253,7 @@ class Gateway:
     # --- from the cluster -----------------------------------------------------------------------------
 
     def _return_answers(self, link: Link) -> None:
-        for parts in inbox(link.socket, MOST_MESSAGES):
+        for parts in inbox(link.socket, MAX_MESSAGES):
             if link.key.role is Role.PLANNER and link.endpoint == "front":
                 self._remember_commands(link.key, parts)
             if not self._endpoints.send(link.endpoint, link.session, parts):
@@ -284,7 +284,7 @@ def main() -> None:
 def live(run_dir: Path, fd: int = -1) -> None:
     """Run the gateway until it is ordered to end."""
     process.show_name("gate")
-    settings = handover.begin("gate", run_dir, fd).settings
+    settings = handover.claim_role("gate", run_dir, fd).settings
     with process.start("gate", run_dir) as me:
         process.nice(-5)  # not real-time: foreign messages must not delay arms and broker
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)

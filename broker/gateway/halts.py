@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import msgspec
 import zmq
 
-from broker.gateway.endpoints import MOST_MESSAGES, ServerSockets, close
+from broker.gateway.endpoints import MAX_MESSAGES, ServerSockets, close
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import RefusalReason, WireError
@@ -94,7 +94,7 @@ class HaltForwarder:
         for line in readable:
             if (endpoint := self._endpoint_of.get(line)) is None:
                 continue
-            for parts in inbox(line, MOST_MESSAGES):
+            for parts in inbox(line, MAX_MESSAGES):
                 with contextlib.suppress(WireError):
                     answer: m.FromHalt = _read_answer(parts)
                     if isinstance(answer, m.Declined):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from rtc.protocol.messages import FarWorker, PeerRow
+from rtc.protocol.messages import PeerRow, RemoteWorker
 from rtc.runtime.keys import KnownKey
 
 KEPT_S = 1800.0  # a record without a connection is dropped after this time
@@ -24,7 +24,7 @@ class Connection(NamedTuple):
 
     key: str
     host: str
-    worker: FarWorker | None = None
+    worker: RemoteWorker | None = None
 
 
 class Record(msgspec.Struct):

@@ -30,7 +30,7 @@ IDLE_S = 600.0  # a peer silent for so long is removed; it must send its hello a
 OWN_SUBSYSTEMS = ("MCM", "S&P")
 # Without effect at the worker. The send fails if the peer is lost; and data under way is what the kernel needs to
 # detect a cut link (LINK_LIMIT_S).
-PROBE = wire.frames(m.Drop(jobs=[]))
+PROBE = wire.frames(m.CancelJobs(jobs=[]))
 
 
 class Link:
@@ -126,7 +126,7 @@ class Sessions:
                 return f"the two low bits of node {hello.node} are those of a {kind}; leave out --node"
             if name != f"{hello.kind}@{hello.node}":
                 return f"{name!r:.60} is not the name of a {hello.kind} at node {hello.node}"
-            if hello.node < (first := self._settings.first_far_node):
+            if hello.node < (first := self._settings.first_remote_node):
                 return f"node {hello.node} is one of the cluster's own machine; others begin at {first}"
         other = self._named.get((endpoint, name))
         if other is not None and other.key.public != key.public:
@@ -144,7 +144,7 @@ class Sessions:
         same = (link for link in self._of_key("workers", key) if link.instance == hello.instance)
         if (link := next(same, None)) is not None and link.name.startswith(f"{hello.kind}@"):
             return msgspec.structs.replace(hello, name=link.name, node=node_of(link.name))
-        kinds, first = list(m.WorkerKind), self._settings.first_far_node
+        kinds, first = list(m.WorkerKind), self._settings.first_remote_node
         lowest = first + (kinds.index(hello.kind) - first) % len(kinds)
         free = range(lowest, m.NODES, len(kinds))
         for node in free if hello.node not in free else (hello.node, *free):
@@ -201,7 +201,7 @@ class Sessions:
         for link in self._named.values():
             worker = None
             if link.endpoint == "workers":
-                worker = m.FarWorker(
+                worker = m.RemoteWorker(
                     name=link.name,
                     last_message_at_s=link.last_seen_s,
                     round_trip_s=link.round_trip_s,

@@ -5,7 +5,7 @@ in one transaction (WAL, so a commit takes some microseconds). A killed process 
 crash of the operating system ends the run, and its journal is not continued, so nothing waits for the disk. Snapshots
 of the whole state make earlier events unnecessary: they bound the size of the journal and the time of a replay.
 
-The table `stories` holds the records of the `RECORDS_KEPT` commands that ended last. They are written some at a time.
+The table `records` holds the records of the `RECORDS_KEPT` commands that ended last. They are written some at a time.
 Unwritten records are recovered by replay: their events are kept until the next snapshot, which writes the records.
 """
 
@@ -31,12 +31,12 @@ SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT);
 CREATE TABLE IF NOT EXISTS turns (n INTEGER PRIMARY KEY, events BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS snapshot (one INTEGER PRIMARY KEY CHECK (one = 1), n INTEGER, state BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS stories (ended INTEGER PRIMARY KEY, n INTEGER UNIQUE NOT NULL, record BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS records (ended INTEGER PRIMARY KEY, n INTEGER UNIQUE NOT NULL, record BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS programs (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 """
 # A record that is written again keeps its place.
 KEEP_RECORD = """
-INSERT INTO stories (n, record) VALUES (?, ?) ON CONFLICT (n) DO UPDATE SET record = excluded.record;
+INSERT INTO records (n, record) VALUES (?, ?) ON CONFLICT (n) DO UPDATE SET record = excluded.record;
 """
 
 read_events = wire.decoder(list[AnyEvent])
@@ -66,7 +66,7 @@ class Journal:
         before = db.execute("SELECT value FROM about WHERE key = 'run'").fetchone()
         if before is None or before[0] != run:
             with journal.transaction():
-                for table in ("turns", "snapshot", "stories", "programs", "about"):
+                for table in ("turns", "snapshot", "records", "programs", "about"):
                     db.execute(f"DROP TABLE {table}")  # another release may have another schema
                 for statement in SCHEMA.split(";"):
                     db.execute(statement)
@@ -120,8 +120,8 @@ class Journal:
             rows = [(number(record.command), wire.encode(record)) for record in records.values()]
             with self.transaction():
                 self.db.executemany(KEEP_RECORD, rows)
-                newest = self.db.execute("SELECT max(ended) FROM stories").fetchone()[0]
-                self.db.execute("DELETE FROM stories WHERE ended <= ?", (newest - RECORDS_KEPT,))
+                newest = self.db.execute("SELECT max(ended) FROM records").fetchone()[0]
+                self.db.execute("DELETE FROM records WHERE ended <= ?", (newest - RECORDS_KEPT,))
 
     def last_snapshot(self) -> tuple[int, State]:
         """(number of its last batch, state)."""
@@ -144,7 +144,7 @@ class Journal:
     def record(self, command: str) -> CommandRecord | None:
         if command in self._records:
             return self._records[command]
-        row = self.db.execute("SELECT record FROM stories WHERE n = ?", (number(command),)).fetchone()
+        row = self.db.execute("SELECT record FROM records WHERE n = ?", (number(command),)).fetchone()
         return None if row is None else read_record(row[0])
 
     def keep_program(self, digest: str, body: bytes) -> None:

@@ -14,7 +14,7 @@ from rtc.programs.sandbox import CheckRequest, CheckResult, check
 from rtc.protocol.messages import ProgramText
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
-MOST_WAITING = 8  # maximum number of queued loads
+MAX_WAITING = 8  # maximum number of queued loads
 
 
 class Check(Protocol):
@@ -56,8 +56,8 @@ class ProgramLoads:
         """Queue a load. A repeated request is ignored. Returns a refusal if the queue is full."""
         if any((peer, text.request) == (other, known.request) for other, known in self._waiting):
             return None
-        if len(self._waiting) >= MOST_WAITING:
-            words = f"{MOST_WAITING} programs are being checked"
+        if len(self._waiting) >= MAX_WAITING:
+            words = f"{MAX_WAITING} programs are being checked"
             return Refusal(reason=RefusalReason.OVERLOAD, message=words, clears="load it again a few seconds later")
         self._waiting.append((peer, text))
         return None

@@ -20,7 +20,7 @@ from broker.persistence.program_loads import Check, InProcessCheck, ProgramLoads
 from broker.persistence.program_store import ProgramStore
 from broker.router.recent_reports import RecentReports
 from rtc.programs import sandbox
-from rtc.protocol.messages import Asked, PeerRow
+from rtc.protocol.messages import PeerRow, WorkerRequest
 from rtc.runtime.handover import Handover
 from rtc.runtime.process import Process
 from rtc.runtime.settings import BOUNDS, NO_HANDOVER, Settings
@@ -57,7 +57,7 @@ class Core:
         self.supervised = False  # the supervisor has sent a message
         self.processes: list[dict[str, Any]] = []  # the supervisor's latest process table
         self.processes_at_s = self.began_s  # time of that table
-        self.asked: Sequence[Asked] = ()  # requests for more workers, from the same table
+        self.asked: Sequence[WorkerRequest] = ()  # requests for more workers, from the same table
         self.peers: Sequence[PeerRow] = ()  # the gateway's latest report
         self.peers_at_s = self.began_s  # time of that report
         self.reports = RecentReports()

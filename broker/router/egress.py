@@ -90,7 +90,7 @@ class Egress:
 
     def _cancel_job(self, effect: do.CancelJob) -> None:
         if worker := self._core.registry.cancel(effect.job):
-            send(self._core.sockets["workers"], m.Drop(jobs=[effect.job]), peer_of(worker))
+            send(self._core.sockets["workers"], m.CancelJobs(jobs=[effect.job]), peer_of(worker))
 
     def _send_primitive(self, effect: do.SendPrimitive) -> None:
         message = {
@@ -101,7 +101,7 @@ class Egress:
         self.subsystems.put(self._core.subsystem_peer(effect.subsystem), message)
 
     def _send_pace(self, effect: do.SendPace) -> None:
-        order = m.Pace(primitive=effect.primitive, paused=effect.paused)
+        order = m.SetPaused(primitive=effect.primitive, paused=effect.paused)
         self.subsystems.put(self._core.subsystem_peer(effect.subsystem), order)
 
     def _send_halt(self, effect: do.SendHalt) -> None:

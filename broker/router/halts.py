@@ -43,7 +43,7 @@ class Halts:
         numbered = msgspec.structs.replace(order, call=f"{self._life}-{self._count}")
         if self._limiter.exceeds(peer, now):
             self._limiter.merge(numbered)
-            self._core.dropped["halts_folded"] += 1
+            self._core.dropped["halts_merged"] += 1
             return
         self.callers.setdefault(peer, deque(maxlen=HALTS_OF_CALLER)).append(Called(numbered.call, order, now))
         self.callers.move_to_end(peer)

@@ -28,7 +28,7 @@ class Health:
         self._core, self._egress, self._guard = core, egress, guard
         given = core.settings
         self._autoscaler = Autoscaler(given.least, given.most)
-        self._more_workers = MoreWorkers(given.more, given.most, given.more_most, given.more_wait_s)
+        self._more_workers = MoreWorkers(given.more, given.most, given.scale_out_max, given.scale_out_timeout_s)
         self._snapshots = Every(SNAPSHOT_S)
         self.subsystem_seen_s: dict[str, float] = {}  # subsystem -> time of its latest message
         # Clients whose commands are halted when they disappear -> time of the latest sign of life.

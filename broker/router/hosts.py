@@ -11,7 +11,7 @@ from typing import Any
 
 from broker.dispatch.more_workers import far_of, joined
 from broker.dispatch.worker_registry import Worker, WorkerRegistry
-from rtc.protocol.messages import Asked, FarWorker, PeerRow
+from rtc.protocol.messages import PeerRow, RemoteWorker, WorkerRequest
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import LINK_LIMIT_S
 
@@ -39,7 +39,7 @@ def hosts(
 
 
 def requests_for_more(
-    asked: Asked, registry: WorkerRegistry, processes: Sequence[Mapping[str, Any]], now: float
+    asked: WorkerRequest, registry: WorkerRegistry, processes: Sequence[Mapping[str, Any]], now: float
 ) -> dict[str, Any]:
     """The latest request for more workers of a kind: how many were asked for, how many have joined since."""
     workers = [worker for worker in registry.workers.values() if worker.kind is asked.kind]
@@ -119,5 +119,5 @@ def _late(names: Iterable[str], late: Mapping[str, int]) -> int:
     return sum(late.get(name, 0) for name in names)
 
 
-def _trip_s(worker: FarWorker) -> float:
+def _trip_s(worker: RemoteWorker) -> float:
     return worker.round_trip_s or 0.0

@@ -25,8 +25,8 @@ from rtc.runtime.process import inbox, send
 
 # Maximum number of events per socket and iteration. The shares are those of a stream of short commands, so none of its
 # messages waits for long. One message of a worker has several results.
-MOST_EVENTS = {"halt": 10, "subsystems": 16, "workers": 48, "front": 64}
-MOST_MESSAGES = 200  # maximum number of messages per socket and iteration; not all are events
+MAX_EVENTS = {"halt": 10, "subsystems": 16, "workers": 48, "front": 64}
+MAX_MESSAGES = 200  # maximum number of messages per socket and iteration; not all are events
 READ_S = 0.003  # time limit per socket and iteration: queries, long and invalid messages take time too
 WARNINGS = 20  # dropped messages of one socket that are logged; later only every thousandth is
 
@@ -60,19 +60,19 @@ class Ingress:
     def receive(self, name: str, now: float) -> bool:
         """Handle the queued messages of one socket, within the limits. False: there may be more."""
         core, source = self._core, self._sources[name]
-        most = MOST_EVENTS.get(name, MOST_MESSAGES)
+        most = MAX_EVENTS.get(name, MAX_MESSAGES)
         messages, began = 0, core.clock()
-        for peer, *parts in inbox(core.sockets[name], MOST_MESSAGES):
+        for peer, *parts in inbox(core.sockets[name], MAX_MESSAGES):
             messages += 1
             self._handle(name, source, peer, parts, now)
             if len(core.events) >= most or core.clock() - began > READ_S:
                 return False
-        return messages < MOST_MESSAGES
+        return messages < MAX_MESSAGES
 
     def receive_subscriptions(self, now: float) -> None:
         """Subscriptions of the event stream: one frame each, 1 or 0 and the prefix that is wanted."""
         topics = set(self._egress.topics)
-        for frame, *_ in inbox(self._core.sockets["events"], MOST_MESSAGES):
+        for frame, *_ in inbox(self._core.sockets["events"], MAX_MESSAGES):
             wanted, topic = frame[:1], frame[1:]
             if wanted not in (b"\0", b"\1") or not wire.PROTOCOL.startswith(topic):
                 self._core.dropped["events"] += 1

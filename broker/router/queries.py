@@ -36,7 +36,7 @@ class BrokerView:
     processes: Sequence[Mapping[str, Any]]  # the supervisor's latest process table
     processes_at_s: float  # time of that table
     dropped: Mapping[str, int]  # dropped messages by socket, of this and other processes
-    asked: Collection[m.Asked]  # requests for more workers
+    asked: Collection[m.WorkerRequest]  # requests for more workers
     peers: Sequence[m.PeerRow]  # the gateway's latest report
     peers_at_s: float  # time of that report
     late_results: Mapping[str, int]  # by worker

@@ -25,7 +25,7 @@ from broker.router.supervisor_messages import count_dropped
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.protocol.primitive_id import command_of
-from rtc.runtime.handover import TOKEN_BEARERS
+from rtc.runtime.handover import PROTECTED_NAMES
 from rtc.runtime.process import Every, send
 
 DROP_COUNTERS = ("estop", "bench")  # of the MCM's own sockets
@@ -49,7 +49,7 @@ class SubsystemMessages:
         its identity lacks the token. Its hello is answered with a refusal."""
         name = name_of(peer)
         bare = name.removesuffix(f"@{self._core.given.token}")
-        if bare not in TOKEN_BEARERS or name == self._core.given.identity(bare):
+        if bare not in PROTECTED_NAMES or name == self._core.given.identity(bare):
             return bare
         if isinstance(message, m.SubsystemHello):
             ours = self._core.state.subsystems.get(bare)
@@ -91,7 +91,7 @@ class SubsystemMessages:
     def _started(self, name: str, peer: bytes, message: m.Started, now: float) -> None:
         self._core.enqueue(PrimitiveStarted(at_s=now, subsystem=name, primitive=message.primitive))
 
-    def _paced(self, name: str, peer: bytes, message: m.Paced, now: float) -> None:
+    def _paced(self, name: str, peer: bytes, message: m.PauseChanged, now: float) -> None:
         self._core.enqueue(
             PrimitivePaced(
                 at_s=now, subsystem=name, primitive=message.primitive, paused=message.paused, done=message.done
@@ -124,7 +124,7 @@ class SubsystemMessages:
         )
 
     def _injected(self, name: str, peer: bytes, message: m.Injected, now: float) -> None:
-        if name in self._core.state.subsystems or name in TOKEN_BEARERS:  # their number is bounded
+        if name in self._core.state.subsystems or name in PROTECTED_NAMES:  # their number is bounded
             self._core.injected[name] = message.active
 
     def _strayed(self, name: str, peer: bytes, message: m.Strayed, now: float) -> None:
@@ -138,7 +138,7 @@ class SubsystemMessages:
             self._core.enqueue(ArmStrayed(at_s=now, subsystem=name, arm=arm, how=arms[arm]))
         self._core.strayed[name] = arms
 
-    def _count_dropped(self, name: str, peer: bytes, message: m.Dropped, now: float) -> None:
+    def _count_dropped(self, name: str, peer: bytes, message: m.UnreadableMessages, now: float) -> None:
         count_dropped(self._core, message, DROP_COUNTERS)
 
     def _forward_report(self, name: str, peer: bytes, report: m.ProgressReport, now: float) -> None:
@@ -149,7 +149,7 @@ class SubsystemMessages:
         if self._second.due(now):
             self._forwarded.clear()
         self._forwarded[command.client] += 1
-        if self._forwarded[command.client] > reporting.MOST_PER_S:
+        if self._forwarded[command.client] > reporting.MAX_PER_S:
             self._core.dropped["reports"] += 1
             return
         note = reporting.note_of(command, report, now)
@@ -167,13 +167,13 @@ HANDLERS: dict[type, Callable[[SubsystemMessages, str, bytes, Any, float], None]
     m.SubsystemHello: SubsystemMessages._connect,
     m.Heartbeat: SubsystemMessages._mark_alive,
     m.Started: SubsystemMessages._started,
-    m.Paced: SubsystemMessages._paced,
+    m.PauseChanged: SubsystemMessages._paced,
     m.EndReport: SubsystemMessages._ended,
     m.HaltOrder: SubsystemMessages._call_halt,
     m.HaltStarted: SubsystemMessages._halt_started,
     m.HaltAtRest: SubsystemMessages._confirm_rest,
     m.Injected: SubsystemMessages._injected,
     m.Strayed: SubsystemMessages._strayed,
-    m.Dropped: SubsystemMessages._count_dropped,
+    m.UnreadableMessages: SubsystemMessages._count_dropped,
     m.ProgressReport: SubsystemMessages._forward_report,
 }

@@ -26,7 +26,7 @@ class SupervisorMessages:
 
     def receive(self, peer: bytes, message: Any, now: float) -> None:
         """Raises WireError for a peer that is not the supervisor."""
-        if isinstance(message, m.Dropped) and peer in DROP_COUNTERS:
+        if isinstance(message, m.UnreadableMessages) and peer in DROP_COUNTERS:
             count_dropped(self._core, message, DROP_COUNTERS[peer])
             return
         if isinstance(message, m.GatewayReport) and peer == GATEWAY:
@@ -60,7 +60,7 @@ class SupervisorMessages:
         self._core.asked = message.asked
 
 
-def count_dropped(core: Core, message: m.Dropped, sockets: Collection[str]) -> None:
+def count_dropped(core: Core, message: m.UnreadableMessages, sockets: Collection[str]) -> None:
     """Store the drop counts that a process reports for its own sockets."""
     core.reported_drops.update((name, n) for name, n in message.counts.items() if name in sockets)
 

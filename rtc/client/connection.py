@@ -27,7 +27,7 @@ from rtc.runtime.keys import Endpoints
 from rtc.runtime.link import WATCHED, LinkState
 from rtc.runtime.settings import BOUNDS
 
-HELLO_S, FAR_HELLO_S = 0.8, 3.0  # time limit of the first Welcome, local and over tcp
+HELLO_S, REMOTE_HELLO_S = 0.8, 3.0  # time limit of the first Welcome, local and over tcp
 RESTART_S = 10.0  # the same while the supervisor lives and restarts the broker
 LOOK_S = 0.2  # period of checking that the supervisor lives
 FAR_IDLE_S = 60.0  # after this pause the hello is repeated, because a gateway forgets idle clients
@@ -80,7 +80,7 @@ class BrokerConnection:
         Raises NoCluster if the broker does not answer in time.
         """
         began_s = time.monotonic()
-        limit_s = began_s + (FAR_HELLO_S if self._far else HELLO_S)
+        limit_s = began_s + (REMOTE_HELLO_S if self._far else HELLO_S)
         reported = False
         while self.welcome is None:
             left_s = limit_s - time.monotonic()

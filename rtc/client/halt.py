@@ -32,7 +32,7 @@ CONNECT_S, FAR_CONNECT_S = 0.5, 3.0  # time limit of the first connection, local
 # reports rest at once, for an unknown scope too.
 UNKNOWN_S, FAR_UNKNOWN_S = 0.1, 0.5
 ASK_S, FAR_ASK_S = 1.0, 3.0  # time limit of the query whether a command exists, local and over tcp
-LONGEST_S = 3600.0  # maximum wait for rest
+MAX_S = 3600.0  # maximum wait for rest
 RETRY_S = 0.02  # period of sending the order again to a socket that was not connected
 RANK = 1  # real-time priority of the I/O thread of the halt sockets, and of a caller while it sends, if permitted
 HALT_ENDPOINTS = ("halt", "estop")  # of the broker, of the MCM
@@ -60,7 +60,7 @@ class HaltResult(msgspec.Struct, kw_only=True):
     scope: str
     latency_s: float | None  # the first decelerating tick of all; None: no subsystem answered
     confirmed: bool  # every subsystem that answered is at rest, and one did
-    sent_to: list[str] = msgspec.field(name="told")  # sockets that accepted it: "halt" (broker), "estop" (MCM)
+    sent_to: list[str]  # sockets that accepted it: "halt" (broker), "estop" (MCM)
     subsystems: list[SubsystemHalt]
     message: str = ""  # why it is not confirmed
     declined: bool = False  # the scope is unknown: nothing was stopped
@@ -99,11 +99,11 @@ class HaltLine:
             self._poller.register(socket, zmq.POLLIN)
 
     def halt(self, scope: str = "ALL", timeout_s: float = 2.0) -> HaltResult:
-        """Send the order and wait for rest, at most `timeout_s` (s) and at most LONGEST_S.
+        """Send the order and wait for rest, at most `timeout_s` (s) and at most MAX_S.
 
         `scope`: ALL, a performer or a command C-n. Raises ClusterError if neither broker nor MCM could be reached.
         """
-        timeout_s = min(LONGEST_S, timeout_s)  # in this order nan becomes LONGEST_S too
+        timeout_s = min(MAX_S, timeout_s)  # in this order nan becomes MAX_S too
         with self._lock:
             called_at_s = time.monotonic()
             with real_time(self._rank):  # else the caller may wait behind busy processes before it has sent
@@ -242,7 +242,7 @@ class HaltLine:
 
 
 def _ms(seconds: float) -> int:
-    return math.ceil(1000 * max(0.0, min(LONGEST_S, seconds)))
+    return math.ceil(1000 * max(0.0, min(MAX_S, seconds)))
 
 
 def _at_rest(subsystems: Collection[SubsystemHalt]) -> bool:

@@ -1,6 +1,6 @@
 """Commands of a cluster that has ended, read from the journal that its broker left behind.
 
-Reads the table `stories` of `broker/persistence/journal.py` in the file itself, read-only, and needs no process.
+Reads the table `records` of `broker/persistence/journal.py` in the file itself, read-only, and needs no process.
 Times in a record are CLOCK_MONOTONIC seconds; `Past.wall_s` converts them to Unix time.
 """
 
@@ -22,8 +22,8 @@ from rtc.runtime.settings import LAST_WORDS
 JOURNAL = "journal.db"  # in the run directory of a cluster
 PREVIOUS = "previous"  # a directory in it: the same of the run before
 OLDER = ("previous-2", "previous-3")
-NEWEST_FIRST = "SELECT record FROM stories ORDER BY n DESC LIMIT ?"
-ONE = "SELECT record FROM stories WHERE n = ?"
+NEWEST_FIRST = "SELECT record FROM records ORDER BY n DESC LIMIT ?"
+ONE = "SELECT record FROM records WHERE n = ?"
 
 _read = wire.decoder(CommandRecord)
 

@@ -11,7 +11,7 @@ from rtc.language.refuse import visible
 from rtc.protocol.outcomes import Refusal
 
 WIDTH = 100  # columns of the text
-MOST_EXPECTED = 20  # words; a longer list (all verbs) is replaced by a reference
+MAX_EXPECTED = 20  # words; a longer list (all verbs) is replaced by a reference
 INDENT = "  "
 CUT = "..."
 
@@ -24,7 +24,7 @@ def show(sentence: str | bytes, refusal: Refusal) -> str:
         lines += [INDENT + line, INDENT + " " * place + "^"]
     lines.append(refusal.message)
     expected = refusal.expected
-    if refusal.column is not None and len(expected) > MOST_EXPECTED:
+    if refusal.column is not None and len(expected) > MAX_EXPECTED:
         expected = [f"one of {len(expected)} words; `rtc dictionary` lists the verbs"]
     for label, words in (("expected", expected), ("nearest", refusal.nearest)):
         if words:

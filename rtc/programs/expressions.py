@@ -18,8 +18,8 @@ import numpy as np
 from rtc.language.alike import nearest_words
 from rtc.spatial import geometry
 
-MOST_APART_RAD = math.radians(5.0)  # maximum angle between averaged attitudes (A15)
-LONGEST = 200  # maximum length in characters
+MAX_APART_RAD = math.radians(5.0)  # maximum angle between averaged attitudes (A15)
+MAX_CHARACTERS = 200  # maximum length in characters
 
 
 class ExpressionError(ValueError):
@@ -65,8 +65,8 @@ def names(text: str | float) -> set[str]:
 @lru_cache(maxsize=1024)
 def parse(text: str) -> ast.expr:
     """The tree of an expression. Raises ExpressionError on anything but arithmetic."""
-    if len(text) > LONGEST:
-        raise ExpressionError(f"the expression has {len(text)} characters; the limit is {LONGEST}")
+    if len(text) > MAX_CHARACTERS:
+        raise ExpressionError(f"the expression has {len(text)} characters; the limit is {MAX_CHARACTERS}")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -149,8 +149,8 @@ def _mean(poses: Poses) -> list[float]:
     if min(weights) < 0.0 or abs(sum(weights) - 1.0) > 1e-9:
         raise ExpressionError(f"weights of poses must add up to 1, these are {', '.join(f'{w:g}' for w in weights)}")
     apart = max(geometry.angle(p, q) for _, p in poses.parts for _, q in poses.parts)
-    if apart > MOST_APART_RAD:
-        most = math.degrees(MOST_APART_RAD)
+    if apart > MAX_APART_RAD:
+        most = math.degrees(MAX_APART_RAD)
         raise ExpressionError(
             f"attitudes {math.degrees(apart):.1f} deg apart have no mean; the limit is {most:.0f} deg"
         )

@@ -96,8 +96,8 @@ ARGS = (
 #: performers of steps
 PERFORMERS = ("active_arm", "camera")
 #: binder: algorithms that turn a step into a primitive
-ACTIONS = ("motion", "hand", "still", "assign", "told", "procedure", "look")
-PROCEDURES = ("open_hand", "lay_down_plan")
+ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look")
+PROCEDURES = ("open_hand", "grasp_plan")
 #: binder: predicates of F
 PREDICATES = (
     "goal-reached",

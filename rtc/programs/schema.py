@@ -153,9 +153,9 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
     instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
     cannot: dict[str, str] = {}  # verb that no script can perform -> the reason
     needs: dict[str, str] = {}  # registered condition of the world -> a command that makes it true
-    told: dict[str, SettableAttribute] = {}  # attribute that SET may change -> form of its value
-    told_of_seats: list[str] = []  # those of `told` that SET may change for a seat
-    not_told: dict[str, str] = {}  # attribute that SET may not change -> the command that measures it
+    settable: dict[str, SettableAttribute] = {}  # attribute that SET may change -> form of its value
+    settable_of_seats: list[str] = []  # those of `settable` that SET may change for a seat
+    not_settable: dict[str, str] = {}  # attribute that SET may not change -> the command that measures it
     clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
     senses: dict[str, str] = {}  # suspect attribute of an arm -> piece of script that runs first
 

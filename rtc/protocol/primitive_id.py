@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-LONGEST = 200  # characters, as of every name in a message
+MAX_CHARACTERS = 200  # characters, as of every name in a message
 _ID = re.compile(r"(C-\d+)\.(\d+)(?:@(\w+))?", re.ASCII)
 
 
@@ -40,4 +40,4 @@ def seed_of(command: str) -> int:
 
 def is_name(primitive: str) -> bool:
     """Whether a text has the form of a primitive's name, with or without a life."""
-    return len(primitive) <= LONGEST and _ID.fullmatch(primitive) is not None
+    return len(primitive) <= MAX_CHARACTERS and _ID.fullmatch(primitive) is not None

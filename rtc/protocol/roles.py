@@ -25,13 +25,13 @@ class Role(StrEnum):
 
 
 Kinds = tuple[type[m.Message], ...]
-LOOK: Kinds = (m.ClientHello, m.StatusQuery, m.TraceQuery, m.ProgramQuery)
-PLAN: Kinds = (*LOOK, m.CommandText, m.Heartbeat)
-OPERATE: Kinds = (*PLAN, m.ProgramText, m.Shutdown)
+OBSERVER_MAY: Kinds = (m.ClientHello, m.StatusQuery, m.TraceQuery, m.ProgramQuery)
+PLANNER_MAY: Kinds = (*OBSERVER_MAY, m.CommandText, m.Heartbeat)
+OPERATOR_MAY: Kinds = (*PLANNER_MAY, m.ProgramText, m.Shutdown)
 READ: Kinds = (m.ReadView, m.WorldHistory)
 JOIN: Kinds = (m.WorkerHello, m.Heartbeat, m.ResultBatch, m.ProgramWanted, m.WorkerGone)
 PERFORM: Kinds = (
-    *(m.SubsystemHello, m.Heartbeat, m.Started, m.Paced, m.ProgressReport, m.EndReport),
+    *(m.SubsystemHello, m.Heartbeat, m.Started, m.PauseChanged, m.ProgressReport, m.EndReport),
     *(m.HaltStarted, m.HaltAtRest, m.HaltOrder, m.Injected, m.Strayed),
 )
 HALT: Kinds = (m.HaltOrder,)
@@ -40,7 +40,7 @@ NOTHING: Kinds = ()  # may connect, but every message is declined
 
 #: endpoint -> role -> messages it may send. The port of the n-th endpoint is n above the first.
 MAY: dict[str, dict[Role, Kinds]] = {
-    "front": {Role.OBSERVER: LOOK, Role.PLANNER: PLAN, Role.OPERATOR: OPERATE},
+    "front": {Role.OBSERVER: OBSERVER_MAY, Role.PLANNER: PLANNER_MAY, Role.OPERATOR: OPERATOR_MAY},
     "halt": {Role.OBSERVER: NOTHING, Role.PLANNER: HALT, Role.OPERATOR: HALT},
     "estop": {Role.OBSERVER: NOTHING, Role.PLANNER: HALT, Role.OPERATOR: HALT},
     "events": {Role.OBSERVER: LISTEN, Role.PLANNER: LISTEN, Role.OPERATOR: LISTEN},

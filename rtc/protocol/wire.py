@@ -4,7 +4,7 @@ A message has two frames, `PROTOCOL` and a MessagePack map (after the routing fr
 A reader is made for a union of message types. Anything else raises a `WireError` with the reason, never an exception
 of the codec.
 
-In place of the map there may be an array of up to `MOST_TOGETHER` maps. It has all messages of one loop iteration for
+In place of the map there may be an array of up to `MAX_BATCH` maps. It has all messages of one loop iteration for
 one peer, in order. A process sends arrays only to a peer that has announced that it reads them.
 """
 
@@ -20,8 +20,8 @@ from rtc.protocol.outcomes import WireError
 
 PROTOCOL = b"RTC1"
 MAX_BYTES = 8 << 20  # maximum size of a frame; ZeroMQ disconnects a peer that sends a larger one
-MOST_TOGETHER = 64  # maximum number of messages in an array; it is read as a whole and must not delay a halt
-MOST_BYTES_TOGETHER = 192 << 10  # maximum size of an array; below the frame limit of every socket that takes arrays
+MAX_BATCH = 64  # maximum number of messages in an array; it is read as a whole and must not delay a halt
+MAX_BATCH_BYTES = 192 << 10  # maximum size of an array; below the frame limit of every socket that takes arrays
 NAME_CHARACTERS = 1_000  # maximum length of a name read from an invalid message; valid ones are shorter
 
 
@@ -73,7 +73,7 @@ def reader_of_many(union: Any) -> Callable[[Sequence[bytes]], Sequence[Any]]:
 
     One invalid map makes its whole array invalid; `split` separates them.
     """
-    read = reader(union | Annotated[list[union], msgspec.Meta(max_length=MOST_TOGETHER)])
+    read = reader(union | Annotated[list[union], msgspec.Meta(max_length=MAX_BATCH)])
 
     def read_many(parts: Sequence[bytes]) -> Sequence[Any]:
         found = read(parts)
@@ -100,10 +100,10 @@ def together(messages: Sequence[Any]) -> list[list[bytes]]:
     Messages are combined to arrays within the limits; a single one is sent as a map.
     """
     found: list[list[bytes]] = []
-    for first in range(0, len(messages), MOST_TOGETHER):
-        some = messages[first : first + MOST_TOGETHER]
+    for first in range(0, len(messages), MAX_BATCH):
+        some = messages[first : first + MAX_BATCH]
         body = _encoder.encode(some if len(some) > 1 else some[0])
-        if len(some) == 1 or len(body) <= MOST_BYTES_TOGETHER:
+        if len(some) == 1 or len(body) <= MAX_BATCH_BYTES:
             found.append([PROTOCOL, body])
         else:
             middle = len(some) // 2
@@ -121,7 +121,7 @@ def _body(parts: Sequence[bytes]) -> bytes:
 
 
 _ARRAY = {*(bytes([first]) for first in range(0x91, 0xA0)), b"\xdc", b"\xdd"}  # first byte of an array in MessagePack
-_read_array = msgspec.msgpack.Decoder(Annotated[list[msgspec.Raw], msgspec.Meta(max_length=MOST_TOGETHER)]).decode
+_read_array = msgspec.msgpack.Decoder(Annotated[list[msgspec.Raw], msgspec.Meta(max_length=MAX_BATCH)]).decode
 
 
 class _Named(msgspec.Struct):

@@ -32,7 +32,7 @@ MEMORY: dict[str, tuple[int, struct.Struct]] = {
 }
 #: Time that broker and MCM need to stop arms and send outcomes after their supervisor was killed.
 HOLD_S = 3.0  # at full speed
-TOKEN_BEARERS = ("MCM", "S&P", "supervisor")  # names whose ZeroMQ identity contains the token and cannot be guessed
+PROTECTED_NAMES = ("MCM", "S&P", "supervisor")  # names whose ZeroMQ identity contains the token and cannot be guessed
 
 
 class _Body(msgspec.Struct, frozen=True):
@@ -63,9 +63,9 @@ class Handover:
 
     def identity(self, name: str) -> str:
         """ZeroMQ identity of the process `name` at the broker."""
-        return f"{name}@{self.token}" if self.token and name in TOKEN_BEARERS else name
+        return f"{name}@{self.token}" if self.token and name in PROTECTED_NAMES else name
 
-    def remember(self, role: str, *values: bytes | int) -> None:
+    def save_counters(self, role: str, *values: bytes | int) -> None:
         """Keep these values for the next process of this role. A process started by hand keeps nothing."""
         if self.fd >= 0:
             at, form = MEMORY[role]
@@ -80,7 +80,7 @@ class Handover:
         first, second = [*numbers, 0][:2]
         return (life.rstrip(b"\0"), first, second) if life.rstrip(b"\0") else None
 
-    def hold(self, name: str) -> None:
+    def lock(self, name: str) -> None:
         """Lock `name` in the run directory until this process ends. Raises SystemExit if another process has it."""
         path = self.settings.path / f"{name}.lock"
         try:
@@ -126,10 +126,10 @@ def load(run_dir: Path, fd: int) -> Handover:
     return Handover(settings, key)
 
 
-def begin(name: str, run_dir: Path, fd: int) -> Handover:
+def claim_role(name: str, run_dir: Path, fd: int) -> Handover:
     """Load the handed data and lock `name`. Raises SystemExit if another process has it, before a socket opens."""
     handed = load(run_dir, fd)
     if fd < 0 and supervised(run_dir, by_hand=False):
         raise SystemExit(f"a cluster runs in {run_dir}, and has its own {name}; a second one is not started")
-    handed.hold(name)
+    handed.lock(name)
     return handed

@@ -16,9 +16,9 @@ from msgspec import Meta
 from rtc.protocol.outcomes import ClusterError
 
 SUN_PATH_LIMIT = 107  # bytes of a Unix socket's path on Linux
-LEAST_DIM, MOST_DIM = 2, 8  # limits of the cube's dimension; a smaller cube lacks kinds of workers
-MOST_WORKERS = 64  # maximum number of workers of a kind
-MOST_FAR = 1_000  # maximum number of workers of a kind on other machines
+MIN_DIM, MAX_DIM = 2, 8  # limits of the cube's dimension; a smaller cube lacks kinds of workers
+MAX_WORKERS = 64  # maximum number of workers of a kind
+MAX_REMOTE_WORKERS = 1_000  # maximum number of workers of a kind on other machines
 Mcm = Literal["bullet", "kinematic"]
 MCMS: tuple[str, ...] = get_args(Mcm)
 
@@ -32,16 +32,17 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     run_dir: str
     run: str = ""  # identifies this run; data of an earlier run in the directory are not continued
     cell: str = "swapout"  # name of a cell, or a file
-    dim: Annotated[int, Meta(ge=LEAST_DIM, le=MOST_DIM)] = 2  # dimension of the cube: 2^dim workers
+    dim: Annotated[int, Meta(ge=MIN_DIM, le=MAX_DIM)] = 2  # dimension of the cube: 2^dim workers
     # Workers of each kind when idle; None = as many as the cube has.
-    least_workers: Annotated[int, Meta(ge=0, le=MOST_WORKERS)] | None = None
-    most_workers: Annotated[int, Meta(ge=1, le=MOST_WORKERS)] = 4  # of each kind, when jobs wait
+    least_workers: Annotated[int, Meta(ge=0, le=MAX_WORKERS)] | None = None
+    most_workers: Annotated[int, Meta(ge=1, le=MAX_WORKERS)] = 4  # of each kind, when jobs wait
     mcm: Mcm = "bullet"
     speed: Annotated[float, Meta(ge=0)] = 1.0  # simulated seconds per second; 0 = as fast as possible
     listen: str = ""  # tcp://HOST:PORT of the gateway for other machines; empty = no gateway
     more: str = ""  # command line that starts {count} workers of a {kind} on other machines; empty = none
-    more_most: Annotated[int, Meta(ge=1, le=MOST_FAR)] = 8  # workers of each kind on other machines that it asks for
-    more_wait_s: Annotated[float, Meta(gt=0)] = 60.0  # time for them to join; then they are asked for again
+    # Workers of each kind on other machines that the supervisor asks for.
+    scale_out_max: Annotated[int, Meta(ge=1, le=MAX_REMOTE_WORKERS)] = 8
+    scale_out_timeout_s: Annotated[float, Meta(gt=0)] = 60.0  # time for them to join; then they are asked for again
     record: str = ""  # directory for the files of the recorder; empty = no recorder
 
     far = False  # the cluster is on this machine and shares its clock
@@ -61,9 +62,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         return max(self.least, self.most_workers, 1)
 
     @property
-    def first_far_node(self) -> int:
+    def first_remote_node(self) -> int:
         """The lowest address of workers on other machines; those of this machine are below it."""
-        return max(1 << self.dim, (1 << LEAST_DIM) * self.most)
+        return max(1 << self.dim, (1 << MIN_DIM) * self.most)
 
     @property
     def timeout_scale(self) -> float:

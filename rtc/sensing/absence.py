@@ -16,7 +16,7 @@ from rtc.spatial import geometry
 
 DARK, BRIGHT = 40, 230  # if nearly all pixels are below or above, no tag has any contrast; white is 255
 NEARLY_ALL = 99.0  # percent
-LEAST_PX = 16.0  # across a tag's black square: two pixels per cell; smaller ones are not read reliably
+MIN_PX = 16.0  # across a tag's black square: two pixels per cell; smaller ones are not read reliably
 
 
 class Cause(StrEnum):
@@ -39,7 +39,7 @@ def cause(tags: Sequence[TagOnBody], believed: geometry.Floats, view: View, imag
     widths = [width for tag in tags if (width := across_px(tag, believed, view)) is not None]
     if not widths:
         return Cause.OUT_OF_VIEW
-    return Cause.TOO_SMALL if max(widths) < LEAST_PX else Cause.OCCLUDED
+    return Cause.TOO_SMALL if max(widths) < MIN_PX else Cause.OCCLUDED
 
 
 def across_px(tag: TagOnBody, believed: geometry.Floats, view: View) -> float | None:

@@ -19,7 +19,7 @@ SMALL = 1e-6  # m and rad: a step below this ends the search
 STARTS = 2  # number of tags, the largest, that give the starts
 NOISE_PX = 0.2  # standard deviation of a corner that is assumed at least, per axis
 BAD_PX = 1.0  # above this error, a tag is looked for that is not where the cell states
-LEAST_GAIN = 3.0  # such a tag is left out if the error of the others is lower by this factor
+MIN_GAIN = 3.0  # such a tag is left out if the error of the others is lower by this factor
 APART_RAD, APART_M = 0.035, 0.005  # poses further apart are two solutions
 CONFUSED = 2.0  # a second solution whose error is below this multiple of the first cannot be ruled out
 
@@ -123,7 +123,7 @@ def _consistent(sightings: list[TagObservation]) -> tuple[list[TagObservation], 
         if not tried:
             break
         rest, found = min(tried, key=lambda one: one[1][0].error_px)
-        if LEAST_GAIN * found[0].error_px > solutions[0].error_px:
+        if MIN_GAIN * found[0].error_px > solutions[0].error_px:
             break
         sightings, solutions = rest, found
     return sightings, solutions

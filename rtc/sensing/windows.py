@@ -14,8 +14,8 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 
 MARGIN = 0.18  # around a tag, in its widths: its white border, and what it moves more than was predicted
-LEAST_MARGIN_PX = 5.0
-MOST = 0.5  # share of the picture's pixels; above it, the whole picture is as fast
+MIN_MARGIN_PX = 5.0
+MAX_SHARE = 0.5  # share of the picture's pixels; above it, the whole picture is as fast
 
 
 def windows(tags: Sequence[TagOnBody], pose: geometry.Floats, view: View) -> dict[int, Window]:
@@ -23,10 +23,10 @@ def windows(tags: Sequence[TagOnBody], pose: geometry.Floats, view: View) -> dic
     found = {
         tag.id: _around(_pixels(tag, pose, view), view)
         for tag in tags
-        if (absence.across_px(tag, pose, view) or 0.0) >= absence.LEAST_PX
+        if (absence.across_px(tag, pose, view) or 0.0) >= absence.MIN_PX
     }
     pixels = sum(window.width * window.height for window in found.values())
-    return found if pixels <= MOST * math.prod(view.size_px) else {}
+    return found if pixels <= MAX_SHARE * math.prod(view.size_px) else {}
 
 
 def _pixels(tag: TagOnBody, pose: geometry.Floats, view: View) -> Array:
@@ -36,7 +36,7 @@ def _pixels(tag: TagOnBody, pose: geometry.Floats, view: View) -> Array:
 
 def _around(pixels: Array, view: View) -> Window:
     low, high = pixels.min(axis=0), pixels.max(axis=0)
-    margin = max(LEAST_MARGIN_PX, MARGIN * float((high - low).max()))
+    margin = max(MIN_MARGIN_PX, MARGIN * float((high - low).max()))
     left, top = (max(0, n) for n in np.floor(low - margin).astype(int).tolist())
     right, bottom = (
         min(n, end) for n, end in zip(np.ceil(high + margin).astype(int).tolist(), view.size_px, strict=True)

@@ -14,7 +14,7 @@ import msgspec
 import zmq
 
 from rtc.protocol import wire
-from rtc.protocol.messages import Dropped, ToWorld, WorldChange
+from rtc.protocol.messages import ToWorld, UnreadableMessages, WorldChange
 from rtc.protocol.outcomes import WireError
 from rtc.runtime import damaged_database, fork_server, handover, process
 from rtc.runtime.memory_guard import MemoryGuard
@@ -42,7 +42,7 @@ def live(run_dir: Path, fd: int = -1) -> None:
     """Runs the world database until it receives SIGTERM. `fd`: the handover file of the supervisor
     (rtc.runtime.handover)."""
     process.show_name("world")
-    given = handover.begin("world", run_dir, fd)
+    given = handover.claim_role("world", run_dir, fd)
     with process.start("world", run_dir) as me:
         path = run_dir / FILE
         store = damaged_database.open_or_set_aside(path, lambda: Store(path), me.note)
@@ -56,10 +56,12 @@ def _live(me: Process, given: handover.Handover, store: Store) -> None:
     socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, bounds=BOUNDS["world"])
     broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="world", poll=False)
     server = Server(store, given.lease_key, lambda: _fixed(settings))
-    store.saved = lambda version: given.remember("world", BORN, version)
+    store.saved = lambda version: given.save_counters("world", BORN, version)
     process.freeze_heap()
     me.ready()
-    serve(me, socket, server, lambda dropped: send(broker, Dropped(counts={"world": dropped})), MemoryGuard())
+    serve(
+        me, socket, server, lambda dropped: send(broker, UnreadableMessages(counts={"world": dropped})), MemoryGuard()
+    )
     store.close()
 
 
@@ -87,7 +89,7 @@ def _begin(me: Process, given: handover.Handover, store: Store) -> None:
         make_suspect(store, f"{lease.DOUBT}{store.version + 1}", why, _fixed(given.settings), now_s())
         me.note(f"{why}; facts of arms and things are suspect")
     store.save()
-    given.remember("world", BORN, store.version)
+    given.save_counters("world", BORN, store.version)
 
 
 def _taught(me: Process, cell: Cell) -> list[WorldChange]:

@@ -30,7 +30,7 @@ from rtc.protocol.outcomes import ClusterError, Refusal, RtcError, WireError
 from rtc.runtime import process
 from rtc.runtime.process import now_s
 
-FIRST_TRY_S, LONGEST_TRY_S = 0.04, 0.5  # wait per attempt: doubled after each, up to the longest
+FIRST_TRY_S, MAX_TRY_S = 0.04, 0.5  # wait per attempt: doubled after each, up to the longest
 LIMIT_S = 5.0  # longer than a restart of the server
 
 _read = wire.reader(FromWorld)
@@ -88,7 +88,7 @@ class WorldClient:
             answer = self._answer_to(message.request, min(try_s, left_s))
             if answer is not None:
                 return answer
-            try_s = min(2 * try_s, LONGEST_TRY_S)
+            try_s = min(2 * try_s, MAX_TRY_S)
         raise ClusterError(f"the world database did not answer within {self._limit_s:g} s")
 
     def _answer_to(self, request: str, try_s: float) -> Any:

@@ -62,7 +62,7 @@ class Server:
         return View(request=request.request, version=version, facts=selected(self.store.facts, request.keys, since))
 
     def _commit(self, request: Commit, at_s: float) -> Committed | WorldRefused:
-        if refusal := self._no(request):
+        if refusal := self._refusal_of(request):
             return WorldRefused(request=request.request, refusal=refusal)
         job = request.lease.job
         before = self.store.committed(job)
@@ -82,7 +82,7 @@ class Server:
             before = make_suspect(self.store, lease.job, request.why, self._fixed(), at_s, of)
         return Committed(request=request.request, version=before)
 
-    def _no(self, request: Commit) -> Refusal | None:
+    def _refusal_of(self, request: Commit) -> Refusal | None:
         lease = request.lease
         if not leases.check(self._key, lease):
             return _not_allowed("the lease was not signed by this cluster's broker", lease.job)

@@ -20,7 +20,7 @@ FINGER_N_M = 6000.0  # per finger, on half the opening and on half the differenc
 OPENING_NS_M, CENTRE_NS_M = 30.0, 80.0  # their damping
 # Greatest change of a finger in one tick, as a share: of its speed by the damping, of its position by the spring. Above
 # a sum of 2, the second counted half, the fingers shake.
-MOST_DAMPED, MOST_SPRUNG = 1.4, 0.3
+MAX_DAMPED, MAX_SPRUNG = 1.4, 0.3
 THERE_M = 0.0005
 
 
@@ -32,7 +32,7 @@ class Gains(NamedTuple):
 
 def gains_of(finger_kg: float) -> Gains:
     """The gains of a hand whose fingers have this mass each, as their motors feel it."""
-    spring, damping = MOST_SPRUNG * finger_kg / TICK_S**2, MOST_DAMPED * finger_kg / TICK_S
+    spring, damping = MAX_SPRUNG * finger_kg / TICK_S**2, MAX_DAMPED * finger_kg / TICK_S
     return Gains(min(FINGER_N_M, spring), min(OPENING_NS_M, damping), min(CENTRE_NS_M, damping))
 
 

@@ -23,18 +23,18 @@ from rtc.spatial.geometry import Array
 from rtc.subsystems.motion.arm import TICK_S, Motion
 
 # Beyond these a spring on the lightest axis of a wrist oscillates with the sampling at 1 kHz.
-MOST_N_M, MOST_NM_RAD = 5000.0, 300.0
+MAX_N_M, MAX_NM_RAD = 5000.0, 300.0
 REFRESH_TICKS = 10  # the damping follows the posture at this interval; it costs more than all the rest
-LEAST_INVERSE_MASS = 1e-4  # added to (J M^-1 J') so that a singular posture has a finite effective mass
+MIN_INVERSE_MASS = 1e-4  # added to (J M^-1 J') so that a singular posture has a finite effective mass
 # A force-controlled axis that touches nothing moves at most this fast (m/s, rad/s) under its set-point.
 APPROACH_M_S, APPROACH_RAD_S = 0.005, 0.05
 # Damping of an axis without a spring: that of this spring (N/m, N.m/rad), whatever the set-point.
 IDLE_N_M, IDLE_NM_RAD = 1000.0, 20.0
-MOST_DAMPED = 0.4  # share of an axis' momentum that its damping may take in one tick
+MAX_DAMPED = 0.4  # share of an axis' momentum that its damping may take in one tick
 INTEGRAL_PER_S = 5.0  # gain of the force integral; 2 to 20 are stable on a rigid wall
 # Anti-windup: the integral is at most this share of the set-point, and at least the floor below (N, N.m). It rests
 # while the axis touches nothing (a measured force below TOUCHING of the set-point) and while a motor is at its limit.
-MOST_INTEGRAL, LEAST_INTEGRAL_N, LEAST_INTEGRAL_NM = 0.5, 2.0, 0.2
+MAX_INTEGRAL, MIN_INTEGRAL_N, MIN_INTEGRAL_NM = 0.5, 2.0, 0.2
 TOUCHING = 0.1
 
 
@@ -43,8 +43,8 @@ class Impedance:
 
     def __init__(self, model: Any, tcp: int, base: Array, compliance: Compliance, effort: Array) -> None:
         for value, most, unit in (
-            *((k, MOST_N_M, "N/m") for k in compliance.stiffness[:3]),
-            *((k, MOST_NM_RAD, "N.m/rad") for k in compliance.stiffness[3:]),
+            *((k, MAX_N_M, "N/m") for k in compliance.stiffness[:3]),
+            *((k, MAX_NM_RAD, "N.m/rad") for k in compliance.stiffness[3:]),
         ):
             if value > most:
                 raise ValueError(f"control law impedance: stiffness {value:g} {unit} is above {most:g} {unit}")
@@ -140,7 +140,7 @@ class Impedance:
         touching = np.abs(felt) > TOUCHING * np.abs(wanted)
         if not self._saturated:
             self._integral += np.where(self._pressed & touching, INTEGRAL_PER_S * TICK_S * error, 0.0)
-        most = np.maximum(MOST_INTEGRAL * np.abs(wanted), [LEAST_INTEGRAL_N] * 3 + [LEAST_INTEGRAL_NM] * 3)
+        most = np.maximum(MAX_INTEGRAL * np.abs(wanted), [MIN_INTEGRAL_N] * 3 + [MIN_INTEGRAL_NM] * 3)
         np.clip(self._integral, -most, most, out=self._integral)
         push: Array = np.where(self._pressed, wanted + self._integral, 0.0)
         return push
@@ -150,7 +150,7 @@ class Impedance:
         mass = pin.crba(self._model, self._data, q)  # only its upper triangle is set
         mass[self._lower] = mass.T[self._lower]
         inverse: Array = jacobian @ np.linalg.solve(mass, jacobian.T)
-        inverse.flat[::7] += LEAST_INVERSE_MASS
+        inverse.flat[::7] += MIN_INVERSE_MASS
         both = np.zeros((6, 6))
         if selection is not None:
             both[:3, :3] = both[3:, 3:] = selection
@@ -161,7 +161,7 @@ class Impedance:
         damping: Array = shaped + shaped.T
         if self._presses:
             slow = np.abs(self._set_point) / ([APPROACH_M_S] * 3 + [APPROACH_RAD_S] * 3)
-            most = MOST_DAMPED / (np.diag(inverse) * TICK_S)
+            most = MAX_DAMPED / (np.diag(inverse) * TICK_S)
             own = np.diag(damping)
             extra = np.clip(np.minimum(slow, most) - own, 0.0, None)
             damping.flat[::7] += np.where(self._pressed, extra, 0.0)

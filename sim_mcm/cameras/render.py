@@ -50,7 +50,7 @@ AWAY_M = 1000.0
 BACKDROPS_KEPT = 8
 PANEL = (760, 600)  # pixels, of two side by side
 ALONE = (960, 720)
-LEAST_RADIUS_M = 0.75  # of a cell with little in it, so that its arm fits
+MIN_RADIUS_M = 0.75  # of a cell with little in it, so that its arm fits
 CLOSE_M = 1.0  # distance from the eye to the target of a close view
 #: view -> (direction from the cell's centre to the eye, distance in radii of the cell)
 DIRECTIONS = {
@@ -141,7 +141,7 @@ class SceneRenderer:
         points += [frame.xyz for place in self.cell.places for frame in place.poses.values()]
         points += [tuple(self.cell.object_pose(thing.name)[:3].tolist()) for thing in self.cell.objects]
         low, high = np.min(points, axis=0), np.max(points, axis=0)
-        radius = max(LEAST_RADIUS_M, 0.5 * float(np.linalg.norm(high - low)))
+        radius = max(MIN_RADIUS_M, 0.5 * float(np.linalg.norm(high - low)))
         middle = 0.5 * (low + high) + [0.0, 0.0, 0.12 * radius]  # raised: arms reach up, and only the floor is below
         middle[2] = max(middle[2], 0.5 * self._highest())
         return middle, radius

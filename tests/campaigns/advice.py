@@ -16,8 +16,8 @@ from rtc.spatial import geometry
 from tests.workers.conftest import GRAMMAR, Run
 from workers.parser.parse import parse_job
 
-MOST_SENTENCES = 4  # for one obstacle
-MOST_OBSTACLES = 4
+MAX_SENTENCES = 4  # for one obstacle
+MAX_OBSTACLES = 4
 
 VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET|APPROACH|HOLD|TRACK"
 WORD = r"(?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?)"
@@ -78,8 +78,8 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
     """
     given: list[str] = []
     history = [f"{aim}: {answer}"]
-    for _ in range(MOST_OBSTACLES):
-        advice, left = answer.clears, MOST_SENTENCES
+    for _ in range(MAX_OBSTACLES):
+        advice, left = answer.clears, MAX_SENTENCES
         for step in steps(advice, "", truth):
             for sentence in step[:left]:
                 left -= 1
@@ -88,7 +88,7 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
                 history.append(f"{sentence}: {done}")
                 if done.succeeded:
                     break
-        if left == MOST_SENTENCES and not AGAIN.search(advice):
+        if left == MAX_SENTENCES and not AGAIN.search(advice):
             return Followed("no sentence", given, history)
         answer = say(aim)
         history.append(f"again: {answer}")

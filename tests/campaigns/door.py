@@ -30,7 +30,7 @@ SEED = 11
 DOOR = "DOOR-2"
 ERROR_M, ERROR_RAD = 0.005, math.radians(1.0)
 FRICTION_NM = (0.5, 1.5)
-WANTED_DEG, WITHIN_DEG, MOST_N = 90.0, 5.0, 15.0
+WANTED_DEG, WITHIN_DEG, MAX_N = 90.0, 5.0, 15.0
 ARM = "LEFT-ARM"
 SENTENCES = (f"GRASP LEFT-END-EFF {DOOR} LATCH-PULL", f"OPEN {DOOR} BY {WANTED_DEG:g} DEG WITH LEFT-ARM")
 
@@ -43,7 +43,7 @@ class Run(NamedTuple):
 
     @property
     def good(self) -> bool:
-        return not self.failed and abs(self.opened_deg - WANTED_DEG) <= WITHIN_DEG and self.peak_n <= MOST_N
+        return not self.failed and abs(self.opened_deg - WANTED_DEG) <= WITHIN_DEG and self.peak_n <= MAX_N
 
 
 def run(model: CellModel, offset: Array, friction_nm: float) -> Run:

@@ -40,7 +40,7 @@ from tests.campaigns.held_module import HeldModule
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.conftest import Run as Done
 from workers.planning.motion.request import PlanningRequest, free_posture
-from workers.planning.motion.timing import Pace
+from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
 
 SEED = 12
@@ -54,8 +54,8 @@ SINCE_GRASP_S = 15.0  # age of the grasp at the start: a LIFT
 AT_ONCE = 12  # random postures per via, of which the first is taken that a motion reaches
 GRASPS = 3  # different ones for each arm and handle
 OFF_M, OFF_RAD = 0.001, 0.008  # of the module in the play of its rack before the grasp
-MOST_VIAS = 3
-MOST_N = 5.0  # between arm or module and any other body, on a free way
+MAX_VIAS = 3
+MAX_N = 5.0  # between arm or module and any other body, on a free way
 
 
 class Case(NamedTuple):
@@ -153,7 +153,7 @@ class Hand(HeldModule):
 
     def _request(self) -> PlanningRequest:
         query = WorldQuery(MODEL, self.bench.world)
-        return query.planning_request(self.arm, query.scene(self.arm, Limits()), Limits(), Pace(), MARGIN_RAD)
+        return query.planning_request(self.arm, query.scene(self.arm, Limits()), Limits(), SpeedLimits(), MARGIN_RAD)
 
     def _watch(self, tick: int) -> None:
         """Before each step: time passes, and touches and forces are noted."""
@@ -219,7 +219,7 @@ def cases(seed: int) -> Iterator[Case]:
             arm=arm,
             handle=HANDLES[random.integers(len(HANDLES))],
             grasp=int(random.integers(GRASPS)),
-            vias=tuple(places[random.integers(len(places))] for _ in range(random.integers(1, MOST_VIAS + 1))),
+            vias=tuple(places[random.integers(len(places))] for _ in range(random.integers(1, MAX_VIAS + 1))),
             seed=seed * 100_000 + n,
         )
 
@@ -313,7 +313,7 @@ def _report(found: list[Run], *, kept: bool) -> None:
 
 
 def _above(forces: list[float]) -> int:
-    return sum(n > MOST_N for n in forces)
+    return sum(n > MAX_N for n in forces)
 
 
 if __name__ == "__main__":

@@ -285,7 +285,7 @@ def leave(cluster: OneProcess, drawn: Drawn, ended: Outcome) -> tuple[bool, list
     arm = drawn.arm
     waiting = _advised(ended, drawn.sentence, cluster)
     free = not waiting
-    for _ in range(advice.MOST_SENTENCES):
+    for _ in range(advice.MAX_SENTENCES):
         sentence = waiting.pop(0) if waiting else f"STOW {arm}"
         before = list(cluster.mcm.executors[arm].sample.joints)
         outcome = say(cluster, sentence)

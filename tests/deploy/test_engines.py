@@ -22,7 +22,7 @@ from workers.runtime.contact import LIMIT_S
 
 ENGINES = Path(__file__).parents[2] / "deploy" / "engines"
 PYTHON = "/opt/telerobot-rtc/.venv/bin/python"
-LONGEST_JOB_S = max(DEADLINE_S.values())
+MAX_JOB_S = max(DEADLINE_S.values())
 
 
 def worker(line: list[str], python: str = PYTHON) -> Namespace:
@@ -75,12 +75,12 @@ def test_kubernetes_probes_the_health_file_of_the_worker(pod: dict[str, Any]) ->
         probe = health.parser().parse_args(command[3:])
         assert probe.file == given.health
         within[name] = probe.within
-    assert LONGEST_JOB_S < within["readinessProbe"] < within["livenessProbe"]
-    assert within["livenessProbe"] > LIMIT_S + LONGEST_JOB_S  # a worker that can end by itself does so first
+    assert MAX_JOB_S < within["readinessProbe"] < within["livenessProbe"]
+    assert within["livenessProbe"] > LIMIT_S + MAX_JOB_S  # a worker that can end by itself does so first
 
 
 def test_kubernetes_waits_for_the_job_in_progress(pod: dict[str, Any]) -> None:
-    assert pod["terminationGracePeriodSeconds"] > LONGEST_JOB_S
+    assert pod["terminationGracePeriodSeconds"] > MAX_JOB_S
 
 
 # --- Nomad ---------------------------------------------------------------------------------------------
@@ -93,7 +93,7 @@ def test_nomad_starts_a_worker_with_the_secret_and_waits_for_its_job() -> None:
     given = worker([json.loads(settings["command"]), *json.loads(settings["args"])])
     assert str(given.key) == json.loads(settings["destination"]).replace("secrets", "${NOMAD_SECRETS_DIR}")
     assert json.loads(settings["kill_signal"]) == "SIGTERM"
-    assert int(json.loads(settings["kill_timeout"]).removesuffix("s")) > LONGEST_JOB_S
+    assert int(json.loads(settings["kill_timeout"]).removesuffix("s")) > MAX_JOB_S
     assert int(settings["count"]) <= PEERS_OF_KEY
 
 
@@ -123,8 +123,8 @@ def test_systemd_starts_a_worker_of_the_kind_in_the_name_of_the_instance() -> No
 def test_systemd_watches_the_answers_of_the_broker() -> None:
     settings = unit()
     assert (settings["Type"], settings["Restart"]) == ("notify", "always")
-    assert int(settings["WatchdogSec"]) > LIMIT_S + LONGEST_JOB_S
-    assert int(settings["TimeoutStopSec"]) > LONGEST_JOB_S
+    assert int(settings["WatchdogSec"]) > LIMIT_S + MAX_JOB_S
+    assert int(settings["TimeoutStopSec"]) > MAX_JOB_S
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
@@ -159,7 +159,7 @@ def test_slurm_signals_the_worker_before_the_time_limit() -> None:
     options = dict(re.findall(r"^#SBATCH --([\w-]+)=(\S+)$", text, re.MULTILINE))
     name, _, before = options["signal"].partition("@")
     assert name == "TERM"  # without "B:" it reaches the steps, and not the script alone
-    assert int(before) > LONGEST_JOB_S
+    assert int(before) > MAX_JOB_S
     first, _, last = options["array"].partition("-")
     assert int(last) - int(first) < PEERS_OF_KEY
 

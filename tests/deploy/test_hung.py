@@ -14,8 +14,8 @@ from deploy import child as children
 from deploy.child import Child, ForkConnection, ProcessState, Spec
 from deploy.supervisor import (
     END_LIMIT_S,
-    LONGEST_END_S,
-    LONGEST_SILENT_S,
+    MAX_END_S,
+    MAX_SILENT_S,
     SILENT_S,
     _ended_too_late,
     _hung,
@@ -40,7 +40,7 @@ def child(state: ProcessState, worked_s: float, busy_s: float) -> Child:
         (SILENT_S + 0.1, SILENT_S, 0.0, True),  # an endless loop
         (SILENT_S + 0.1, 0.0, SILENT_S + 0.1, True),  # a deadlock
         (SILENT_S - 0.1, 0.0, SILENT_S - 0.1, False),
-        (LONGEST_SILENT_S + 0.1, 0.3, 0.5, True),
+        (MAX_SILENT_S + 0.1, 0.3, 0.5, True),
     ],
 )
 def test_a_silent_process_hangs_by_processor_time_or_without_any(
@@ -56,7 +56,7 @@ def test_a_silent_process_hangs_by_processor_time_or_without_any(
         (END_LIMIT_S + 10.0, 0.3, 0.5, False),
         (END_LIMIT_S + 0.1, END_LIMIT_S + 0.1, 0.0, True),
         (END_LIMIT_S, 0.0, END_LIMIT_S, True),
-        (LONGEST_END_S + 0.1, 0.3, 0.5, True),
+        (MAX_END_S + 0.1, 0.3, 0.5, True),
     ],
 )
 def test_a_process_that_is_to_end_is_killed_by_the_same_rule(

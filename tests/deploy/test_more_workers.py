@@ -13,12 +13,12 @@ import msgspec
 import pytest
 
 from deploy.more_workers import RUN_LIMIT_S, MoreCommand, check_more
-from rtc.protocol.messages import Asked, AskMore, WorkerKind
+from rtc.protocol.messages import RequestWorkers, WorkerKind, WorkerRequest
 from rtc.protocol.outcomes import ClusterError
 from rtc.runtime.process import now_s
 from rtc.runtime.settings import Settings
 
-ORDER = AskMore(kind=WorkerKind.BINDER, count=4, had=1)
+ORDER = RequestWorkers(kind=WorkerKind.BINDER, count=4, registered_before=1)
 LIMIT_S = 30.0
 PAUSE = threading.Event()
 PYTHON = f"{sys.executable} -S -E -c"
@@ -28,7 +28,7 @@ def settings(more: str, listen: str = "tcp://127.0.0.1:5555") -> Settings:
     return Settings(run_dir="/nowhere", more=more, listen=listen)
 
 
-@pytest.mark.parametrize("options", [{"more_most": 4}, {"more_wait_s": 5.0}])
+@pytest.mark.parametrize("options", [{"scale_out_max": 4}, {"scale_out_timeout_s": 5.0}])
 def test_options_of_more_without_a_command_line_are_refused(options: dict[str, float]) -> None:
     with pytest.raises(ClusterError, match="without --more"):
         check_more(msgspec.structs.replace(settings(""), **options))
@@ -69,7 +69,7 @@ def log(tmp_path: Path) -> Path:
     return tmp_path / "more.log"
 
 
-def ended(command: MoreCommand) -> tuple[str, Asked]:
+def ended(command: MoreCommand) -> tuple[str, WorkerRequest]:
     """Wait for the end of the run: (words for people, what is reported)."""
     assert select.select([command.exited_fd], [], [], LIMIT_S)[0]
     return command.reap(), command.asked()[0]
@@ -83,7 +83,7 @@ def test_a_run_gets_kind_and_count_and_its_last_line_is_kept(log: Path) -> None:
     words, asked = ended(command)
 
     assert (words, asked.running, asked.failed) == ("", False, "")
-    assert (asked.count, asked.had, asked.output) == (4, 1, "['binder', '1-4']")
+    assert (asked.count, asked.registered_before, asked.output) == (4, 1, "['binder', '1-4']")
     assert command.exited_fd == -1
 
 
@@ -111,7 +111,7 @@ def test_one_run_at_a_time(log: Path) -> None:
     command = MoreCommand(f"{PYTHON} 'import signal; signal.pause()' {{kind}}", log)
     command.start(ORDER)
     pid = command.pid
-    assert command.start(AskMore(kind=WorkerKind.PARSER, count=1, had=0)) == ""
+    assert command.start(RequestWorkers(kind=WorkerKind.PARSER, count=1, registered_before=0)) == ""
     assert command.pid == pid
     command.end()
     assert ended(command)[1].kind is WorkerKind.BINDER

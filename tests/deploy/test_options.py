@@ -42,7 +42,7 @@ def test_a_wrong_option_is_reported_before_anything_is_started(
 @pytest.mark.parametrize(("dim", "most"), [(2, 1), (2, 4), (4, 4), (3, 1)])
 def test_a_further_worker_never_gets_an_address_of_other_machines(dim: int, most: int) -> None:
     settings = Settings(run_dir="/nowhere", dim=dim, most_workers=most)
-    last = settings.first_far_node - 1
+    last = settings.first_remote_node - 1
 
     assert cluster.new_worker(settings, last, -1) == cluster.worker(settings, last)
     assert cluster.new_worker(settings, last + 1, -1) is None

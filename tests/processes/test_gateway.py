@@ -420,7 +420,7 @@ def test_the_refusal_of_an_unknown_key_has_advice(
     with pytest.raises(NoCluster, match="not the cluster of this key file"):
         Client(key=tmp_path / "wrong.key")
     other = KeyRing(tmp_path).new("bob", Role.OPERATOR, f"tcp://127.0.0.1:{free_ports()}", tmp_path / "unknown.key")
-    monkeypatch.setattr(connection, "FAR_HELLO_S", 0.3)  # nothing listens
+    monkeypatch.setattr(connection, "REMOTE_HELLO_S", 0.3)  # nothing listens
     with pytest.raises(NoCluster, match="no answer from"):
         Client(key=tmp_path / "unknown.key")
 

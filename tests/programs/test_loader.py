@@ -272,7 +272,7 @@ def test_the_line_is_that_of_the_file_whatever_it_brings():
             "line 3: .*no predicate wished; there",
         ),
         (b"actions: {move: teleport}", "line 1: .*no action teleport; there are assign, hand"),
-        (b"procedures: {grasp_init: pray}", "line 1: .*no procedure pray; there are lay_down_plan, open_hand"),
+        (b"procedures: {grasp_init: pray}", "line 1: .*no procedure pray; there are grasp_plan, open_hand"),
         (b"actions: {grip: motion}", "it is incompatible with the elaborator's program: .*no stop class"),
     ],
 )

@@ -34,9 +34,9 @@ def test_what_is_encoded_already_travels_beside_what_is_not():
 
 
 def test_arrays_have_bounds_of_number_and_bytes():
-    many = [m.Heartbeat(name=str(n)) for n in range(wire.MOST_TOGETHER + 1)]
-    assert [len(read(parts)) for parts in wire.together(many)] == [wire.MOST_TOGETHER, 1]
-    long = [m.CommandText(request=str(n), text="X" * (wire.MOST_BYTES_TOGETHER // 2)) for n in range(3)]
+    many = [m.Heartbeat(name=str(n)) for n in range(wire.MAX_BATCH + 1)]
+    assert [len(read(parts)) for parts in wire.together(many)] == [wire.MAX_BATCH, 1]
+    long = [m.CommandText(request=str(n), text="X" * (wire.MAX_BATCH_BYTES // 2)) for n in range(3)]
     bodies = [parts[1] for parts in wire.together(long)]
     assert len(bodies) == 3
     assert all(isinstance(msgpack.unpackb(body), dict) for body in bodies)

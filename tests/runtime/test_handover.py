@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from deploy.cluster import _lock
-from rtc.runtime.handover import Handover, begin, load
+from rtc.runtime.handover import Handover, claim_role, load
 from rtc.runtime.settings import Settings
 
 HOLDER = """
 import sys, signal
 from pathlib import Path
-from rtc.runtime.handover import begin
-held = begin("broker", Path(sys.argv[1]), -1)
+from rtc.runtime.handover import claim_role
+held = claim_role("broker", Path(sys.argv[1]), -1)
 print("held", flush=True)
 signal.pause()
 """
@@ -42,19 +42,19 @@ def holder(settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
 
 def test_a_second_process_of_a_role_ends_with_a_sentence(settings: Settings, holder: subprocess.Popen[bytes]) -> None:
     with pytest.raises(SystemExit, match=r"has its broker already; a second one is not started"):
-        begin("broker", settings.path, -1)
-    begin("world", settings.path, -1)  # another role
+        claim_role("broker", settings.path, -1)
+    claim_role("world", settings.path, -1)  # another role
 
 
 def test_the_lock_dies_with_its_process(settings: Settings, holder: subprocess.Popen[bytes]) -> None:
     holder.send_signal(signal.SIGKILL)
     holder.wait()
-    begin("broker", settings.path, -1)
+    claim_role("broker", settings.path, -1)
 
 
 def test_a_process_started_by_hand_gives_way_to_a_cluster(settings: Settings) -> None:
     with _lock(settings.path), pytest.raises(SystemExit, match=r"a cluster runs in .*, and has its own MCM"):
-        begin("MCM", settings.path, -1)
+        claim_role("MCM", settings.path, -1)
 
 
 def test_without_settings_a_process_ends_with_a_sentence(tmp_path: Path) -> None:
@@ -75,6 +75,6 @@ def test_a_role_remembers_across_its_lives(settings: Settings) -> None:
     given = Handover.make(settings, b"k" * 32, "token")
     first = load(settings.path, given.fd)
     assert first.remembered("broker") is None
-    first.remember("broker", b"k7f2", 12, 3)
+    first.save_counters("broker", b"k7f2", 12, 3)
     assert load(settings.path, given.fd).remembered("broker") == (b"k7f2", 12, 3)
     assert load(settings.path, given.fd).remembered("world") is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rtc.protocol import messages as m
-from tests.simulation.processes import LEAST_SHARE
+from tests.simulation.processes import MIN_SHARE
 
 if TYPE_CHECKING:
     from tests.simulation.cluster import Cluster
@@ -78,7 +78,7 @@ def _slow_mcm(cluster: Cluster) -> None:
     mcm = cluster.mcm
     if mcm is not None and mcm.alive and not mcm.stopped:
         cluster.log("the MCM gets little of a processor")
-        mcm.run_at(LEAST_SHARE)
+        mcm.run_at(MIN_SHARE)
         cluster.clock.after(cluster.random.uniform(1.0, 20.0), lambda: None if mcm.stopped else mcm.run_at(1.0))
 
 

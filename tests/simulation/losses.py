@@ -48,7 +48,7 @@ class LossyCluster(Cluster):
     def broker_begins(self, broker: Broker, journal: Journal) -> None:
         state, now_s = broker.state, self.clock.now_s
         lost = lost_batches(journal, state, self.handed, now_s, f"life{broker.pid}")
-        journal.written = lambda batch: self.handed.remember("broker", state.life.encode(), batch, state.accepted)
+        journal.written = lambda batch: self.handed.save_counters("broker", state.life.encode(), batch, state.accepted)
         if lost is not None:
             self.log(f"broker {broker.pid} notices: {lost.why}")
             self.world.answer(m.Doubt(request="d", lease=sign(KEY, f"{DOUBT}{lost.life}", []), why=lost.why), now_s)

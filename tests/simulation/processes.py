@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from tests.simulation.cluster import Cluster
 
 ARMS = ("LEFT-ARM", "RIGHT-ARM")
-LEAST_SHARE = 0.05  # of a processor, that a process gets on a busy machine
+MIN_SHARE = 0.05  # of a processor, that a process gets on a busy machine
 read_worker = wire.reader(m.BrokerToWorker)
 read_mcm = wire.reader_of_many(m.BrokerToSubsystem)
 read_client = wire.reader_of_many(m.BrokerToClient)
@@ -91,7 +91,7 @@ class Worker:
             case m.JobBatch(jobs=jobs):
                 self.queue.extend(jobs)
                 self._begin()
-            case m.Drop(jobs=unwanted):
+            case m.CancelJobs(jobs=unwanted):
                 dropped = [job for job in self.queue if job.id in unwanted]
                 self.queue = deque(job for job in self.queue if job.id not in unwanted)
                 refusal = Refusal(reason=RefusalReason.STATE, message="dropped: no longer wanted")
@@ -106,7 +106,7 @@ class Worker:
             self._share, self._began_s, self._worked_s = 1.0, self.cluster.clock.now_s, 0.0
             if self.slowed:
                 self.slowed = False
-                took_s, self._share = random.uniform(1.0, 25.0), LEAST_SHARE
+                took_s, self._share = random.uniform(1.0, 25.0), MIN_SHARE
                 self.cluster.log(f"{self.name} does {job.id} on a busy machine, in {took_s:.1f} s")
             self.cluster.clock.after(took_s, self._done, job, took_s)
 
@@ -288,7 +288,7 @@ class Mcm:
         self._send(subsystem.tick(now_s))
         if not subsystem.idle or subsystem._open_halts:
             self._ticking = True
-            self.cluster.clock.after(self.TICK_S / max(self._share, LEAST_SHARE), self._tick)
+            self.cluster.clock.after(self.TICK_S / max(self._share, MIN_SHARE), self._tick)
 
     def _look_again(self) -> None:
         """Idle, it ticks for nothing but reports that are due to be repeated."""

@@ -11,7 +11,7 @@ import pybullet
 import pytest
 
 from rtc.protocol.outcomes import StopReason
-from tests.campaigns.contact_force import ARM, BODIES, CLAUSES, FREE, MOST, Clause, Touch, meet
+from tests.campaigns.contact_force import ARM, BODIES, CLAUSES, FREE, MAX_RATIO, Clause, Touch, meet
 
 pytestmark = pytest.mark.physics
 PALM = 7  # link of the URDF
@@ -40,7 +40,7 @@ def test_a_promised_force_is_kept_at_any_stated_speed(body: str, name: str, spee
     assert promised_n is not None
     assert name in BODIES[body]
     touch = met(body, CLAUSES[name], speed_cm_s)
-    assert 1.0 < touch.peak_n <= MOST * promised_n
+    assert 1.0 < touch.peak_n <= MAX_RATIO * promised_n
     assert touch.reason in ("force_limit", "timeout")
 
 

@@ -20,7 +20,7 @@ MODEL = CellModel(CELL)
 ARM, DOOR = "LEFT-ARM", "DOOR-2"
 GRASP, OPEN = f"GRASP LEFT-END-EFF {DOOR} LATCH-PULL", f"OPEN {DOOR} BY 90 DEG WITH {ARM}"
 HINGE = CELL.object(DOOR).hinge
-MOST_N = 15.0
+MAX_N = 15.0
 DEEP_M = 0.005  # `deep_m` of GRASP: from the middle of the bar to the tcp
 
 
@@ -253,7 +253,7 @@ def test_the_door_opens_by_90_degrees_with_a_small_force(physical) -> None:
     assert run.reports[-1].measured == pytest.approx(math.radians(90.0), abs=0.005)  # the turn ended it, not the path
     assert math.degrees(world.angle(DOOR)) == pytest.approx(90.0, abs=2.0)
     assert angle_deg(physical) == pytest.approx(math.degrees(world.angle(DOOR)), abs=0.5)
-    assert max(report.peak_force_n for report in run.reports) <= MOST_N
+    assert max(report.peak_force_n for report in run.reports) <= MAX_N
     release = physical.elaborate(f"RELEASE {DOOR}")
     assert not isinstance(release, Refusal), release  # the wrist is near the elbow's dead zone
 
@@ -270,7 +270,7 @@ def test_the_door_opens_by_90_degrees_with_a_small_force(physical) -> None:
     run = physical.do(f"OPEN {DOOR} TO 75 DEG")  # back
     assert run.succeeded, (run.refusal, run.failure)
     assert math.degrees(world.angle(DOOR)) == pytest.approx(75.0, abs=2.0)
-    assert max(report.peak_force_n for report in run.reports) <= MOST_N
+    assert max(report.peak_force_n for report in run.reports) <= MAX_N
     assert physical.do(f"RELEASE {DOOR}").succeeded
     left = world.angle(DOOR)
     assert physical.do(f"STOW {ARM}").succeeded

@@ -14,7 +14,7 @@ from rtc.protocol.primitive import ForceAbove, TorqueAbove
 from rtc.spatial import geometry
 from rtc.world.spread import even
 from workers.planning.motion.request import free_posture
-from workers.planning.motion.timing import Pace
+from workers.planning.motion.timing import SpeedLimits
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 
@@ -52,7 +52,7 @@ def test_from_anywhere_with_either_handle(bench, arm, thing, rack, handle):
         assert bench.do(sentence).succeeded
     held, random = bench.world, np.random.default_rng(11)
     query = WorldQuery(MODEL, held)
-    request = query.planning_request(arm, query.scene(arm, Limits()), Limits(), Pace(), 0.06)
+    request = query.planning_request(arm, query.scene(arm, Limits()), Limits(), SpeedLimits(), 0.06)
     lower, upper = request.arm.limits.lower + 0.06, request.arm.limits.upper - 0.06
     postures = (random.uniform(lower, upper) for _ in range(10_000))
     free = [q for q in postures if free_posture(request)(q) is None][:3]

@@ -188,7 +188,7 @@ def begun(given):
     """One life of the world database."""
     store, me = Store(given.settings.path / "world.db"), Notes()
     _begin(me, given, store)
-    store.saved = lambda version: given.remember("world", BORN, version)
+    store.saved = lambda version: given.save_counters("world", BORN, version)
     return store, me.notes
 
 
@@ -239,7 +239,7 @@ def test_a_database_that_begins_anew_in_an_old_run_is_in_doubt(given):
 
 def test_a_database_that_is_older_than_it_was_is_in_doubt(given):
     begun(given)[0].close()
-    given.remember("world", BORN, 9)
+    given.save_counters("world", BORN, 9)
     store, notes = begun(given)
     assert notes == ["the world database lost its last changes; facts of arms and things are suspect"]
     assert validity(store, "MACS-NEW.frame") is Validity.SUSPECT

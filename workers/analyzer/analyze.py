@@ -58,7 +58,17 @@ THIN_M = 0.002  # fingers closer together than this hold nothing
 
 #: figures that the program must define
 VALUES = (
-    *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
+    *(
+        "position_m",
+        "angle_rad",
+        "opened_m",
+        "touched_n",
+        "pressing_n",
+        "reach_m",
+        "seated_m",
+        "stated_m",
+        "stated_rad",
+    ),
     *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
     *("struck_n", "struck_m", "struck_rad", "twisted_n", "twisted_rad", "pressed_m", "pressed_rad"),
     *("tilted_m", "unforeseen_m", "rolled_m", "pad_m"),

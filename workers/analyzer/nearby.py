@@ -31,10 +31,10 @@ def _near(query: WorldQuery, arm: str, joints: dict[str, Floats]) -> Iterator[st
     """The free objects within `NEAR_M` and their own spread of an arm, or of what it holds."""
     free = {thing.name for thing in query.cell.objects if not thing.fixed and not query.held_by(thing.name)}
     scene = query.scene(arm, Limits())
-    unsure_m = {name: NEAR_M + scene.unsure_m.get(name, 0.0) for name in free}
+    pose_tolerance_m = {name: NEAR_M + scene.pose_tolerance_m.get(name, 0.0) for name in free}
     ignore = list(scene.ignore)
     for _ in range(len(query.cell.objects) * (len(query.cell.objects) + 1)):
-        here = replace(scene, unsure_m=unsure_m, clearance_m=0.0, near=(), ignore=ignore)
+        here = replace(scene, pose_tolerance_m=pose_tolerance_m, clearance_m=0.0, near=(), ignore=ignore)
         hit = query.model.collision.check(joints, here)
         if hit is None:
             return

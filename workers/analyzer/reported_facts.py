@@ -75,7 +75,7 @@ PLAUSIBLE: dict[str, Callable[[str, Any, Values], str]] = {"frame": _near, "mass
 
 
 SPREADS: dict[str, Callable[[Values], list[float]]] = {
-    "frame": lambda values: even(values["told_m"], values["told_rad"])
+    "frame": lambda values: even(values["stated_m"], values["stated_rad"])
 }
 
 

@@ -44,7 +44,7 @@ from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
 from workers.planning.motion.plan import Motion
 from workers.planning.motion.request import PlanningRequest
-from workers.planning.motion.timing import Pace
+from workers.planning.motion.timing import SpeedLimits
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 
@@ -54,8 +54,8 @@ NEEDS_CELL = True
 
 SUBSYSTEM = "MCM"
 PERFORMERS = ("active_arm", looking.CAMERA)
-TELLER = "OPERATOR"  # performer in the report of facts that a command states
-LEAST_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
+STATED_BY = "OPERATOR"  # performer in the report of facts that a command states
+MIN_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 DETOUR = 3.0  # a relative step in joint space is reported if the hand travels this many times its distance
 DETOUR_KNOTS = 20  # at which the way of the hand is measured
 
@@ -115,7 +115,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     if not isinstance(motion, Refusal):
         motion = impact.kept(task, motion, values, keep)
     if not isinstance(motion, Refusal) and "takes_s" in step.args:
-        motion = plans.lasting(motion, float(step.args["takes_s"]))
+        motion = plans.slowed_to(motion, float(step.args["takes_s"]))
     if isinstance(motion, Refusal):
         return advice.advise_on_collision(
             motion, query, task.arm, clears, context.limits, leaves_seat=step.args.get("leaves") == "seat"
@@ -185,7 +185,7 @@ def planning_request(
         exempt=[name for name in (context.object, context.target) if name],
         unsure=task.data.step.space not in segments.STRAIGHT or not touches,
     )
-    pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
+    pace = SpeedLimits(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
     request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
     return replace(request, partner=query.model.arms[context.partner]) if context.partner else request
@@ -232,7 +232,7 @@ def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
         ("opening", width_m, gripper.max_opening_m, "m"),
         ("grip force", grip_n, gripper.max_force_n, "N"),
     ):
-        if not -LEAST_WIDTH_M <= value <= most + LEAST_WIDTH_M:
+        if not -MIN_WIDTH_M <= value <= most + MIN_WIDTH_M:
             return _refuse_hand_figure(task, name, value, most, unit)
     way_m = abs(query.hand_width(task.arm) - width_m)
     evaluation = EvaluationContext(
@@ -453,7 +453,7 @@ def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
         return unsure
     report = EndReport(
         primitive=task.data.primitive_id,
-        performer=TELLER,
+        performer=STATED_BY,
         reason=StopReason.GOAL,
         at_s=0.0,  # no motion, so there is no arm time
         duration_s=0.0,
@@ -477,7 +477,7 @@ def open_hand(task: BindTask) -> BoundStep | Refusal:
     return hand_motion(task, "open")
 
 
-def restate_plan(task: BindTask) -> BoundStep | Refusal:
+def grasp_plan(task: BindTask) -> BoundStep | Refusal:
     """Bindings of the plan, with joint values solved again for objects that have moved since planning."""
     laid = replan.replan(task.query, task.arm, task.data.bindings)
     return laid if isinstance(laid, Refusal) else BoundStep(bindings=laid, note="the plan")
@@ -490,8 +490,8 @@ ACTIONS: dict[str, Action] = {
     "hand": bind_hand,
     "still": bind_still,
     "assign": bind_assignment,
-    "told": bind_stated_facts,
+    "stated": bind_stated_facts,
     "procedure": bind_procedure,
     "look": bind_look,
 }
-PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "lay_down_plan": restate_plan}
+PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "grasp_plan": grasp_plan}

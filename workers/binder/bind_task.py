@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.primitive import LONGEST_S
+from rtc.protocol.primitive import MAX_S
 from workers.planning.world_query import WorldQuery
 
 
@@ -35,11 +35,11 @@ def refused_program(message: str, clears: str) -> Refusal:
 
 def refuse_if_endless(limit_s: float) -> Refusal | None:
     """Refuse a step whose time limit (s) no primitive can have: a speed near zero, or a time of years."""
-    if limit_s <= LONGEST_S:
+    if limit_s <= MAX_S:
         return None
     return Refusal(
         reason=RefusalReason.INFEASIBLE,
-        message=f"this step would need a time limit of {limit_s:.3g} s; {LONGEST_S:g} s is the longest possible",
+        message=f"this step would need a time limit of {limit_s:.3g} s; {MAX_S:g} s is the longest possible",
         clears="more speed or a greater force, if the sentence limits them; a shorter way or time",
-        detail={"cause": "time", "limit_s": LONGEST_S, "value_s": limit_s},
+        detail={"cause": "time", "limit_s": MAX_S, "value_s": limit_s},
     )

@@ -18,8 +18,8 @@ from workers.planning import axes, curves, suggestions
 from workers.planning.motion.plan import Motion
 from workers.planning.segments import Target
 
-LEAST_STEP_M = 0.001  # minimum length of a line with a defined direction
-MOST_TURN_RAD = math.radians(5.0)  # maximum rotation along a line with a constant direction in the tool frame
+MIN_STEP_M = 0.001  # minimum length of a line with a defined direction
+MAX_TURN_RAD = math.radians(5.0)  # maximum rotation along a line with a constant direction in the tool frame
 
 
 def target_of(task: BindTask) -> Target | Refusal:
@@ -96,8 +96,8 @@ def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Ref
 def against_motion(start: list[float], motion: Motion) -> Vector | None:
     """Unit vector (tool frame) of a force that opposes this line; None if it is not constant along the line."""
     if (
-        geometry.distance(start, motion.goal_pose) < LEAST_STEP_M
-        or geometry.angle(start, motion.goal_pose) > MOST_TURN_RAD
+        geometry.distance(start, motion.goal_pose) < MIN_STEP_M
+        or geometry.angle(start, motion.goal_pose) > MAX_TURN_RAD
     ):
         return None
     way = motion.goal_pose[:3] - start[:3]

@@ -216,7 +216,7 @@ def refuse_unsupported(reflex: ReflexItem, about_object: bool, joints: int) -> R
     if problem is not None or reflex.action in ACTIONS:
         return problem
     word = reflex.action.upper().replace("_", "-")
-    return _no(f"THEN {word} is not supported", [action.upper().replace("_", "-") for action in ACTIONS])
+    return _refusal(f"THEN {word} is not supported", [action.upper().replace("_", "-") for action in ACTIONS])
 
 
 def refuse_condition(condition: Condition, about_object: bool, joints: int, word: str = "UNLESS") -> Refusal | None:
@@ -224,22 +224,22 @@ def refuse_condition(condition: Condition, about_object: bool, joints: int, word
     words = f"{word} {condition.words}"
     if _row(condition) is None:
         known = [*EVENTS, *(f"{measure} {bound}" for measure, bound in MEASURES)]
-        return _no(f"{words}: nothing in the motion loop measures that", known, word=word)
+        return _refusal(f"{words}: nothing in the motion loop measures that", known, word=word)
     if condition.measure == "GRIP-FORCE" and condition.along is not None:
-        return _no(f"{words}: the fingers press along one axis only", [], "leave out ALONG and its axis", word)
+        return _refusal(f"{words}: the fingers press along one axis only", [], "leave out ALONG and its axis", word)
     if condition.measure == "TURN" and (condition.along or "").startswith(JOINT):
         number = (condition.along or "").removeprefix(JOINT)
         if not number.isdigit() or not 1 <= int(number) <= joints:
             return suggestions.unknown("joint", condition.along or "", [f"{JOINT}{n + 1}" for n in range(joints)])
         return None
     if condition.measure == "CLEARANCE" and condition.along is not None:
-        return _no(f"{words}: a clearance is measured in all directions", [], "leave out ALONG and its axis", word)
+        return _refusal(f"{words}: a clearance is measured in all directions", [], "leave out ALONG and its axis", word)
     if condition.measure == "TURN" and condition.along is None and _figure(condition) > math.pi:
         message = f"{words}: without an axis the change of attitude is measured, which is 180 DEG at most"
-        return _no(message, [], "TURN ALONG an axis, such as TURN ALONG TOOL-Z EXCEEDS 2 TURNS", word)
+        return _refusal(message, [], "TURN ALONG an axis, such as TURN ALONG TOOL-Z EXCEEDS 2 TURNS", word)
     if condition.measure == "DISTANCE" and condition.bound == "below" and not about_object:
         message = f"{words} measures the distance to the object of the command, but this command names none"
-        return _no(message, [], "leave it out, or use a verb that takes an object", word)
+        return _refusal(message, [], "leave it out, or use a verb that takes an object", word)
     if condition.along is not None and condition.along not in axes.AXES:
         return suggestions.unknown("axis", condition.along, axes.AXES, where=words)
     return None
@@ -252,7 +252,7 @@ def refuse_without_grip(condition: Condition, arm: str, holding: bool, closes: b
     if not about or holding or (closes and condition.event != "OBJECT-LOST"):
         return None
     message = f"{condition.words} is about a held object, but {arm} holds none"
-    return _no(message, [], f"leave out {condition.words}, or GRASP an object first")
+    return _refusal(message, [], f"leave out {condition.words}, or GRASP an object first")
 
 
 def report_conditions(conditions: list[Condition], state: StepState) -> list[ReportCondition]:
@@ -302,7 +302,7 @@ def _row(condition: Condition) -> tuple[StopReason, Maker] | None:
     return MEASURES.get((condition.measure or "", condition.bound or ""))
 
 
-def _no(
+def _refusal(
     message: str, expected: list[str], clears: str = "leave it out, or use one of those expected", word: str = "UNLESS"
 ) -> Refusal:
     return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=word, expected=expected, clears=clears)

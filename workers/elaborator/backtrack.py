@@ -20,7 +20,7 @@ import numpy as np
 
 from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
-from rtc.protocol.messages import Binding, Way
+from rtc.protocol.messages import Binding, PlannedPath
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.world.model import location
@@ -30,10 +30,10 @@ from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import advice, axes, curves, in_seat, segments, shared_hold, suggestions
 from workers.planning.motion.plan import PlanningRequest
-from workers.planning.motion.timing import Pace
+from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
 
-MOST_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
+MAX_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
 FRAME, GRASP = "frame", "grasp"  # attributes that cameras sense
 
 
@@ -43,7 +43,7 @@ class Planned:
     relies_on: list[str]  # keys of the facts used
     notes: list[str]
     chosen: bool  # one of several inverse solutions was chosen
-    ways: dict[int, Way]  # free way of the first segment, by index of its step in the script
+    ways: dict[int, PlannedPath]  # free way of the first segment, by index of its step in the script
     doubtful: list[str]  # bodies whose poses it uses although they are not trusted: a camera looks for them first
 
     @staticmethod
@@ -150,7 +150,7 @@ def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[
 # --- the joints, tried forwards --------------------------------------------------------------------------
 
 
-Solved = tuple[dict[str, list[float]], list[str], dict[int, Way]]
+Solved = tuple[dict[str, list[float]], list[str], dict[int, PlannedPath]]
 
 
 def _search(
@@ -165,7 +165,7 @@ def _search(
     first: Refusal | None = None
     searched = 0
     for n, joints, detours in _order(ways):
-        if detours and searched == MOST_DETOURED:
+        if detours and searched == MAX_DETOURED:
             break
         tried = _try(script, candidate, lines, joints, request, detours)
         what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
@@ -195,10 +195,10 @@ def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, 
     """Attempts in order, as (number, joint values, with detours).
 
     The nearest solution with a detour is better than a distant solution that turns the arm over. Detours are expensive,
-    so the nearest direct solutions come first. `_search` ends after `MOST_DETOURED` searches.
+    so the nearest direct solutions come first. `_search` ends after `MAX_DETOURED` searches.
     """
     numbered = list(enumerate(ways, 1))
-    head, tail = numbered[:MOST_DETOURED], numbered[MOST_DETOURED:]
+    head, tail = numbered[:MAX_DETOURED], numbered[MAX_DETOURED:]
     yield from ((n, way, False) for n, way in head)
     yield from ((n, way, True) for n, way in head[:1])
     yield from ((n, way, False) for n, way in tail)
@@ -218,9 +218,11 @@ def _request(script: ScriptFile, candidate: TaskCandidate, sensed: set[str]) -> 
         exempt=[body.name for body in (candidate.thing, candidate.target) if body],
     )
     if sensed:
-        scene = replace(scene, unsure_m={name: m for name, m in scene.unsure_m.items() if name not in sensed})
+        scene = replace(
+            scene, pose_tolerance_m={name: m for name, m in scene.pose_tolerance_m.items() if name not in sensed}
+        )
     margin_rad = math.radians(candidate.figures["joint_margin_deg"])
-    request = query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)
+    request = query.planning_request(candidate.arm.name, scene, candidate.limits, SpeedLimits(), margin_rad)
     if candidate.partner is None:
         return request
     return replace(request, partner=query.model.arms[candidate.partner.name])
@@ -282,12 +284,12 @@ def _try(
     joints: dict[str, list[float]],
     request: PlanningRequest,
     detours: bool,
-) -> dict[int, Way] | Refusal:
+) -> dict[int, PlannedPath] | Refusal:
     """Test the segments in order; returns the refusal of the first blocked one, or the way of the first segment by
     index of its step. The later segments start where the arm will come to rest, which is not known yet."""
     here = start = request.start
     straight = _straight(script, candidate, request)
-    ways: dict[int, Way] = {}
+    ways: dict[int, PlannedPath] = {}
     last: _Test | None = None
     for n, step in enumerate(script.steps, 1):
         if not step.to:
@@ -328,7 +330,7 @@ def _straight(script: ScriptFile, candidate: TaskCandidate, request: PlanningReq
         contacts = query.hand_contacts(arm, thing.name)
     scene = request.scene
     if (thing is not None or target is not None or script.despite_grasp) and candidate.partner is None:
-        scene = replace(scene, unsure_m={})
+        scene = replace(scene, pose_tolerance_m={})
     return replace(request, scene=replace(scene, ignore=[*scene.ignore, *contacts]))
 
 
@@ -342,7 +344,7 @@ class _Test(NamedTuple):
     detours: bool
     first: bool  # it starts where the arm is
 
-    def run(self, ways: dict[int, Way]) -> segments.Segment | Refusal:
+    def run(self, ways: dict[int, PlannedPath]) -> segments.Segment | Refusal:
         """The segment; the way of the first one is added to `ways`."""
         space = self.step.space
         segment = segments.check_segment(self.request, space, self.target, self.detours, self.first)

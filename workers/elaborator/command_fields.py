@@ -24,7 +24,7 @@ EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "refle
 
 
 SOFT = "stiffness_n_m"  # figure of a compliant step
-LEAST_REPORT_S = 0.1  # minimum interval of REPORT EVERY, in arm time
+MIN_REPORT_S = 0.1  # minimum interval of REPORT EVERY, in arm time
 #: field of the record -> its words in a sentence; other fields use their own name
 _WORDS = {
     "hand": "a hand",
@@ -166,10 +166,10 @@ def _is(step: ScriptStep, wanted: ActsOn) -> bool:
 def refuse_report_interval(parsed: ParsedCommand) -> Refusal | None:
     """Refuse a REPORT EVERY interval that is too short; None if it is supported."""
     every_s = parsed.report.every_s if parsed.report else None
-    if every_s is None or every_s >= LEAST_REPORT_S:
+    if every_s is None or every_s >= MIN_REPORT_S:
         return None
-    message = f"REPORT EVERY {every_s:g} s is too often; {LEAST_REPORT_S:g} s is the shortest interval"
-    return _refused(message, "EVERY", f"REPORT EVERY {LEAST_REPORT_S:g} SEC, or rarer; `telemetry` has every sample")
+    message = f"REPORT EVERY {every_s:g} s is too often; {MIN_REPORT_S:g} s is the shortest interval"
+    return _refused(message, "EVERY", f"REPORT EVERY {MIN_REPORT_S:g} SEC, or rarer; `telemetry` has every sample")
 
 
 def refuse_longer_than_limit(parsed: ParsedCommand, limits: Limits) -> Refusal | None:

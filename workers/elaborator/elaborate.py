@@ -369,7 +369,7 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
     known = {entry.n for entry in entries}
     index, count = step.trim
     asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
-    own = [entry.n for entry in entries if nominal and entry.n > MOST_ENTRIES]
+    own = [entry.n for entry in entries if nominal and entry.n > MAX_ENTRIES]
     figures: dict[str, float | str] = {n: expressions.number(e, candidate.figures) for n, e in step.args.items()}
     report = candidate.parsed.report
     if report is not None and report.every_s is not None:
@@ -436,7 +436,7 @@ def _performed_by(arm: str, candidate: TaskCandidate, step: Step) -> Step:
     return step if arm == candidate.arm.name else msgspec.structs.replace(step, args={**step.args, "arm": arm})
 
 
-MOST_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
+MAX_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
 
 
 def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> tuple[list[Trim], list[str]] | Refusal:
@@ -454,7 +454,7 @@ def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> 
             continue
         steps = [_step(step, candidate, [], nominal=False) for step in piece.steps]
         entries.append(Trim(n=entry.n, label=label, steps=steps, then=entry.then, fits=entry.fits))
-    for n, reflex in enumerate((r for r in candidate.parsed.reflexes if r.trim), MOST_ENTRIES + 1):
+    for n, reflex in enumerate((r for r in candidate.parsed.reflexes if r.trim), MAX_ENTRIES + 1):
         name = (reflex.trim or "").lower()
         piece = compiled.pieces.get(name)
         if piece is None or script.case < FIRST_SKILL:

@@ -12,7 +12,7 @@ from workers.elaborator.task_candidate import TaskCandidate
 
 SPACE = "move_circle"  # of a step that turns an object about its hinge
 SLACK_RAD = 0.1  # a compliant hand is commanded beyond the angle that it reaches
-LEAST_RAD = math.radians(0.1)  # minimum turn; the angle of a door is not known better
+MIN_RAD = math.radians(0.1)  # minimum turn; the angle of a door is not known better
 
 
 def refuse_other_motion(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
@@ -67,7 +67,7 @@ def refuse_beyond_stops(script: ScriptFile, candidate: TaskCandidate) -> Refusal
                 message=f"{candidate.parsed.verb} {thing.name}: an angle is wanted",
                 clears="an amount in DEG or RAD",
             )
-        if abs(turn) < LEAST_RAD:
+        if abs(turn) < MIN_RAD:
             at = f"{math.degrees(angle):g} deg"
             clears = candidate.program.needs.get("hinge_there", "")
             return Refusal(

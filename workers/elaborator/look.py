@@ -15,7 +15,7 @@ from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import sight, suggestions
 from workers.planning.world_query import WorldQuery
 
-MOST_FURTHER = 3  # maximum number of cameras beside the best one
+MAX_FURTHER = 3  # maximum number of cameras beside the best one
 
 
 def candidates(
@@ -65,7 +65,7 @@ def further_cameras(step: ScriptStep, candidate: TaskCandidate, body: str, camer
     Only one camera can follow a body."""
     if "duration_s" in step.args or candidate.parsed.performer is not None:
         return []
-    return [other.name for other in candidate.query.cameras(body) if other.name != camera.name][:MOST_FURTHER]
+    return [other.name for other in candidate.query.cameras(body) if other.name != camera.name][:MAX_FURTHER]
 
 
 def _cameras(

@@ -18,7 +18,7 @@ from rtc.protocol.sentence import hand_in_words
 from rtc.spatial.geometry import Floats
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning.motion.plan import find_joint_way
-from workers.planning.motion.timing import Pace
+from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
 
 
@@ -59,7 +59,7 @@ def _leaves(query: WorldQuery, arm: str) -> Iterator[tuple[str, str, Floats]]:
 
 def _can_go(query: WorldQuery, arm: str, joints: Floats) -> bool:
     scene = query.scene(arm, Limits(), seated=bool(query.holding(arm)))
-    request = query.planning_request(arm, scene, Limits(), Pace(), _margin_rad(query))
+    request = query.planning_request(arm, scene, Limits(), SpeedLimits(), _margin_rad(query))
     return not isinstance(find_joint_way(request, joints), Refusal)
 
 

@@ -110,27 +110,27 @@ def _facts(
     """The stated facts by key, in SI units; or the refusal with the correct form."""
     attribute = _attribute(parsed)
     values: list[float | str] = parsed.value or []
-    if isinstance(thing, parts.Seat) and attribute not in program.told_of_seats:
-        settable = [_word(name) for name in program.told_of_seats]
+    if isinstance(thing, parts.Seat) and attribute not in program.settable_of_seats:
+        settable = [_word(name) for name in program.settable_of_seats]
         return suggestions.unknown(
             "attribute of a seat", parsed.attribute or "", settable, where=parsed.attribute or ""
         )
-    if attribute in program.not_told:
+    if attribute in program.not_settable:
         return Refusal(
             reason=RefusalReason.NOT_ALLOWED,
             message=f"{parsed.attribute} of {thing.name} cannot be set; the cluster determines it",
             where=parsed.attribute or "",
-            clears=program.not_told[attribute].replace("{object}", thing.name),
+            clears=program.not_settable[attribute].replace("{object}", thing.name),
         )
-    if attribute in program.told:
-        row = program.told[attribute]
+    if attribute in program.settable:
+        row = program.settable[attribute]
         if not _fits(row, parsed):
             return _misfit(row, parsed, thing)
         make = FACTS.get(attribute)
         if make is not None:
             return make(program, values, thing, query)
     else:
-        known = [_word(name) for name in (*program.told, *program.not_told, *_others(thing, query))]
+        known = [_word(name) for name in (*program.settable, *program.not_settable, *_others(thing, query))]
         like = suggestions.nearest(parsed.attribute or "", known)
         if like and parsed.attribute not in known:
             return suggestions.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")

@@ -17,7 +17,7 @@ from rtc.spatial.geometry import Array, Floats
 from workers.planning import axes, suggestions
 from workers.planning.motion.path import KNOT_M
 
-MOST_POSES = 4000  # maximum number of poses of one curve
+MAX_POSES = 4000  # maximum number of poses of one curve
 CIRCLE_RAD = 0.04  # maximum turn between two poses of a circle; the hand then keeps its radius to some 0.05 mm
 PATTERN_RAD = 0.2  # maximum turn between two poses of a pattern
 Figures = Mapping[str, float]
@@ -139,9 +139,9 @@ def _turned(start: Array, along: Array, angle: float) -> list[float]:
 
 def _count(*wanted: float) -> int | Refusal:
     count = max(4, *(math.ceil(n) for n in wanted))
-    if count <= MOST_POSES:
+    if count <= MAX_POSES:
         return count
-    message = f"the curve would have {count} knots; {MOST_POSES} is the maximum"
+    message = f"the curve would have {count} knots; {MAX_POSES} is the maximum"
     return _refused(message, "a smaller one, or a wider pitch")
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from rtc.protocol.messages import Way
+from rtc.protocol.messages import PlannedPath
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial.geometry import Array, Floats
 from workers.planning import curves
@@ -56,7 +56,7 @@ class Segment(NamedTuple):
     goal: Floats  # joint values (rad), or pose of the tcp in world axes
     found: FreeWay | None = None
 
-    def way(self, request: PlanningRequest, space: str) -> Way | None:
+    def way(self, request: PlanningRequest, space: str) -> PlannedPath | None:
         """The way as it is sent to the binder; None: not known."""
         if self.found is None:
             return None
@@ -74,7 +74,9 @@ def check_segment(
     return _TESTS[space](request, target, detours, first)
 
 
-def plan_segment(request: PlanningRequest, space: str, target: Target, known: Way | None = None) -> Motion | Refusal:
+def plan_segment(
+    request: PlanningRequest, space: str, target: Target, known: PlannedPath | None = None
+) -> Motion | Refusal:
     """The segment as a timed motion. `known`: a way found before; of another request it is tested again."""
     return SPACES[space](request, target, known)
 
@@ -89,7 +91,7 @@ def _goal(request: PlanningRequest, target: Target) -> Array | Refusal:
     return ik.choose(request.arm, target.pose, request.start, test=free_posture(request), margin_rad=request.margin_rad)
 
 
-def _timed_joint(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
+def _timed_joint(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion | Refusal:
     goal = _goal(request, target)
     if isinstance(goal, Refusal):
         return goal
@@ -99,7 +101,7 @@ def _timed_joint(request: PlanningRequest, target: Target, known: Way | None) ->
     if known is None:
         return plan_joint_motion(request, goal)
     before = path_reuse.from_message(known)
-    if known.asked == path_reuse.request_digest(request, "move_joint", goal):
+    if known.request_digest == path_reuse.request_digest(request, "move_joint", goal):
         return in_time(request, before)
     return plan_joint_motion(request, goal, before.path)
 
@@ -146,13 +148,13 @@ def _pose(request: PlanningRequest, target: Target) -> list[float]:
     return pose
 
 
-def _timed_task(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
+def _timed_task(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion | Refusal:
     pose = _pose(request, target)
     motion: Motion | Refusal
     if target.via:
         motion = _timed_curve(request, _smooth(request, target, pose), known)
         return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion
-    if known is not None and known.asked == path_reuse.request_digest(request, "move_task", pose):
+    if known is not None and known.request_digest == path_reuse.request_digest(request, "move_task", pose):
         motion = in_time(request, path_reuse.from_message(known))
     else:
         motion = plan_task_motion(request, pose)
@@ -195,7 +197,7 @@ def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal 
 # --- curves ----------------------------------------------------------------------------------------------
 
 
-def _timed_curve(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
+def _timed_curve(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion | Refusal:
     assert target.poses is not None
     found = find_curve(request, target.poses, request.way_margin_rad)
     return found if isinstance(found, Refusal) else in_time(request, found)
@@ -210,7 +212,7 @@ def _tested_curve(request: PlanningRequest, target: Target, detours: bool, first
 # --- two arms --------------------------------------------------------------------------------------------
 
 
-def _timed_both(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
+def _timed_both(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion | Refusal:
     if request.partner is None:
         message = f"{request.arm.name} has no partner: no other arm holds the same object"
         return Refusal(reason=RefusalReason.STATE, message=message, clears="a command for one arm")
@@ -224,7 +226,7 @@ def _tested_both(request: PlanningRequest, target: Target, detours: bool, first:
 
 
 #: fourth column of a script -> planner of its segments
-SPACES: dict[str, Callable[[PlanningRequest, Target, Way | None], Motion | Refusal]] = {
+SPACES: dict[str, Callable[[PlanningRequest, Target, PlannedPath | None], Motion | Refusal]] = {
     "move_joint": _timed_joint,
     "move_task": _timed_task,
     **dict.fromkeys(curves.CURVES, _timed_curve),

@@ -32,5 +32,5 @@ def cameras(cell: Cell, body: str, pose: Floats, tcp: Callable[[str], Array]) ->
         return []
     views = [optics.view(camera, tcp(camera.arm) if camera.arm else None) for camera in cell.cameras]
     widest = [max(widths, default=0.0) for widths in absence.widths_px(known, pose, views)]
-    able = [(width, camera) for width, camera in zip(widest, cell.cameras, strict=True) if width >= absence.LEAST_PX]
+    able = [(width, camera) for width, camera in zip(widest, cell.cameras, strict=True) if width >= absence.MIN_PX]
     return [camera for _, camera in sorted(able, key=lambda one: -one[0])]

@@ -16,7 +16,7 @@ import numpy as np
 
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts, taught
-from rtc.model.robot.collision_scene import Held, Hung, Scene
+from rtc.model.robot.collision_scene import AttachedBody, Held, Scene
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Load, Primitive
@@ -28,7 +28,7 @@ from rtc.world.spread import EXACT, Spread
 from workers.planning import axes, pose_spread, sight
 from workers.planning.motion.constraints import PathConstraints
 from workers.planning.motion.request import PlanningRequest
-from workers.planning.motion.timing import Pace
+from workers.planning.motion.timing import SpeedLimits
 from workers.planning.robot_models import CellModel
 
 UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ball of this radius
@@ -351,7 +351,7 @@ class WorldQuery:
         as poses are uncertain.
         """
         held: dict[str, Held] = {}
-        hung: dict[str, Hung] = {}
+        hung: dict[str, AttachedBody] = {}
         moved_seats = [seat.name for seat in self.cell.seats if self.world.get(f"{seat.name}.frame") is not None]
         poses: dict[str, Array] = {name: self.seat_frame(name) for name in moved_seats}
         for thing in self.cell.objects:
@@ -361,7 +361,7 @@ class WorldQuery:
             elif not thing.fixed:
                 if holder and grasp is not None and thing.hinge is not None:
                     grip = geometry.inverse(grasp)[:3]
-                    hung[thing.name] = Hung(
+                    hung[thing.name] = AttachedBody(
                         holder, self.hinge_home(thing.name), thing.hinge.axis, thing.hinge.range_rad, grip
                     )
                 poses[thing.name] = self.frame(thing.name)
@@ -389,7 +389,7 @@ class WorldQuery:
             ignore=ignore,
             clearance_m=max(CLEARANCE_M, limits.clearance_m or 0.0),
             near=[*close, *(seat for seat in map(self.seat, filter(None, (*close, carried))) if seat), *hung],
-            unsure_m=self._unsure_m(poses, held) if unsure else {},
+            pose_tolerance_m=self._unsure_m(poses, held) if unsure else {},
             keep_out=limits.keep_out,
             arms_apart_m=ARMS_APART_M,
             moving=arm,
@@ -429,7 +429,7 @@ class WorldQuery:
         )
 
     def planning_request(
-        self, arm: str, scene: Scene, limits: Limits, pace: Pace, margin_rad: float
+        self, arm: str, scene: Scene, limits: Limits, pace: SpeedLimits, margin_rad: float
     ) -> PlanningRequest:
         return PlanningRequest(
             arm=self.model.arms[arm],

@@ -13,7 +13,7 @@ from pathlib import Path
 from rtc.protocol.outcomes import ClusterError
 
 LIMIT_S = 15.0  # default time limit; longer than a restart of the broker and than a short failure of the network
-LONGEST_JOB_S = 15.0  # processor time; the broker's own limit of a job is not longer
+MAX_JOB_S = 15.0  # processor time; the broker's own limit of a job is not longer
 SHOWN_S = 0.4  # minimum interval between two updates of the health file and of systemd
 
 
@@ -64,7 +64,7 @@ class BrokerContact:
     def working(self, worked_s: float, now: float) -> None:
         """A job is in progress and has used the processor for `worked_s`. On a busy machine that takes any time by the
         clock, so the engine sees that it works, until the job has used more than any job may."""
-        if self.worker and self._worked_s < worked_s <= LONGEST_JOB_S:
+        if self.worker and self._worked_s < worked_s <= MAX_JOB_S:
             self._show(False, now)
         self._worked_s = worked_s
 

@@ -42,7 +42,7 @@ def preload(kinds: Iterable[WorkerKind], cell: str | None) -> Preloaded:
             body = loader.default(kind)
             programs[kind] = {digest(body): function.compile(body)}
         except ProgramError as error:
-            logging.getLogger("warm").warning("%s: %s", kind, error)
+            logging.getLogger("workers.preload").warning("%s: %s", kind, error)
         if function.NEEDS_CELL and cell is not None and not cells:
             body = Cell.load(cell).encode()
             model = lazy_import.load("workers.planning.robot_models").CellModel(Cell.from_bytes(body))

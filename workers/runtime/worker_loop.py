@@ -26,7 +26,7 @@ from rtc.protocol import wire
 from rtc.protocol.messages import (
     Assessment,
     BrokerToWorker,
-    Drop,
+    CancelJobs,
     Heartbeat,
     Job,
     JobBatch,
@@ -212,7 +212,7 @@ class WorkerLoop:
             case WorkerAddress(name=name, node=node):
                 self._hello = msgspec.structs.replace(self._hello, name=name, node=node)
                 show_name(name)
-            case Drop(jobs=unwanted):
+            case CancelJobs(jobs=unwanted):
                 self._drop(unwanted)
             case ProgramBody(digest=digest, body=body):
                 if digest == self._wanted:

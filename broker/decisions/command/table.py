@@ -28,12 +28,12 @@ from rtc.protocol.messages import Phase
 
 S, P = Stimulus, Phase
 STEP = (P.BINDING, P.PAUSED, P.ENDED)  # the next step is bound, or the command pauses, or no step is left
-PLAN = (P.ELABORATING, P.HELD, P.ENDED)  # the resources are granted, or the command waits, or it is refused
+FROM_ELABORATION = (P.ELABORATING, P.HELD, P.ENDED)  # the resources are granted, or the command waits, or it is refused
 
 _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
     P.PARSING: {
-        S.PRODUCT: cell(intake.on_parsed, P.PARSING, *PLAN, P.HALTING),
-        S.RELEASE: cell(intake.take_up, *PLAN),
+        S.PRODUCT: cell(intake.on_parsed, P.PARSING, *FROM_ELABORATION, P.HALTING),
+        S.RELEASE: cell(intake.take_up, *FROM_ELABORATION),
         S.REFUSAL: cell(termination.refuse, P.ENDED),
         S.UNAVAILABLE: cell(jobs.fail_unavailable, P.ENDED),
         S.WORKER_LOST: cell(jobs.retry_job, P.PARSING, P.ENDED),
@@ -52,7 +52,7 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
     },
     P.HELD: {
         S.GRANT: cell(claims.on_granted, P.ELABORATING, P.HELD, P.ENDED),
-        S.RELEASE: cell(dependencies.on_released, *PLAN),
+        S.RELEASE: cell(dependencies.on_released, *FROM_ELABORATION),
         S.STOP: cell(termination.stop, P.ENDED),
         S.PAUSE: cell(control.request_pause, P.HELD),
         S.RESUME: cell(control.withdraw_pause, P.HELD),

@@ -17,7 +17,7 @@ from rtc.apps.authoring.hull import hull_of
 from rtc.apps.authoring.robot_file import PACKAGE, RobotFile, number, numbers, origin
 from rtc.model.cells import urdf_values
 from rtc.model.cells.urdf_values import MOVING
-from rtc.model.robot.numeric_ik import FEWEST
+from rtc.model.robot.numeric_ik import MIN_JOINTS
 from rtc.protocol.outcomes import ProgramError
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
@@ -72,9 +72,11 @@ def adapt(path: Path, folder: str, tip: str = "") -> AdaptedArm:
         fingers = ("finger_a_slide", "finger_b_slide")
     palm = robot.parent[fingers[0]]
     arm = AdaptedArm(robot, robot.moving_way(palm), palm, fingers, notes=notes)
-    if len(arm.joints) < FEWEST:
+    if len(arm.joints) < MIN_JOINTS:
         moving = f"only {arm.joints[0]} moves" if arm.joints else "no joint moves"
-        raise ProgramError(f"{path}: {moving} {palm}; expected: an arm with {FEWEST} joints or more before its hand")
+        raise ProgramError(
+            f"{path}: {moving} {palm}; expected: an arm with {MIN_JOINTS} joints or more before its hand"
+        )
     _tidy(arm)
     _meshes(arm, folder)
     _tool(arm)

@@ -15,7 +15,7 @@ from rtc.protocol.outcomes import ProgramError
 from rtc.spatial.geometry import Array
 
 DIRECTIONS = 64  # at first the farthest vertex in each is kept
-CLOSE_M, MOST, AT_ONCE = 0.001, 220, 6  # then as many more until this close, or this many
+CLOSE_M, MAX_CORNERS, AT_ONCE = 0.001, 220, 6  # then as many more until this close, or this many
 
 
 class Hull(NamedTuple):
@@ -34,7 +34,7 @@ def hull_of(points: Array, name: str) -> Hull:
             few = whole[kept]
             solid = ConvexHull(few)
             beyond = (whole @ solid.equations[:, :3].T + solid.equations[:, 3]).max(axis=1)
-            if beyond.max() <= CLOSE_M or len(kept) >= MOST:
+            if beyond.max() <= CLOSE_M or len(kept) >= MAX_CORNERS:
                 break
             kept = np.union1d(kept, np.argsort(-beyond, kind="stable")[:AT_ONCE])
     except (QhullError, ValueError) as error:

@@ -10,7 +10,7 @@ import msgspec
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import AsJson, console, emit_json, table, trouble
+from rtc.apps.cli.output import AsJson, cli_error, console, emit_json, table
 from rtc.drawing.renderer import Renderer
 from rtc.drawing.scene import VIEWS, Panel, Picture, SceneView
 from rtc.model.cells.cell import CELLS, Cell
@@ -96,11 +96,11 @@ def new(
     made = draft(urdf, name.upper().replace("_", "-"), tip)
     file = out or Path(made.cell.name) / "cell.yaml"
     if file.suffix not in (".yaml", ".yml"):
-        raise trouble(f"-o names a cell file, such as {file / 'cell.yaml'}", 2)
+        raise cli_error(f"-o names a cell file, such as {file / 'cell.yaml'}", 2)
     files = _files(made, file)
     there = [str(one) for one in files if one.exists()]
     if there and not force:
-        raise trouble(f"{there[0]} exists{f' and {len(there) - 1} more files' if there[1:] else ''}: use --force", 2)
+        raise cli_error(f"{there[0]} exists{f' and {len(there) - 1} more files' if there[1:] else ''}: use --force", 2)
     _write(files)
     arm = made.cell.arms[0].name
     if json:
@@ -152,7 +152,7 @@ def _draw_checked(path: Path, cell: Cell | None, errors: int, out: Path, camera:
 def draw(path: Path, cell: Cell, out: Path, camera: str) -> None:
     """A picture of the cell as it begins, with the names of its things. Raises RtcError."""
     if not out.absolute().parent.is_dir():
-        raise trouble(f"there is no directory {out.absolute().parent} for the picture", 2)
+        raise cli_error(f"there is no directory {out.absolute().parent} for the picture", 2)
     poses = {thing.name: cell.object_pose(thing.name).tolist() for thing in cell.objects}
     scene = SceneView(
         poses=poses,

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import AsJson, RunDir, console, duration_s, emit_json, exits_with, seconds, table, trouble
+from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, duration_s, emit_json, exits_with, seconds, table
 from rtc.runtime.chaos import VICTIMS, Chaos, Strike
 from rtc.runtime.process_table import processes
 from rtc.runtime.settings import default_run_dir
@@ -38,7 +38,7 @@ def chaos(
     Example:  rtc chaos --kill worker --every 2s --for 60s
     """
     if kill not in VICTIMS:
-        raise trouble(f"--kill is one of {', '.join(VICTIMS)}; not {kill}", 2)
+        raise cli_error(f"--kill is one of {', '.join(VICTIMS)}; not {kill}", 2)
     every_s, for_s = duration_s(every, "--every"), duration_s(for_, "--for")
     maker = Chaos(run_dir or default_run_dir(), random.Random(seed), stop)
     processes(run_dir or default_run_dir())  # raises NoCluster before anything is announced

@@ -24,19 +24,19 @@ from rtc.apps.cli.output import (
     AsJson,
     RunDir,
     With,
+    cli_error,
     console,
     duration_s,
     emit_json,
     quoted,
     seconds,
     table,
-    trouble,
 )
 from rtc.client.client import Client
 from rtc.protocol.outcomes import NoCluster, TimedOut
 from rtc.runtime import process_table
 from rtc.runtime.run_dir import supervised
-from rtc.runtime.settings import LEAST_DIM, MCMS, MOST_DIM, MOST_FAR, MOST_WORKERS, Mcm, Settings, default_run_dir
+from rtc.runtime.settings import MAX_DIM, MAX_REMOTE_WORKERS, MAX_WORKERS, MCMS, MIN_DIM, Mcm, Settings, default_run_dir
 
 SILENT = (
     "the broker does not answer; one that hangs or has died is replaced within seconds: ask again "
@@ -50,14 +50,14 @@ SAME_AGE_S = 1.0  # maximum age difference of a cluster and a broker that was no
 def up(
     cell: Annotated[str, typer.Option(help="Name of a cell that comes with rtc, or a cell file.")] = DEFAULT.cell,
     dim: Annotated[
-        int, typer.Option(min=LEAST_DIM, max=MOST_DIM, help="Dimension of the cube: 2^dim workers.")
+        int, typer.Option(min=MIN_DIM, max=MAX_DIM, help="Dimension of the cube: 2^dim workers.")
     ] = DEFAULT.dim,
     least: Annotated[
         int | None,
-        typer.Option(min=0, max=MOST_WORKERS, help="Workers of each kind when idle.", show_default="the cube's"),
+        typer.Option(min=0, max=MAX_WORKERS, help="Workers of each kind when idle.", show_default="the cube's"),
     ] = DEFAULT.least_workers,
     most: Annotated[
-        int, typer.Option(min=1, max=MOST_WORKERS, help="Workers of each kind while jobs wait.")
+        int, typer.Option(min=1, max=MAX_WORKERS, help="Workers of each kind while jobs wait.")
     ] = DEFAULT.most_workers,
     mcm: Annotated[str, typer.Option(help="bullet (physics) or kinematic (exact, no physics).")] = DEFAULT.mcm,
     speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = f"{DEFAULT.speed:g}",
@@ -67,12 +67,12 @@ def up(
     more: Annotated[
         str, typer.Option(help="Command line that starts {count} workers of a {kind} elsewhere (rtc docs security).")
     ] = DEFAULT.more,
-    more_most: Annotated[
-        int, typer.Option(min=1, max=MOST_FAR, help="With --more: workers of each kind elsewhere.")
-    ] = DEFAULT.more_most,
+    more_max: Annotated[
+        int, typer.Option(min=1, max=MAX_REMOTE_WORKERS, help="With --more: workers of each kind elsewhere.")
+    ] = DEFAULT.scale_out_max,
     more_wait: Annotated[
         str, typer.Option(help="With --more: time for them to join; then they are asked for again.")
-    ] = f"{DEFAULT.more_wait_s:g}s",
+    ] = f"{DEFAULT.scale_out_timeout_s:g}s",
     record: Annotated[
         bool, typer.Option("--record", help="Record the run in the current directory: rtc-DATE-TIME.mcap.")
     ] = False,
@@ -85,7 +85,7 @@ def up(
     Example:  rtc up -d --listen tcp://192.168.1.5:5555
     """
     if mcm not in MCMS:
-        raise trouble(f"--mcm is {' or '.join(MCMS)}, not {mcm}", 2)
+        raise cli_error(f"--mcm is {' or '.join(MCMS)}, not {mcm}", 2)
     settings = Settings(
         run_dir=str(run_dir or default_run_dir()),
         cell=cell,
@@ -96,8 +96,8 @@ def up(
         speed=speed_of(speed),
         listen=listen,
         more=more,
-        more_most=more_most,
-        more_wait_s=duration_s(more_wait, "--more-wait"),
+        scale_out_max=more_max,
+        scale_out_timeout_s=duration_s(more_wait, "--more-wait"),
         record=str(Path.cwd()) if record else "",
     )
     _become_deploy("up", *(["-d"] if detach else []), "--", msgspec.json.encode(settings).decode())
@@ -135,7 +135,7 @@ def status(
     if silent:
         if not json:
             show_status(report)
-        raise trouble(SILENT, NO_CLUSTER, **report) from None
+        raise cli_error(SILENT, NO_CLUSTER, **report) from None
     if json:
         emit_json(report)
     else:
@@ -327,7 +327,7 @@ def speed_of(text: str) -> float:
     except ValueError:
         speed = math.nan
     if not (0 < speed < math.inf or text == "max"):
-        raise trouble(f"--speed is a number above 0, or max; not {text}", 2)
+        raise cli_error(f"--speed is a number above 0, or max; not {text}", 2)
     return speed
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import console, table, trouble
+from rtc.apps.cli.output import cli_error, console, table
 
 CHECKOUT = Path(__file__).parents[3]
 INSTALLED = "share/doc/telerobot-rtc/docs/tutorial.md"  # end of its path in a wheel, see `data-files` of pyproject.toml
@@ -36,7 +36,7 @@ def docs(
     elif (path := found.get(page.removeprefix("docs/").removesuffix(".md"))) is not None:
         sys.stdout.write(f"{path}\n" if where else path.read_text())
     else:
-        raise trouble(f"there is no page {page}; there are {', '.join(found)}", 2)
+        raise cli_error(f"there is no page {page}; there are {', '.join(found)}", 2)
 
 
 def pages() -> dict[str, Path]:
@@ -53,7 +53,7 @@ def directory() -> Path:
     for found in [*(Path(str(file.locate())).resolve() for file in installed), CHECKOUT / "docs" / "tutorial.md"]:
         if found.is_file():
             return found.parent
-    raise trouble("the pages of the documentation are not installed", 1)
+    raise cli_error("the pages of the documentation are not installed", 1)
 
 
 def title(page: Path) -> str:

@@ -28,7 +28,7 @@ from rtc.runtime.settings import default_run_dir, shell_command
 
 PACKAGE = "telerobot-rtc"
 NEEDED_CORES = 2
-LEAST_MEMORY, LEAST_DISK = 1 << 30, 2 << 30  # bytes: a cluster; the journals and logs of some long runs
+MIN_MEMORY, MIN_DISK = 1 << 30, 2 << 30  # bytes: a cluster; the journals and logs of some long runs
 SAMPLE_S = 1.0  # of the control ticks
 SLOW_SHARE = 0.02  # of late ticks
 SLOW_ITERATION_MS = 20.0  # of the broker, 99th percentile
@@ -95,7 +95,7 @@ def of_memory(meminfo: str) -> Finding:
     """`meminfo`: the text of /proc/meminfo."""
     found = re.search(r"^MemAvailable:\s+(\d+) kB", meminfo, re.MULTILINE)
     free = 1024 * int(found[1]) if found else 0
-    return Finding("memory", f"{_size(free)} available", "" if free >= LEAST_MEMORY else "end programs that use much")
+    return Finding("memory", f"{_size(free)} available", "" if free >= MIN_MEMORY else "end programs that use much")
 
 
 def of_priority(permitted: bool) -> Finding:
@@ -153,7 +153,7 @@ def directory(where: Path) -> Iterator[Finding]:
     mend = ""
     if not os.access(there, os.W_OK):
         mend = f"choose a directory that you may write: {shell_command('rtc up -d', Path('DIR'))}"
-    elif free < LEAST_DISK:
+    elif free < MIN_DISK:
         mend = f"delete old runs ({where}/{PREVIOUS}*), or choose a directory on another disk by --run-dir"
     yield Finding("disk", f"{_size(free)} free for {where}; its runs use {_size(_used(where))}", mend)
 

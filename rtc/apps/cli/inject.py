@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import AsJson, RunDir, console, duration_s, emit_json, trouble
+from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, duration_s, emit_json
 from rtc.client.client import Client
 from rtc.protocol import faults as f
 from rtc.protocol.messages import SimDone
@@ -92,7 +92,7 @@ def sensor(
     Example:  rtc inject sensor RIGHT-ARM --freeze
     """
     if bool(offset) is freeze:
-        raise trouble("state either --offset or --freeze", 2)
+        raise cli_error("state either --offset or --freeze", 2)
     wrench = None
     if offset:
         wrench = _figures(offset, 6 if offset.count(",") > 2 else 3, "--offset")
@@ -210,7 +210,7 @@ def _by_and_turn(by: str, turn: str) -> list[float]:
     """Three lengths (m) and three angles (rad), not all 0."""
     values = [*_figures(by, 3, "--by"), *map(math.radians, _figures(turn, 3, "--turn"))]
     if not any(values):
-        raise trouble("state --by, --turn or both", 2)
+        raise cli_error("state --by, --turn or both", 2)
     return values
 
 
@@ -220,5 +220,5 @@ def _figures(text: str, count: int, option: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) != count or not all(map(math.isfinite, values)):
-        raise trouble(f"{option} is {count} numbers with commas between them; not {text}", 2)
+        raise cli_error(f"{option} is {count} numbers with commas between them; not {text}", 2)
     return values

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from rtc.apps.cli.hosts import connections_of
 from rtc.apps.cli.measured import duration
-from rtc.apps.cli.output import AsJson, RunDir, console, emit_json, table, trouble
+from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, table
 from rtc.client.client import Client
 from rtc.protocol.outcomes import ClusterError
 from rtc.protocol.roles import Role
@@ -50,7 +50,7 @@ def new(
     Example:  rtc keys new w1 --role worker --count 8 --at tcp://lab:5555
     """
     if role not in list(Role):
-        raise trouble(f"{role} is not a role; the roles are {ROLES}", 2)
+        raise cli_error(f"{role} is not a role; the roles are {ROLES}", 2)
     where = prepare_run_dir(run_dir or default_run_dir())
     file = out or Path(f"{name}.key")
     key = KeyRing(where).new(name, Role(role), at or _address(where), file, count)
@@ -135,9 +135,9 @@ def _address(run_dir: Path) -> str:
     except FileNotFoundError:
         listen = ""
     if not listen:
-        raise trouble(
+        raise cli_error(
             "the address of the cluster is not known: give --at tcp://HOST:PORT, or first: rtc up --listen …", 2
         )
     if is_everywhere(listen):
-        raise trouble(f"the cluster listens at all addresses ({listen}); give the one that others use with --at", 2)
+        raise cli_error(f"the cluster listens at all addresses ({listen}); give the one that others use with --at", 2)
     return listen

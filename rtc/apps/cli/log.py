@@ -19,11 +19,13 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import NoCluster, RequestDeclined
 from rtc.runtime.settings import default_run_dir
 
-MOST = 1000
+MAX_COMMANDS = 1000
 
 
 def log(
-    last: Annotated[int, typer.Option("-n", "--last", min=1, max=MOST, help="Number of commands, the newest.")] = 20,
+    last: Annotated[
+        int, typer.Option("-n", "--last", min=1, max=MAX_COMMANDS, help="Number of commands, the newest.")
+    ] = 20,
     previous: Previous = False,
     json: AsJson = False,
     run_dir: RunDir = None,

@@ -13,7 +13,7 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.cluster_cell import cell_file
-from rtc.apps.cli.output import AsJson, RunDir, With, console, duration_s, emit_json, errors, table, trouble
+from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, duration_s, emit_json, errors, table
 from rtc.apps.cli.world import COLOUR
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
@@ -65,7 +65,7 @@ def look(
     """
     every_s, for_s = duration_s(every, "--every"), duration_s(for_, "--for") if for_ else math.inf
     if (folder := out.absolute().parent) and not folder.is_dir():
-        raise trouble(f"there is no directory {folder} for the picture", 2)
+        raise cli_error(f"there is no directory {folder} for the picture", 2)
     with (
         Client(run_dir, need_broker=bool(key), key=key) as rtc,
         cell_file(rtc.cell()) if key else nullcontext(rtc.settings.cell) as name,
@@ -104,8 +104,8 @@ class _Eye:
             return None
         try:
             return self._rtc.truth()
-        except (TimedOut, KeyTrouble) as trouble:  # real arms, an MCM that restarts, or access by a key
-            self._bench = isinstance(trouble, TimedOut)
+        except (TimedOut, KeyTrouble):  # real arms, an MCM that restarts, or access by a key
+            self._bench = isinstance(cli_error, TimedOut)
             errors.print("rtc: the true state is not known; the picture shows the believed one")
             return None
 
@@ -131,7 +131,7 @@ def _camera(cell: Cell, wanted: str) -> str:
         return name
     near = nearest_words(name, known) or nearest_words(wanted.lower(), VIEWS)
     hint = f"; did you mean {near[0]}?" if near else ""
-    raise trouble(
+    raise cli_error(
         f"--camera is {', '.join(VIEWS)}, or an arm, object, seat or place (rtc names); not {wanted}{hint}", 2
     )
 

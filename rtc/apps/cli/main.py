@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from rtc.apps.cli.interrupts import raise_at_interrupts
-from rtc.apps.cli.output import LEFT_RUNNING, NO_CLUSTER, errors, trouble
+from rtc.apps.cli.output import LEFT_RUNNING, NO_CLUSTER, cli_error, errors
 from rtc.apps.cli.stdio import OutputClosed, attach
 from rtc.protocol.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
 
@@ -87,7 +87,7 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
         try:
             command(*given, **options)
         except KeyboardInterrupt:
-            raise trouble("interrupted", LEFT_RUNNING) from None
+            raise cli_error("interrupted", LEFT_RUNNING) from None
 
     return called
 
@@ -132,18 +132,18 @@ def _call() -> None:
     try:
         build([called] if called in COMMANDS else list(COMMANDS))()
     except NoCluster as error:
-        sys.exit(trouble(str(error), NO_CLUSTER).exit_code)
+        sys.exit(cli_error(str(error), NO_CLUSTER).exit_code)
     except RequestDeclined as error:
         clears = f" ({error.refusal.clears})" if error.refusal.clears else ""
-        sys.exit(trouble(str(error) + clears, 2).exit_code)
+        sys.exit(cli_error(str(error) + clears, 2).exit_code)
     except KeyTrouble as error:
-        sys.exit(trouble(str(error), 2).exit_code)
+        sys.exit(cli_error(str(error), 2).exit_code)
     except RtcError as error:
-        sys.exit(trouble(str(error), 1).exit_code)
+        sys.exit(cli_error(str(error), 1).exit_code)
     except UnicodeEncodeError as error:  # undecodable bytes; in a sentence the parser refuses them at their place
-        sys.exit(trouble(f"this is not text: {error.object!a}", 2).exit_code)
+        sys.exit(cli_error(f"this is not text: {error.object!a}", 2).exit_code)
     except KeyboardInterrupt:
-        sys.exit(trouble("interrupted", LEFT_RUNNING).exit_code)
+        sys.exit(cli_error("interrupted", LEFT_RUNNING).exit_code)
 
 
 if __name__ == "__main__":

@@ -7,14 +7,14 @@ from collections.abc import Iterable
 
 from rtc.protocol.outcomes import Measured, Sighting
 
-SHORTEST_S = 0.1  # smallest printed duration of a step
+MIN_S = 0.1  # smallest printed duration of a step
 POLE_RAD = 1e-4  # nearer to straight up or down roll and yaw are ambiguous: the yaw is printed as 0
 
 
 def duration(value_s: float) -> str:
     """A duration for people: 4.2 s, 46 min, 2 h 46 min; at least 0.1 s."""
-    if value_s < SHORTEST_S:
-        return f"{SHORTEST_S:g} s"
+    if value_s < MIN_S:
+        return f"{MIN_S:g} s"
     if value_s < 60:
         return f"{value_s:.2g} s" if value_s < 10 else f"{value_s:.0f} s"
     minutes = round(value_s / 60)

@@ -10,7 +10,7 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.cluster_cell import cell_of
-from rtc.apps.cli.output import AsJson, RunDir, console, emit_json, table, trouble
+from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, table
 from rtc.apps.cli.teach import with_taught
 from rtc.language.alike import nearest_words
 from rtc.model.cells.cell import Cell
@@ -83,7 +83,7 @@ def kind_of(word: str) -> str:
     if word and not match:
         near = nearest_words(kind, KINDS)
         hint = f" (did you mean {near[0]}?)" if near else ""
-        raise trouble(f"names has no kind {word}{hint}; the kinds are: {', '.join(KINDS)}", 2)
+        raise cli_error(f"names has no kind {word}{hint}; the kinds are: {', '.join(KINDS)}", 2)
     return match
 
 

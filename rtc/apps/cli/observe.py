@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import RunDir, With, console, duration_s, trouble
+from rtc.apps.cli.output import RunDir, With, cli_error, console, duration_s
 from rtc.client.client import running_settings
 from rtc.runtime import process
 from rtc.runtime.extras import missing
@@ -38,13 +38,13 @@ def observe(
     Example:  rtc observe --prometheus 0.0.0.0:9464 --otlp http://localhost:4318
     """
     if not (prometheus or otlp):
-        raise trouble("nothing to export: give --prometheus PORT, --otlp URL, or both", 2)
+        raise cli_error("nothing to export: give --prometheus PORT, --otlp URL, or both", 2)
     host, port = _address(prometheus) if prometheus else ("", 0)
     if otlp and not otlp.startswith(("http://", "https://")):
-        raise trouble(f"--otlp is a URL such as http://localhost:4318; not {otlp}", 2)
+        raise cli_error(f"--otlp is a URL such as http://localhost:4318; not {otlp}", 2)
     for purpose in (*(["prometheus"] if prometheus else []), *(["otlp"] if otlp else [])):
         if need := missing(purpose):
-            raise trouble(need, 2)
+            raise cli_error(need, 2)
     for_s = duration_s(for_, "--for") if for_ else math.inf
     endpoints: Endpoints = KeyFile.load(key) if key else running_settings(run_dir or default_run_dir())
     _observe(endpoints, host, port, otlp, for_s)
@@ -67,7 +67,7 @@ def _observe(endpoints: Endpoints, host: str, port: int, otlp: str, for_s: float
             try:
                 port = metrics.serve(port, host)
             except OSError as error:
-                raise trouble(f"--prometheus: {host}:{port} cannot be used: {error.strerror or error}", 2) from None
+                raise cli_error(f"--prometheus: {host}:{port} cannot be used: {error.strerror or error}", 2) from None
             console.print(Text(f"metrics at http://{host}:{port}/metrics"))
         if otlp:
             from rtc.apps.observers.traces import Traces
@@ -84,5 +84,5 @@ def _address(text: str) -> tuple[str, int]:
     """(host, port) of [HOST:]PORT. Raises typer.Exit, with the reason printed."""
     host, _, port = text.rpartition(":")
     if not (port.isascii() and port.isdigit() and int(port) < 65536):
-        raise trouble(f"--prometheus is a port such as 9464, or HOST:PORT; not {text}", 2)
+        raise cli_error(f"--prometheus is a port such as 9464, or HOST:PORT; not {text}", 2)
     return host.strip("[]") or HERE, int(port)

@@ -13,7 +13,7 @@ HANDLING = {
 LOOKING = {"LOCATE", "TRACK", "VERIFY"}
 HANDS = {"LEFT-END-EFF", "RIGHT-END-EFF"}
 #: last word typed -> kind of the names that may follow it
-BEHIND = {
+NAME_KIND_AFTER = {
     "ALONG": "axes",
     "ABOUT": "axes",
     "SAFE-WORK-RANGE": "regions",
@@ -61,8 +61,8 @@ class CellNames:
         verb, last = given[0], given[-1]
         if last == "VIA" and verb not in LOOKING:
             return []
-        if last in BEHIND:
-            return self._kinds[BEHIND[last]]
+        if last in NAME_KIND_AFTER:
+            return self._kinds[NAME_KIND_AFTER[last]]
         if last == "TO":
             return self._kinds["seats" if verb == "ALIGN" else "places"]
         if last in self._points:  # an object: one of its grasp points may follow

@@ -49,7 +49,7 @@ COLOUR = {
 }
 
 DURATION_UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}  # seconds per unit of a duration in an option
-MOST_QUOTED = 200  # characters of a quoted sentence
+MAX_QUOTED = 200  # characters of a quoted sentence
 PIPED_WIDTH = 160  # columns of a table without a terminal
 
 
@@ -93,7 +93,7 @@ def _escaped(character: str) -> str:
     return "\\u007f" if character == "\x7f" else json.dumps(character)[1:-1]
 
 
-def trouble(message: str, code: int = 1, **known: Any) -> typer.Exit:
+def cli_error(message: str, code: int = 1, **known: Any) -> typer.Exit:
     """Print an expected error (with --json also as JSON, with the fields `known`); raise the result of this call."""
     errors.print(Text("rtc: ", style="bold red") + Text(message))
     if "--json" in sys.argv:
@@ -148,7 +148,7 @@ def _is_in(value: str, message: str) -> bool:
     return known is not None and re.search("[A-Za-z]", value) is not None
 
 
-def quoted(text: str, most: int = MOST_QUOTED) -> str:
+def quoted(text: str, most: int = MAX_QUOTED) -> str:
     """A sentence for output: one printable line, at most `most` characters."""
     text = visible(text)
     return text if len(text) <= most else text[: most - len(CUT)] + CUT
@@ -183,7 +183,7 @@ def duration_s(text: str, option: str) -> float:
     """Seconds of 2s, 500ms or 5m. Raises typer.Exit, with the reason printed, if it is not a duration."""
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ms|s|m|)", text.strip())
     if found is None or not 0 < float(found[1]) < math.inf:
-        raise trouble(f"{option} is a duration such as 2s, 500ms or 5m; not {text}", 2)
+        raise cli_error(f"{option} is a duration such as 2s, 500ms or 5m; not {text}", 2)
     return float(found[1]) * DURATION_UNITS[found[2]]
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
-from rtc.apps.cli.output import AsJson, RunDir, console, emit_json, table, trouble
+from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, table
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.drawing.scene import CameraPicture, believed, centimetres, degrees, true_scene
@@ -59,7 +59,7 @@ def picture(
         name = _named(cell, camera)
         file = out or Path(f"{name}.png")
         if not file.absolute().parent.is_dir():
-            raise trouble(f"there is no directory {file.absolute().parent} for the picture", 2)
+            raise cli_error(f"there is no directory {file.absolute().parent} for the picture", 2)
         arms = _measured(rtc)
         try:
             truth = rtc.truth()
@@ -112,10 +112,10 @@ def _named(cell: Cell, wanted: str) -> str:
     if name in known:
         return name
     if not known:
-        raise trouble(f"the cell {cell.name} has no cameras; name some under `cameras:` in its file", 2)
+        raise cli_error(f"the cell {cell.name} has no cameras; name some under `cameras:` in its file", 2)
     near = nearest_words(name, known)
     hint = f"; did you mean {near[0]}?" if near else ""
-    raise trouble(f"no camera {wanted}; the cameras are {', '.join(known)}{hint}", 2)
+    raise cli_error(f"no camera {wanted}; the cameras are {', '.join(known)}{hint}", 2)
 
 
 # --- bodies in the picture -----------------------------------------------------------------------------

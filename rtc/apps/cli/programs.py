@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import AsJson, RunDir, With, console, emit_json, errors, table, trouble
+from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_json, errors, table
 from rtc.client.client import Client
 from rtc.programs.loader import GRAMMAR, PROGRAMS, changes, default, merge
 from rtc.programs.outcome_table import explained
@@ -56,7 +56,7 @@ def load(
         with Client(run_dir, key=key) as rtc:
             _loaded(rtc.reset(_kind(reset)), "", json)
     elif file is None or into.upper() != "INTO":
-        raise trouble(USAGE, 2)
+        raise cli_error(USAGE, 2)
     elif check:
         _check(_readable(file), _kind(kind), json, run_dir, key)
     else:
@@ -72,9 +72,9 @@ def _export(directory: Path, json: bool) -> None:
         (directory / WorkerKind.PARSER.value).mkdir()
         shutil.copy(GRAMMAR, directory / WorkerKind.PARSER.value)
     except FileExistsError:
-        raise trouble(f"{directory} exists already; name a new directory", 2) from None
+        raise cli_error(f"{directory} exists already; name a new directory", 2) from None
     except OSError as error:
-        raise trouble(f"{directory} cannot be written: {error.strerror}", 1) from None
+        raise cli_error(f"{directory} cannot be written: {error.strerror}", 1) from None
     files = sorted(str(path.relative_to(directory)) for path in directory.rglob("*") if path.is_file())
     if json:
         emit_json({"directory": str(directory), "files": files})
@@ -84,15 +84,15 @@ def _export(directory: Path, json: bool) -> None:
 
 def _kind(word: str) -> WorkerKind:
     if word.lower() not in list(WorkerKind):
-        raise trouble(f"{word or 'nothing'} is not a kind of worker; one of {KINDS} is", 2)
+        raise cli_error(f"{word or 'nothing'} is not a kind of worker; one of {KINDS} is", 2)
     return WorkerKind(word.lower())
 
 
 def _readable(file: Path) -> Path:
     if file.is_dir():
-        raise trouble(f"{file} is a directory; name a file", 2)
+        raise cli_error(f"{file} is a directory; name a file", 2)
     if not file.is_file():
-        raise trouble(f"there is no file {file}", 2)
+        raise cli_error(f"there is no file {file}", 2)
     return file
 
 
@@ -127,7 +127,7 @@ def _check(file: Path, kind: WorkerKind, json: bool, run_dir: Path | None, key: 
     )
     checked = in_a_process(asked)
     if checked.error:
-        raise trouble(checked.error, 2, file=file.name, against=whose)
+        raise cli_error(checked.error, 2, file=file.name, against=whose)
     would = checked.changes
     if json:
         emit_json({"kind": kind.value, "file": file.name, "against": whose, "changes": would})
@@ -178,7 +178,7 @@ def outcomes(
             elaborator = merge(WorkerKind.ELABORATOR, elaborator, file.name, _readable(file).read_bytes(), programs)
         rows = rows_of(elaborator, programs[WorkerKind.BINDER], programs[WorkerKind.ANALYZER], script.lower())
     except ProgramError as error:
-        raise trouble(str(error), 2) from None
+        raise cli_error(str(error), 2) from None
     if json:
         emit_json({"script": script.lower(), "rows": [row._asdict() for row in rows]})
         return

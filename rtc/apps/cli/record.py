@@ -13,7 +13,7 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.cluster_cell import cell_file
-from rtc.apps.cli.output import AsJson, RunDir, With, console, duration_s, emit_json, errors, trouble
+from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, duration_s, emit_json, errors
 from rtc.client.client import Client, running_settings
 from rtc.runtime import process
 from rtc.runtime.extras import missing
@@ -48,9 +48,9 @@ def record(
     for_s = duration_s(for_, "--for") if for_ else math.inf
     mcap = out is not None or raw is None
     if pictures and not mcap:
-        raise trouble("--pictures needs an MCAP file for them: give -o FILE too", 2)
+        raise cli_error("--pictures needs an MCAP file for them: give -o FILE too", 2)
     if mcap and (need := missing("record")):
-        raise trouble(need, 2)
+        raise cli_error(need, 2)
     endpoints: Endpoints = KeyFile.load(key) if key else running_settings(run_dir or default_run_dir())
     from rtc.apps.observers import recorder
     from rtc.apps.observers.feed import Feed
@@ -74,9 +74,9 @@ def record(
             while sinks:
                 sinks.pop().close()
         except FileExistsError as error:
-            raise trouble(f"{error.filename} exists already; choose another file", 2) from None
+            raise cli_error(f"{error.filename} exists already; choose another file", 2) from None
         except OSError as error:
-            raise trouble(f"the recording has ended: {error}") from None
+            raise cli_error(f"the recording has ended: {error}") from None
         finally:
             for sink in sinks:
                 with suppress(OSError):
@@ -89,7 +89,7 @@ def _check_writable(folders: set[Path]) -> None:
     for folder in folders:
         if not os.access(folder, os.W_OK | os.X_OK):
             why = "is not writable" if folder.is_dir() else "is not a directory"
-            raise trouble(f"{folder} {why}; choose another place for the file", 2)
+            raise cli_error(f"{folder} {why}; choose another place for the file", 2)
 
 
 def _sent_cell(key: Path | None) -> bytes:
@@ -111,16 +111,16 @@ def play(
     Example:  rtc play run.mcap
     """
     if need := missing("record"):
-        raise trouble(need, 2)
+        raise cli_error(need, 2)
     from rtc.apps.observers import playback
 
     try:
         found = playback.read(file)
         written, left_out = playback.extract(found, extract) if extract else ([], [])
     except OSError as error:
-        raise trouble(f"{error.filename or file}: {error.strerror or error}", 2) from None
+        raise cli_error(f"{error.filename or file}: {error.strerror or error}", 2) from None
     except playback.NotARecording as error:
-        raise trouble(str(error), 2) from None
+        raise cli_error(str(error), 2) from None
     if json:
         emit_json(playback.as_json(found))
         return

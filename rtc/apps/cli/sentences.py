@@ -21,6 +21,7 @@ from rtc.apps.cli.output import (
     AsJson,
     RunDir,
     With,
+    cli_error,
     console,
     emit_json,
     errors,
@@ -28,7 +29,6 @@ from rtc.apps.cli.output import (
     exits_with,
     quoted,
     refusal_lines,
-    trouble,
 )
 from rtc.apps.cli.progress import Board
 from rtc.apps.cli.stdio import OutputClosed
@@ -76,9 +76,9 @@ def do(
     """
     texts = [as_text(text) for text in (*(sentences or []), *(_lines(file) if file else []))]
     if not all(text.strip() for text in texts) or not texts:
-        raise trouble('no sentence; give one in quotes: rtc do "STOW LEFT-ARM"', 2)
+        raise cli_error('no sentence; give one in quotes: rtc do "STOW LEFT-ARM"', 2)
     if source not in ("operator", "aip"):
-        raise trouble(f"--as is operator or aip, not {source}", 2)
+        raise cli_error(f"--as is operator or aip, not {source}", 2)
     halts = [halt_scope(text) for text in texts]
     need_broker = not all(halts)
     with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=show_silence, key=key) as rtc:
@@ -273,7 +273,7 @@ def _lines(file: Path) -> list[str]:
     try:
         text = sys.stdin.read() if str(file) == "-" else file.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise trouble(f"cannot read {file}: {error}", 2) from None
+        raise cli_error(f"cannot read {file}: {error}", 2) from None
     lines = (line.strip() for line in text.splitlines())
     return [LABEL.sub("", line, count=1) for line in lines if line and not line.startswith(("#", "--"))]
 

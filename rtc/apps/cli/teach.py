@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.cluster_cell import cell_of
-from rtc.apps.cli.output import AsJson, RunDir, console, emit_json, exit_code, table, trouble
+from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, exit_code, table
 from rtc.apps.cli.progress import print_result
 from rtc.client.client import Client
 from rtc.model.cells import taught, taught_file
@@ -39,12 +39,12 @@ def teach(
         _list(cell, _known(cell, run_dir), json)
         return
     if not (arm or forget):
-        raise trouble(f"which arm stands at {place}? For example: rtc teach {place} {cell.arms[0].name}", 2)
+        raise cli_error(f"which arm stands at {place}? For example: rtc teach {place} {cell.arms[0].name}", 2)
     try:
         with Client(run_dir) as client:
             arms = [arm] if arm else list(_of_world(client).get(place, {}))
             if not arms:
-                raise trouble(f"there is no taught place {place}; `rtc teach` lists them", 2)
+                raise cli_error(f"there is no taught place {place}; `rtc teach` lists them", 2)
             for one in arms:
                 _set(client, place, one, "NONE" if forget else "HERE")
             known = _of_world(client)
@@ -53,7 +53,7 @@ def teach(
             raise
         known = taught_file.load(cell)
         if known.get(place) is None or (arm and arm not in known[place]):
-            raise trouble(f"there is no taught place {f'{place} of {arm}' if arm else place}", 2) from None
+            raise cli_error(f"there is no taught place {f'{place} of {arm}' if arm else place}", 2) from None
         known = _without(known, place, arm)
     _save(cell, known)
     if json:
@@ -89,7 +89,7 @@ def _known(cell: Cell, run_dir: RunDir) -> Postures:
         try:
             return taught_file.load(cell)
         except (OSError, msgspec.MsgspecError) as error:
-            raise trouble(f"{taught_file.file_of(cell)} cannot be read: {error}") from None
+            raise cli_error(f"{taught_file.file_of(cell)} cannot be read: {error}") from None
 
 
 def _without(known: Postures, place: str, arm: str) -> Postures:
@@ -102,7 +102,7 @@ def _save(cell: Cell, known: Postures) -> None:
     try:
         taught_file.save(cell, known)
     except OSError as error:
-        raise trouble(f"it is known until `rtc down`, but cannot be kept: {error}") from None
+        raise cli_error(f"it is known until `rtc down`, but cannot be kept: {error}") from None
 
 
 def _list(cell: Cell, known: Postures, json: bool) -> None:

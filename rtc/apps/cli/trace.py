@@ -17,12 +17,12 @@ from rtc.apps.cli.output import (
     AsJson,
     RunDir,
     With,
+    cli_error,
     console,
     emit_json,
     quoted,
     refusal_lines,
     seconds,
-    trouble,
 )
 from rtc.apps.cli.progress import mended
 from rtc.client.client import Client
@@ -76,7 +76,7 @@ def recall(command: str, previous: bool, run_dir: Path | None, key: Path | None)
     except RequestDeclined as declined:
         if key or not any(past.command(_n(name)) for past in _before(where)):
             raise
-        raise trouble(f"{declined.refusal.message}; an earlier run had one: add --previous", 2) from None
+        raise cli_error(f"{declined.refusal.message}; an earlier run had one: add --previous", 2) from None
     except NoCluster:
         if key or not (ended := list(runs(where))):
             raise
@@ -105,8 +105,8 @@ def _from_past(name: str, ended: list[Past]) -> tuple[m.CommandRecord, Past]:
         if found is not None:
             return found, past
     if not ended:
-        raise trouble("there is no command yet; rtc log lists them, rtc do gives one", 2)
-    raise trouble(f"there is no command {name} in the run that ended; rtc log lists its commands", 2)
+        raise cli_error("there is no command yet; rtc log lists them, rtc do gives one", 2)
+    raise cli_error(f"there is no command {name} in the run that ended; rtc log lists its commands", 2)
 
 
 def print_run(run: Past | None) -> None:
@@ -121,7 +121,7 @@ def run_as_json(run: Past | None) -> dict[str, Any]:
 def number(command: str) -> str:
     """C-7 for C-7, c-7 or 7. Raises typer.Exit, with the reason printed, for anything else."""
     if (found := NUMBER.fullmatch(command.strip())) is None:
-        raise trouble(f"{quoted(command)!r} is not the number of a command, such as C-7 or 7; rtc log lists them", 2)
+        raise cli_error(f"{quoted(command)!r} is not the number of a command, such as C-7 or 7; rtc log lists them", 2)
     return f"C-{int(found[1])}"
 
 

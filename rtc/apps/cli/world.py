@@ -13,7 +13,7 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.cluster_cell import cell_file, cell_of
-from rtc.apps.cli.output import AsJson, RunDir, With, console, emit_json, exit_code, seconds, table, trouble
+from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_json, exit_code, seconds, table
 from rtc.apps.cli.progress import print_result
 from rtc.client.client import Client
 from rtc.drawing.scene import centimetres, degrees
@@ -135,7 +135,7 @@ def at(
         if key and not now.facts:
             raise _unknown(key, rtc.world)
         if version > now.version:
-            raise trouble(f"there is no version {version} of the world yet; the newest is {now.version}", 2)
+            raise cli_error(f"there is no version {version} of the world yet; the newest is {now.version}", 2)
         pasts = (rtc.world.history(fact.key, HISTORY) for fact in now.facts)
         then = [old for past in pasts for old in past[:] if old.version <= version]
         units = joint_units(rtc)
@@ -158,7 +158,7 @@ def reset(json: AsJson = False, run_dir: RunDir = None) -> None:
     with Client(run_dir) as client:
         if live := client.status()["commands"]:
             running = ", ".join(row["command"] for row in live)
-            raise trouble(f"in progress: {running}; wait for the end, or halt: rtc halt", 2)
+            raise cli_error(f"in progress: {running}; wait for the end, or halt: rtc halt", 2)
         ended = client.run(RESET)
         seen = sorted({tag.body for tag in Cell.load(cell_of(run_dir)).tags})
     if ended.outcome.kind is not OutcomeKind.SUCCEEDED:
@@ -324,4 +324,4 @@ def print_facts(facts: Iterable[Fact], units: JointUnits) -> None:
 
 def _unknown(key: str, world: WorldClient) -> typer.Exit:
     locations = sorted({fact.key.partition(".")[0] for fact in world.view().facts})
-    return trouble(f"nothing is known of {key}; known are: {', '.join(locations)}", 2)
+    return cli_error(f"nothing is known of {key}; known are: {', '.join(locations)}", 2)

@@ -23,7 +23,7 @@ from rtc.protocol.messages import Phase
 SHORT_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # of the work of a worker
 LONG_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0)  # of phases and commands
 STALE_S = 3 * STATUS_S  # age of the last status from which on the broker counts as silent
-MOST_COMMANDS = 10_000  # commands in progress whose phase is remembered
+MAX_COMMANDS = 10_000  # commands in progress whose phase is remembered
 
 
 class Metrics:
@@ -71,7 +71,7 @@ class Metrics:
                 self._phase.labels(before.phase.value).observe(note.at_s - self._since[note.command])
             self._since[note.command] = note.at_s
         self._open[note.command] = note
-        if note.phase is Phase.ENDED or len(self._open) > MOST_COMMANDS:
+        if note.phase is Phase.ENDED or len(self._open) > MAX_COMMANDS:
             self._forget(note.command if note.phase is Phase.ENDED else next(iter(self._open)))
 
     def _forget(self, command: str) -> None:

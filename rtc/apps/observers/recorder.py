@@ -124,7 +124,7 @@ def main() -> None:
     handover.add_option(parser)
     given = parser.parse_args()
     process.show_name("recorder")
-    handed = handover.begin("recorder", given.run_dir, given.handed)
+    handed = handover.claim_role("recorder", given.run_dir, given.handed)
     with process.start("recorder", given.run_dir) as me:
         process.nice(NICENESS)
         process.nice_session(NICENESS)

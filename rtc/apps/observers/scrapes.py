@@ -1,6 +1,6 @@
 """The HTTP server of the metrics. Its connections are few and short, whatever a client sends or leaves out.
 
-A connection that is silent for SILENCE_S is closed. If one more than MOST are open, the oldest is closed: a scrape
+A connection that is silent for SILENCE_S is closed. If one more than MAX_OPEN are open, the oldest is closed: a scrape
 takes some milliseconds, a half-open request stays.
 """
 
@@ -16,7 +16,7 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 from prometheus_client import CollectorRegistry, make_wsgi_app
 
 SILENCE_S = 5.0
-MOST = 16  # open connections, each with a thread
+MAX_OPEN = 16  # open connections, each with a thread
 
 
 class _Handler(WSGIRequestHandler):
@@ -50,7 +50,7 @@ class ScrapeServer(ThreadingMixIn, WSGIServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._lock:
             self._open[request] = None
-            oldest = next(iter(self._open)) if len(self._open) > MOST else None
+            oldest = next(iter(self._open)) if len(self._open) > MAX_OPEN else None
             if oldest is not None:
                 del self._open[oldest]
                 with suppress(OSError):  # its thread has just closed it

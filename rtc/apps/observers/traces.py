@@ -33,7 +33,7 @@ LOG = logging.getLogger("rtc observe")
 SCOPE = InstrumentationScope("rtc")
 EXPORT_S = 5.0  # limit for one request to the collector
 DELAY_S = 1.0  # longest time that a span waits for others
-MOST_COMMANDS = 10_000  # commands in progress whose notes are kept, and ended ones whose trace context is kept
+MAX_COMMANDS = 10_000  # commands in progress whose notes are kept, and ended ones whose trace context is kept
 HALT = re.compile(r"halt (.+)")  # first note of a HALT sentence: its scope
 HALTED = re.compile(r"halted \((.+)\)")  # note of a command that a halt of this scope has stopped
 PATH = "/v1/traces"  # of an OTLP collector
@@ -130,7 +130,7 @@ class Traces:
         elif note.phase is Phase.HALTING and (scope := HALTED.fullmatch(note.note)):
             self._link(note.command, self._last_halt.get(scope[1], ""))
         command.notes.append(note)
-        while len(self._commands) > MOST_COMMANDS:
+        while len(self._commands) > MAX_COMMANDS:
             del self._commands[next(iter(self._commands))]
 
     def _link(self, halted: str, halt: str) -> None:
@@ -141,7 +141,7 @@ class Traces:
     def _keep_parent(self, command: str, request: str) -> None:
         if (parent := traceparent_of(request)) is not None:
             self._parents[command] = parent
-            while len(self._parents) > MOST_COMMANDS:
+            while len(self._parents) > MAX_COMMANDS:
                 del self._parents[next(iter(self._parents))]
 
     # --- spans ----------------------------------------------------------------------------------------

@@ -72,10 +72,10 @@ class PathCollision:
 
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
 GROUP = 3  # steps of a path, or its configurations in a search, that one check may prove free
-LEAST_M = 0.0005  # by which a pair may come nearer between two measured distances at least
+MIN_M = 0.0005  # by which a pair may come nearer between two measured distances at least
 FEW = 5  # pairs that are followed along a group
 SECTION = 120  # configurations of a path with the same wider margins
-LEAST_GROUPED = 7  # a search checks a shorter line one by one
+MIN_GROUPED = 7  # a search checks a shorter line one by one
 PROBES = 7  # configurations of a path that may show at once that it is blocked
 STRIDE = 4  # configurations between two measurements of the room along a path
 WIDER_M = 1e-4  # tolerance of distances in the check of a group
@@ -241,7 +241,7 @@ class CollisionWorld:
             return count if hit is None else hit.index
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
-        grouped = count >= LEAST_GROUPED
+        grouped = count >= MIN_GROUPED
         if grouped:
             self._widen(slots, configurations)
         for first in range(0, count, GROUP):
@@ -253,7 +253,7 @@ class CollisionWorld:
     def is_free(self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> bool:
         """Whether no configuration is in collision. As `free_until`, but in an order that finds a collision sooner."""
         count = len(configurations)
-        if scene.hung or count < LEAST_GROUPED:
+        if scene.hung or count < MIN_GROUPED:
             return self.free_until(arm, configurations, others, scene) == count
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
@@ -412,7 +412,7 @@ class CollisionWorld:
                 return place
             if at + room >= reach[-1]:
                 return None
-            at = at + room if room > LEAST_M else min(at + LEAST_M, reach[n])
+            at = at + room if room > MIN_M else min(at + MIN_M, reach[n])
 
     def _put(self, slots: list[int], rows: Array, place: float) -> None:
         """Moves all pieces to a place on the way along these configurations."""
@@ -568,7 +568,7 @@ class CollisionWorld:
     def _switch(self, scene: Scene) -> None:
         """Sets the active pairs and the margins of a scene."""
         held = in_hands(scene)
-        unsure, close = tuple(scene.unsure_m.items()), tuple(scene.close.items())
+        unsure, close = tuple(scene.pose_tolerance_m.items()), tuple(scene.close.items())
         lists = map(tuple, (scene.ignore, scene.near, scene.keep_out))
         rules = (scene.moving, held, unsure, close, *lists, scene.clearance_m, scene.arms_apart_m)
         pairs = self._pairs_of_scene.get(rules)

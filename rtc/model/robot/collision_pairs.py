@@ -79,10 +79,10 @@ class PairTable:
 
     def _least_m(self, scene: Scene) -> np.ndarray:
         """The clearance of each pair: that of the scene, but not less than both bodies may be off together."""
-        unsure_m = np.zeros(len(self.owner))
-        for name, most_m in scene.unsure_m.items():
-            unsure_m[self.matching(name)] = most_m
-        least: np.ndarray = np.maximum(scene.clearance_m, unsure_m[self.first] + unsure_m[self.second])
+        pose_tolerance_m = np.zeros(len(self.owner))
+        for name, most_m in scene.pose_tolerance_m.items():
+            pose_tolerance_m[self.matching(name)] = most_m
+        least: np.ndarray = np.maximum(scene.clearance_m, pose_tolerance_m[self.first] + pose_tolerance_m[self.second])
         return least
 
     def carriers(self, scene: Scene) -> np.ndarray:

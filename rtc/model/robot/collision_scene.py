@@ -17,7 +17,7 @@ class Held:
 
 
 @dataclass(frozen=True, eq=False)
-class Hung:
+class AttachedBody:
     """A held object with a hinge. It turns to where a point of it is nearest to the tcp of the arm that holds it."""
 
     arm: str
@@ -33,11 +33,13 @@ class Scene:
 
     poses: Mapping[str, Floats] = field(default_factory=dict)  # of seats and objects, world; others as in the cell
     held: Mapping[str, Held] = field(default_factory=dict)  # by object
-    hung: Mapping[str, Hung] = field(default_factory=dict)  # by object
+    hung: Mapping[str, AttachedBody] = field(default_factory=dict)  # by object
     openings_m: Mapping[str, float] = field(default_factory=dict)  # of the hands, by arm; default: fully open
     ignore: Iterable[tuple[str, str]] = ()  # pairs that may touch
     clearance_m: float = 0.0  # minimum distance of arms and held objects from others; of a held object from its arm too
-    unsure_m: Mapping[str, float] = field(default_factory=dict)  # bodies that may be this far from their pose here
+    pose_tolerance_m: Mapping[str, float] = field(
+        default_factory=dict
+    )  # bodies that may be this far from their pose here
     near: Iterable[str] = ()  # bodies exempt from both, but not from contact
     close: Mapping[tuple[str, str], float] = field(default_factory=dict)  # pairs of pieces with a smaller clearance
     arms_apart_m: float = 0.0  # minimum distance of two arms from each other, with what they hold; without exemption

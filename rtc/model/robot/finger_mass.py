@@ -18,10 +18,10 @@ from rtc.protocol.outcomes import ProgramError
 SEED, POSTURES = 1, 20  # in which the mass that is felt is computed
 
 # A lighter finger gets so soft a spring that a grip of 60 N needs longer than two seconds (`sim_mcm.arms.hand`).
-LEAST_KG = 0.005
+MIN_KG = 0.005
 # The servo of the arm counts the fingers as fixed to the hand. It is unstable if the hand without them weighs less than
 # a seventh of what it expects (2 * 150 rad/s * 1 ms * 7 > 2); half of that is left for the load.
-MOST_LIGHTER = 4.0
+MAX_LIGHTER = 4.0
 
 
 class FingerMass(NamedTuple):
@@ -31,12 +31,12 @@ class FingerMass(NamedTuple):
     @property
     def problem(self) -> str:
         """Why no servo holds this hand still; empty if one does."""
-        if self.own_kg < LEAST_KG:
+        if self.own_kg < MIN_KG:
             return (
                 f"a finger of {1e3 * self.own_kg:.3g} g is too light for a servo of 1 kHz; "
-                f"expected: {1e3 * LEAST_KG:g} g or more, with what the motor of the finger moves"
+                f"expected: {1e3 * MIN_KG:g} g or more, with what the motor of the finger moves"
             )
-        if self.own_kg > MOST_LIGHTER * self.felt_kg:
+        if self.own_kg > MAX_LIGHTER * self.felt_kg:
             return (
                 f"a finger of {self.own_kg:.3g} kg is too heavy for the hand and the arm that carry it: they would "
                 "shake; expected: lighter fingers, or a heavier hand"

@@ -27,7 +27,7 @@ PROJECTIONS = 12  # maximum number of steps of `turned_to`
 PROJECTED_RAD = 1e-3  # its greatest error
 DAMPING = 1e-6  # of its steps near singularities
 MOVES, MOVE_DAMPING = 4, 1e-3  # number of steps of `moved_by`, and their damping
-WHOLE_M, LEAST_WEIGHT = 0.6, 1.0 / 3.0  # a joint that moves the hand by this much per rad, or more, has the weight 1
+WHOLE_M, MIN_WEIGHT = 0.6, 1.0 / 3.0  # a joint that moves the hand by this much per rad, or more, has the weight 1
 SLIDE_MARGIN = 0.1  # m per rad: the margin of a joint that slides, 5 mm for 3 deg
 NEAR_M, NEAR_RAD = 0.0005, 0.005  # smaller distances are not stated
 
@@ -106,7 +106,7 @@ class ArmModel:
         self._closed_form = puma_ik.recognise(placements) if turning_about_z else None
         sweeps = _sweeps(placements, tip.placement.translation, self._chain.slides)
         #: by joint: the weight of its displacement along a path, because some joints move the hand less
-        self.step_weights = np.where(self._chain.slides, 1.0, np.clip(sweeps / WHOLE_M, LEAST_WEIGHT, 1.0))
+        self.step_weights = np.where(self._chain.slides, 1.0, np.clip(sweeps / WHOLE_M, MIN_WEIGHT, 1.0))
 
     @classmethod
     def of(cls, cell: cells.Cell, arm: str) -> ArmModel:

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from rtc.spatial.geometry import Array
 
-FEWEST = 2  # joints of an arm
+MIN_JOINTS = 2  # joints of an arm
 TABLE = 2048  # postures in the table
 SEED = 560
 BATCHES = (31, 96)  # number of starts from the table; the second batch runs only if the first has no result
@@ -32,8 +32,8 @@ TURN_M = 0.05  # a rest of one radian counts as much as this one of position: th
 WANTED, WANTED_STEPS = 12, 9  # with this many results a batch ends after this many iterations
 HOPELESS_STEPS, HOPELESS = 14, 0.02  # after so many iterations a start that leads to the goal is nearer than this
 METRES_PER_RAD = 0.25  # of the distance between poses, to choose starts
-MOST_STEP = 0.6  # maximum change of a joint in one iteration (rad, m)
-DAMPING, LEAST_DAMPING = 0.1, 1e-10  # share of the squared residual, and floor
+MAX_STEP = 0.6  # maximum change of a joint in one iteration (rad, m)
+DAMPING, MIN_DAMPING = 0.1, 1e-10  # share of the squared residual, and floor
 NULL_STEPS, NULL_GAIN = 6, 0.15  # iterations with motion in the null space, and its gain
 SELF_MOTIONS, SELF_STEPS = (-1.2, -0.8, -0.4, 0.4, 0.8, 1.2), 7  # rad, of further starts beside the best result
 SAME = 1e-3  # nearer results count as equal
@@ -44,7 +44,7 @@ NEAR_SINGULAR = 0.25  # share of the arm's typical manipulability; a smaller one
 PENALTY, PENALTY_S = 2.0, 0.15  # the second is small, so that a short motion of the hand is one of the arm, too
 FOLLOW_STEPS = 12  # maximum number of iterations of `nearest_ik`
 FOLLOW_GAIN = 0.05
-HELD, MOST_HELD = 0.15, 0.06  # share of its range, and distance (rad, m), of a limit at which a redundant joint stays
+HELD, MAX_HELD = 0.15, 0.06  # share of its range, and distance (rad, m), of a limit at which a redundant joint stays
 
 
 class Approach(NamedTuple):
@@ -69,8 +69,8 @@ class Chain:
         self.count = model.nv
         if model.nq != model.nv:
             raise ValueError("a continuous joint has no limits")
-        if self.count < FEWEST:
-            raise ValueError(f"it has {self.count} moving joint; an arm needs {FEWEST} or more")
+        if self.count < MIN_JOINTS:
+            raise ValueError(f"it has {self.count} moving joint; an arm needs {MIN_JOINTS} or more")
         self.slides = np.zeros(self.count, dtype=bool)
         self._weights = None if self.count >= WHOLE else np.array([1.0] * 3 + [TURN_M] * 3)
         self._joints = [self._joint(n) for n in range(1, model.njoints)]
@@ -193,12 +193,12 @@ class Chain:
             else:
                 move = _least_squares(jacobian, error, size)
             most = float(np.abs(move).max())
-            q = q + move * min(1.0, MOST_STEP / max(most, 1e-12))
+            q = q + move * min(1.0, MAX_STEP / max(most, 1e-12))
         return None
 
     def _redundant_step(self, q: Array, jacobian: Array, error: Array, size: float, gain: float) -> Array:
         """A step in which a joint that would come near its limit stays, as long as six others are left."""
-        kept = np.minimum(HELD * (self.upper - self.lower), MOST_HELD)
+        kept = np.minimum(HELD * (self.upper - self.lower), MAX_HELD)
         away, free = gain * self._away(q[None])[0], np.ones(self.count)
         while True:
             wanted = away * free
@@ -271,7 +271,7 @@ class Chain:
             jacobian, error = self._weights[:, None] * jacobian, self._weights * error
         transposed = jacobian.transpose(0, 2, 1)
         squared = jacobian @ transposed
-        squared[:, np.arange(6), np.arange(6)] += (DAMPING * size + LEAST_DAMPING)[:, None]
+        squared[:, np.arange(6), np.arange(6)] += (DAMPING * size + MIN_DAMPING)[:, None]
         wanted = error
         away = None
         if self.count > 6 and step < NULL_STEPS:
@@ -281,7 +281,7 @@ class Chain:
         if away is not None:
             move += away
         most = np.abs(move).max(axis=1, keepdims=True)
-        scaled: Array = move * np.minimum(1.0, MOST_STEP / np.maximum(most, 1e-12))
+        scaled: Array = move * np.minimum(1.0, MAX_STEP / np.maximum(most, 1e-12))
         return scaled
 
     def _away(self, q: Array) -> Array:
@@ -328,7 +328,7 @@ def _least_squares(jacobian: Array, error: Array, size: float, weights: Array | 
     """The least joint motion for a small twist, each joint by its weight."""
     weighted = jacobian if weights is None else jacobian * weights
     squared = weighted @ jacobian.T
-    squared[np.diag_indices(6)] += DAMPING * 0.01 * size + LEAST_DAMPING
+    squared[np.diag_indices(6)] += DAMPING * 0.01 * size + MIN_DAMPING
     move: Array = weighted.T @ np.linalg.solve(squared, error)
     return move
 

@@ -14,7 +14,7 @@ import numpy as np
 from rtc.spatial.geometry import Array, Floats
 
 HALVINGS = 20  # maximum number of subdivisions, to a millionth of the length
-MOST_OPEN = 20_000  # maximum number of undecided pieces; beyond it the trajectory counts as outside
+MAX_OPEN = 20_000  # maximum number of undecided pieces; beyond it the trajectory counts as outside
 
 
 class ControlPoints(NamedTuple):
@@ -67,7 +67,7 @@ def excess(points: Array, low: Floats, high: Floats) -> Excess | None:
         for _ in range(HALVINGS):
             ends = rows[:, [0, -1]]
             found = np.flatnonzero(~((ends >= low[joint, None]) & (ends <= high[joint, None])).all(axis=1))
-            if found.size or len(rows) > MOST_OPEN:
+            if found.size or len(rows) > MAX_OPEN:
                 break
             rows, piece, joint = _halves(rows), np.repeat(piece, 2), np.repeat(joint, 2)
             still = ~((rows >= low[joint, None]) & (rows <= high[joint, None])).all(axis=1)

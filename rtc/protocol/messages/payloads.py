@@ -25,11 +25,11 @@ class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     number: float | None = None
 
 
-class Way(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class PlannedPath(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A way of an arm that an elaborator has found free. A binder may use it if its own planning request has the same
     digest; otherwise it tests the way again or plans anew (`workers.planning.motion.path_reuse`)."""
 
-    asked: bytes  # digest of the planning request: joints of all arms, goal, scene, rules
+    request_digest: bytes  # digest of the planning request: joints of all arms, goal, scene, rules
     space: Literal["joint", "task"]
     s: list[float]  # parameter of each knot; rises from 0
     knots: list[list[float]]  # rad
@@ -55,7 +55,7 @@ class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     keep: dict[str, str] = {}  # binding to set from the report on success: {"GP1": "report.pose"}
     trims: list[int] = []  # entries of the trimming stack that may correct it, in order (A9)
     args: dict[str, float | str] = {}  # other parameters of the program's row: speeds, thresholds, widths
-    way: Way | None = None  # of the first motion of a script
+    way: PlannedPath | None = None  # of the first motion of a script
 
 
 class Trim(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -100,7 +100,7 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     report_when: list[Condition] = []
     fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
     # Facts stated by the sentence itself, by key, SI.
-    stated: dict[str, Any] = msgspec.field(default_factory=dict, name="told")
+    stated: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
 class Script(Message, frozen=True, kw_only=True):
@@ -177,7 +177,7 @@ class BoundStep(Message, frozen=True, kw_only=True):
 
     subsystem: str = ""  # "MCM", "S&P"; empty = nothing to execute
     primitive: Primitive | None = None
-    report: EndReport | None = msgspec.field(default=None, name="told")
+    report: EndReport | None = msgspec.field(default=None)
     evaluation: EvaluationContext | None = None
     bindings: dict[str, Binding] = {}
     limit_s: float = 0.0  # time limit of the end report, above the time limit of the primitive itself

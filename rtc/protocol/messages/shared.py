@@ -49,7 +49,7 @@ class Shutdown(Message, frozen=True, kw_only=True):
     why: str = ""  # to a worker that the gateway rejects: the reason
 
 
-class Dropped(Message, frozen=True, kw_only=True):
+class UnreadableMessages(Message, frozen=True, kw_only=True):
     """Number of unreadable messages by socket since the start of the process, for `rtc status`. Sent now and then by
     the processes that have sockets of their own (MCM, world database)."""
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import msgspec
 
 from rtc.protocol.messages.client import Declined
-from rtc.protocol.messages.shared import Dropped, Heartbeat, Message, Name
+from rtc.protocol.messages.shared import Heartbeat, Message, Name, UnreadableMessages
 from rtc.protocol.outcomes import Reflex, Sighting, StopReason
 from rtc.protocol.primitive import Primitive
 
@@ -23,7 +23,7 @@ class SubsystemHello(Message, frozen=True, kw_only=True):
     outstanding: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
     at_rest: bool = True
     arrays: bool = False  # as in ClientHello
-    pauses: bool = False  # it obeys Pace; else its commands pause between two steps only
+    pauses: bool = False  # it obeys SetPaused; else its commands pause between two steps only
     paused: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []  # primitives that it was ordered to pause
 
 
@@ -50,7 +50,7 @@ class HaltOrder(Message, frozen=True, kw_only=True):
     received_at_s: float = 0.0
 
 
-class Pace(Message, frozen=True, kw_only=True):
+class SetPaused(Message, frozen=True, kw_only=True):
     """Pause a primitive on its path, or let it go on. Repeating it changes nothing; one that has ended ignores it.
 
     F is checked during a pause. A time limit does not count from the order to pause until the order to go on."""
@@ -84,7 +84,7 @@ class Started(Message, frozen=True, kw_only=True):
     at_s: float
 
 
-class Paced(Message, frozen=True, kw_only=True):
+class PauseChanged(Message, frozen=True, kw_only=True):
     """A primitive has come to rest on its path, or has gone on from there."""
 
     primitive: str
@@ -187,7 +187,7 @@ SubsystemToBroker = (
     SubsystemHello
     | Heartbeat
     | Started
-    | Paced
+    | PauseChanged
     | ProgressReport
     | EndReport
     | HaltStarted
@@ -195,8 +195,8 @@ SubsystemToBroker = (
     | HaltOrder
     | Injected
     | Strayed
-    | Dropped
+    | UnreadableMessages
 )
-BrokerToSubsystem = Execute | Pace | HaltOrder | ReportAck | Declined  # Declined: the name is in use
+BrokerToSubsystem = Execute | SetPaused | HaltOrder | ReportAck | Declined  # Declined: the name is in use
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined

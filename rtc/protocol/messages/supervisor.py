@@ -6,7 +6,7 @@ from typing import Annotated, NotRequired, TypedDict
 
 import msgspec
 
-from rtc.protocol.messages.shared import Dropped, Message, Name, Shutdown, WorkerKind
+from rtc.protocol.messages.shared import Message, Name, Shutdown, UnreadableMessages, WorkerKind
 
 
 class SupervisorHello(Message, frozen=True, kw_only=True):
@@ -33,12 +33,12 @@ class ProcessRow(TypedDict):
     node: NotRequired[int | None]  # a worker's address
 
 
-class Asked(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class WorkerRequest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The latest run of the command line for more workers of a kind (`rtc up --more`)."""
 
     kind: WorkerKind
     count: int
-    had: int  # workers of this kind on other machines at that time
+    registered_before: int  # workers of this kind on other machines at that time
     at_s: float  # CLOCK_MONOTONIC
     running: bool = False
     failed: str = ""  # why it failed, in words; empty = it succeeded or is running
@@ -49,10 +49,10 @@ class ProcessTable(Message, frozen=True, kw_only=True):
     """All processes of the cluster, for `rtc status`."""
 
     processes: Annotated[list[ProcessRow], msgspec.Meta(max_length=10_000)]
-    asked: Annotated[list[Asked], msgspec.Meta(max_length=100)] = []
+    asked: Annotated[list[WorkerRequest], msgspec.Meta(max_length=100)] = []
 
 
-class FarWorker(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class RemoteWorker(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A worker on another machine, as the gateway knows it."""
 
     name: Name
@@ -69,7 +69,7 @@ class PeerRow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     host: Name = ""  # network address; empty = the key was not used yet
     asked: int = 0  # number of workers that are to use this key, as in `rtc keys new --count`
     revoked: bool = False
-    workers: list[FarWorker] = []
+    workers: list[RemoteWorker] = []
     lost: dict[str, float] = {}  # worker that is not connected any more -> when its connection was lost
     connections: int = 0
     last_message_at_s: float = 0.0
@@ -107,14 +107,14 @@ class RetireWorker(Message, frozen=True, kw_only=True):
     name: str
 
 
-class AskMore(Message, frozen=True, kw_only=True):
+class RequestWorkers(Message, frozen=True, kw_only=True):
     """Run the user's command line for more workers on other machines, unless it runs already."""
 
     kind: WorkerKind
     count: int
-    had: int  # workers of this kind on other machines
+    registered_before: int  # workers of this kind on other machines
 
 
-# Dropped, GatewayReport: from other processes
-SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | Dropped | GatewayReport
-BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | AskMore | Shutdown | AllEnded
+# UnreadableMessages, GatewayReport: from other processes
+SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | UnreadableMessages | GatewayReport
+BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | RequestWorkers | Shutdown | AllEnded

@@ -34,7 +34,7 @@ class JobBatch(Message, frozen=True, kw_only=True):
     jobs: list[Job]
 
 
-class Drop(Message, frozen=True, kw_only=True):
+class CancelJobs(Message, frozen=True, kw_only=True):
     """Cancel these jobs, as far as they have not begun."""
 
     jobs: list[str]
@@ -107,4 +107,4 @@ class ProgramWanted(Message, frozen=True, kw_only=True):
 
 
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted | WorkerGone
-BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown | WorkerAddress | Heartbeat
+BrokerToWorker = JobBatch | CancelJobs | ProgramBody | Shutdown | WorkerAddress | Heartbeat

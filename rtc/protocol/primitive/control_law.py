@@ -7,7 +7,7 @@ from typing import Literal
 
 import msgspec
 
-from rtc.protocol.primitive.limits import FARTHEST_M, HEAVIEST_KG, LONGEST_S, MOST_INERTIA_KG_M2, Vector
+from rtc.protocol.primitive.limits import FARTHEST_M, HEAVIEST_KG, MAX_INERTIA_KG_M2, MAX_S, Vector
 
 
 class Load(msgspec.Struct, frozen=True, kw_only=True):
@@ -25,8 +25,8 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
         if not all(abs(x) <= FARTHEST_M for x in self.com_m):
             raise ValueError(f"a load has its centre of mass within {FARTHEST_M:g} m of the tcp, not at {self.com_m}")
         xx, yy, zz, xy, xz, yz = self.inertia_kg_m2
-        if not all(0.0 <= i <= MOST_INERTIA_KG_M2 for i in (xx, yy, zz)):
-            raise ValueError(f"a load has an inertia of 0 to {MOST_INERTIA_KG_M2:g} kg m2 about each axis")
+        if not all(0.0 <= i <= MAX_INERTIA_KG_M2 for i in (xx, yy, zz)):
+            raise ValueError(f"a load has an inertia of 0 to {MAX_INERTIA_KG_M2:g} kg m2 about each axis")
         if not (xy * xy <= 1.001 * xx * yy and xz * xz <= 1.001 * xx * zz and yz * yz <= 1.001 * yy * zz):
             raise ValueError("a load has no inertia whose products exceed its moments")
 
@@ -43,7 +43,7 @@ class ForceProfile(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if len(self.time_s) < 2 or len(self.time_s) != len(self.share) or self.time_s[0] != 0.0:
             raise ValueError("a force profile needs two times or more, the first 0, and as many shares")
-        if not all(a < b <= LONGEST_S for a, b in zip(self.time_s, self.time_s[1:], strict=False)):  # false for nan too
+        if not all(a < b <= MAX_S for a, b in zip(self.time_s, self.time_s[1:], strict=False)):  # false for nan too
             raise ValueError("the times of a force profile must rise")
         if not all(0.0 <= share <= 1.0 for share in self.share):
             raise ValueError("a share of a force set-point is 0 to 1")

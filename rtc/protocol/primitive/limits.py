@@ -3,5 +3,5 @@
 from __future__ import annotations
 
 Vector = list[float]
-LONGEST_S = 1e6  # maximum duration
-HEAVIEST_KG, FARTHEST_M, MOST_INERTIA_KG_M2 = 1000.0, 10.0, 1000.0  # of a load
+MAX_S = 1e6  # maximum duration
+HEAVIEST_KG, FARTHEST_M, MAX_INERTIA_KG_M2 = 1000.0, 10.0, 1000.0  # of a load

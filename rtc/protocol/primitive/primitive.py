@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from rtc.protocol.primitive.control_law import ControlLaw
-from rtc.protocol.primitive.limits import LONGEST_S
+from rtc.protocol.primitive.limits import MAX_S
 from rtc.protocol.primitive.reporting import Reporting
 from rtc.protocol.primitive.stop_functions import GoalReached, StopFunction, TimeAbove, in_priority
 from rtc.protocol.primitive.trajectory import JointTrajectory, Look, Trajectory
@@ -23,8 +23,8 @@ class StartAfter(msgspec.Struct, frozen=True, kw_only=True):
     within_s: float  # maximum wait, in the time of the simulation
 
     def __post_init__(self) -> None:
-        if not (0.0 <= self.path_s <= LONGEST_S and 0.0 < self.within_s <= LONGEST_S):  # false for nan too
-            raise ValueError(f"a start condition has times of 0 to {LONGEST_S:g} s")
+        if not (0.0 <= self.path_s <= MAX_S and 0.0 < self.within_s <= MAX_S):  # false for nan too
+            raise ValueError(f"a start condition has times of 0 to {MAX_S:g} s")
 
 
 class Partner(msgspec.Struct, frozen=True, kw_only=True):

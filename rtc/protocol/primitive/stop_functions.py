@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import msgspec
 
 from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
-from rtc.protocol.primitive.limits import LONGEST_S, Vector
+from rtc.protocol.primitive.limits import MAX_S, Vector
 
 
 class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
@@ -23,8 +23,8 @@ class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):
     limit_s: float  # since the start of the primitive, in the time of the simulation, without pauses
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.limit_s <= LONGEST_S:  # false for nan too
-            raise ValueError(f"a time limit of {self.limit_s} s: 0 to {LONGEST_S:g} s is possible")
+        if not 0.0 <= self.limit_s <= MAX_S:  # false for nan too
+            raise ValueError(f"a time limit of {self.limit_s} s: 0 to {MAX_S:g} s is possible")
 
 
 class ForceAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="force-above"):
@@ -130,8 +130,8 @@ class UnseenAbove(msgspec.Struct, frozen=True, tag="unseen-above"):
     limit_s: float  # a camera has not seen the body in any of its pictures over this time
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.limit_s <= LONGEST_S:  # false for nan too
-            raise ValueError(f"a limit of {self.limit_s} s without a sight: more than 0, at most {LONGEST_S:g} s")
+        if not 0.0 < self.limit_s <= MAX_S:  # false for nan too
+            raise ValueError(f"a limit of {self.limit_s} s without a sight: more than 0, at most {MAX_S:g} s")
 
 
 class TcpTurned(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-turned"):

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from rtc.protocol.primitive.limits import FARTHEST_M, LONGEST_S, Vector
+from rtc.protocol.primitive.limits import FARTHEST_M, MAX_S, Vector
 
-MOST_TURN_RAD = 1000.0  # maximum turn of a spindle
+MAX_TURN_RAD = 1000.0  # maximum turn of a spindle
 
 
 class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-trajectory"):
@@ -81,7 +81,7 @@ class Look(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="l
     tags: Annotated[list[TagGeometry], msgspec.Meta(min_length=1, max_length=200)]
     believed: Vector  # pose of the body, world frame: only to explain why it is not seen
     pictures: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
-    duration_s: Annotated[float, msgspec.Meta(gt=0, le=LONGEST_S)] | None = None
+    duration_s: Annotated[float, msgspec.Meta(gt=0, le=MAX_S)] | None = None
     every_s: Annotated[float, msgspec.Meta(ge=0.01, le=3600)] = 0.1  # shortest time between two of its pictures
     # Further cameras: each takes as many pictures, and one pose is fitted to all. A camera that does not see the body
     # is left out, if another does.
@@ -101,8 +101,8 @@ class SpindleMotion(msgspec.Struct, frozen=True, kw_only=True, tag="spindle-moti
     torque_nm: float
 
     def __post_init__(self) -> None:
-        if not 0.0 < abs(self.turn_rad) <= MOST_TURN_RAD:  # false for nan too
-            raise ValueError(f"a spindle turns by more than 0 and at most {MOST_TURN_RAD:g} rad, not {self.turn_rad}")
+        if not 0.0 < abs(self.turn_rad) <= MAX_TURN_RAD:  # false for nan too
+            raise ValueError(f"a spindle turns by more than 0 and at most {MAX_TURN_RAD:g} rad, not {self.turn_rad}")
         if not (0.0 < self.speed_rad_s < math.inf and 0.0 < self.torque_nm < math.inf):
             raise ValueError("a spindle needs a speed and a torque above 0")
 

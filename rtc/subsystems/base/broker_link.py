@@ -39,7 +39,7 @@ class BrokerLink:
         self.dropped: Counter[str] = Counter()  # messages that did not decode
         self._log_due = Every(LOG_EVERY_S)
 
-    def orders(self, now_s: float) -> Iterator[m.Execute | m.Pace | m.HaltOrder | m.ReportAck | InvalidOrder]:
+    def orders(self, now_s: float) -> Iterator[m.Execute | m.SetPaused | m.HaltOrder | m.ReportAck | InvalidOrder]:
         """The messages of the broker."""
         for parts in chain.from_iterable(map(split, inbox(self.socket, PER_TURN))):
             try:

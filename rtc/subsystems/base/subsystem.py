@@ -29,7 +29,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Primitive
-from rtc.protocol.primitive_id import LONGEST, is_name
+from rtc.protocol.primitive_id import MAX_CHARACTERS, is_name
 from rtc.runtime.halt_admission import HaltRateLimiter
 
 BROKER = b""  # not a possible identity of a caller at a halt socket
@@ -46,7 +46,7 @@ REST_LIMIT_S = 2.0  # a performer not at rest this long after a halt, by own tim
 COMMAND = re.compile(r"C-\d+", re.ASCII)
 
 Outgoing = list[tuple[bytes, m.Message]]
-Report = m.Started | m.Paced | m.ProgressReport | m.EndReport | m.Strayed
+Report = m.Started | m.PauseChanged | m.ProgressReport | m.EndReport | m.Strayed
 Reports = Sequence[Report]
 
 
@@ -117,7 +117,7 @@ class Subsystem(ABC, Generic[Performer]):
         return not any(map(self._primitives, self.performers.values()))
 
     def handle(
-        self, message: m.Execute | m.Pace | m.HaltOrder | m.ReportAck | InvalidOrder, sender: bytes, now_s: float
+        self, message: m.Execute | m.SetPaused | m.HaltOrder | m.ReportAck | InvalidOrder, sender: bytes, now_s: float
     ) -> Outgoing:
         if isinstance(message, m.HaltOrder):
             return self._halt(message, sender, now_s)
@@ -126,7 +126,7 @@ class Subsystem(ABC, Generic[Performer]):
                 return self.hello()
             self._kept.pop(message.primitive, None)
             return []
-        if isinstance(message, m.Pace):
+        if isinstance(message, m.SetPaused):
             self._pace(message)
             return []
         if isinstance(message, InvalidOrder):
@@ -188,7 +188,7 @@ class Subsystem(ABC, Generic[Performer]):
             return [(BROKER, ended)]
         if not is_name(primitive.id):  # a halt of its command could not match it
             why = "its id is not a valid primitive name; a valid one is, for example, C-3.1"
-            return self._end(not_begun(primitive.id[:LONGEST], primitive.performer, why, at_s=now_s), now_s)
+            return self._end(not_begun(primitive.id[:MAX_CHARACTERS], primitive.performer, why, at_s=now_s), now_s)
         performer = self.performers.get(primitive.performer)
         if performer is None:
             why = f"{self.name} has no {primitive.performer}; it has {', '.join(self.performers)}"
@@ -396,7 +396,7 @@ class Subsystem(ABC, Generic[Performer]):
         """What concerns several performers, once in every tick."""
         return []
 
-    def _pace(self, order: m.Pace) -> None:
+    def _pace(self, order: m.SetPaused) -> None:
         """Pause a primitive, or let it go on. A subsystem without `pauses` in its hello gets no such order."""
 
     def _drop(self, scope: str, now_s: float) -> Outgoing:

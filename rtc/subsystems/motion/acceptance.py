@@ -21,7 +21,7 @@ START_TOLERANCE_RAD = 0.01  # maximum distance between the arm and the start of 
 REST_RAD_S = 1e-6  # a trajectory begins and ends at rest
 LIMIT_SLACK_RAD = 1e-9
 RATE_SLACK = 0.001  # share of a velocity or acceleration limit allowed for rounding
-MOST_KNOTS = 10_000  # checking this many takes 20 ms, during which no arm is served
+MAX_KNOTS = 10_000  # checking this many takes 20 ms, during which no arm is served
 
 
 def objection(primitive: p.Primitive, traits: Traits, joints: Sequence[float]) -> str:
@@ -47,8 +47,8 @@ def _joints(trajectory: p.JointTrajectory, traits: Traits, joints: Sequence[floa
     if given != dof:
         yield f"the trajectory is for {given} joints, {traits.name} has {dof}"
         return
-    if knots > MOST_KNOTS:
-        yield f"the trajectory has {knots} knots; {MOST_KNOTS} is the maximum"
+    if knots > MAX_KNOTS:
+        yield f"the trajectory has {knots} knots; {MAX_KNOTS} is the maximum"
         return
     q, v, a = (np.asarray(rows) for rows in (trajectory.positions, trajectory.velocities, trajectory.accelerations))
     if not all(np.isfinite(rows).all() for rows in (q, v, a, np.asarray(trajectory.time_s))):

@@ -26,7 +26,7 @@ from rtc.subsystems.motion.bounds import Bounds
 from rtc.subsystems.motion.goals import GOAL_RAD, WIDTH_M, Arrived, arrival
 from rtc.subsystems.motion.modes import AFTER_STOP, COUNTING, MOVING, TRANSITIONS, Mode, Trigger
 from rtc.subsystems.motion.observation import WINDOW_TICKS, Observation
-from rtc.subsystems.motion.pace import Pace
+from rtc.subsystems.motion.pace import PathRate
 from rtc.subsystems.motion.reports import Trip, end_report, not_begun
 from rtc.subsystems.motion.spindle import SpindleTurn
 
@@ -55,12 +55,12 @@ STRAYED = 0.01
 LIMP = p.Compliance(stiffness=[0.0] * 6)
 COMPLIED_N, COMPLY_LIMIT_S = 1.0, 3.0
 
-Reports = Sequence[m.Started | m.Paced | m.ProgressReport | m.EndReport | m.Strayed]
+Reports = Sequence[m.Started | m.PauseChanged | m.ProgressReport | m.EndReport | m.Strayed]
 NOTHING: Reports = ()
 
 
 @dataclass(slots=True)
-class Course:
+class MotionProgress:
     """What has happened to the present or latest primitive, beyond its state; and since then.
 
     These are not attributes of the executor, because Python 3.11 finds attributes of an object with more than 30 of
@@ -89,12 +89,12 @@ class Executor:
         self._profile: profiles.Profile = profiles.Stay(self.sample.joints)
         self._profile_ticks = 0
         self._shift_s = 0.0  # time of the profile minus that of its ticks: what passed at another rate
-        self._pace = Pace()
+        self._pace = PathRate()
         self._command: Motion = self._profile.at(0.0)
         self._follow: profiles.Follow | None = None  # the path, if the primitive has one
         # Its present motions, the tick of the profile of the first, and the tick that needs a whole tick again.
         self._block: Array = np.empty((0, 3, 0))
-        self._block_from = self._quiet_to = 0
+        self._block_from = self._next_check_tick = 0
         self._hand = HandCommand(self._seen.width_m, arm.traits.max_grip_n, arm.traits.hand_speed_m_s)
         self._stops: stop_functions.Stops = []
         self._bounds = Bounds([], arm.traits)
@@ -102,7 +102,7 @@ class Executor:
         self._report_every: int | None = None
         self._report_when: stop_functions.Reports = []  # not reported yet
         self._watch = stop_functions.RetreatWatch([])
-        self._course = Course()
+        self._motion = MotionProgress()
         self._spindle: SpindleTurn | None = None  # of the primitive, if it turns one
         # The present control law complies: in EXECUTING, COMPLYING, and until rest if the primitive asks for it.
         self._compliant = False
@@ -175,7 +175,7 @@ class Executor:
     @property
     def path_s(self) -> float:
         """Time along its trajectory that the present or latest primitive has reached (s); infinite at its goal."""
-        return self._profile_time_s if self.state is Mode.EXECUTING else self._course.stopped_at_s
+        return self._profile_time_s if self.state is Mode.EXECUTING else self._motion.stopped_at_s
 
     def halt(self, reason: StopReason = StopReason.HALT, words: str = "") -> bool:
         """Brake with the next tick, in any state. Returns True if the arm was in motion. `reason`: of the end report,
@@ -192,7 +192,7 @@ class Executor:
     @property
     def strayed(self) -> str:
         """How the arm has moved without a primitive since its latest one; empty: it has not."""
-        return self._course.strayed
+        return self._motion.strayed
 
     @property
     def paused(self) -> bool:
@@ -210,7 +210,7 @@ class Executor:
         if self.state is not Mode.EXECUTING or paused is self._pace.paused:
             return
         self._pace.order(paused, ramp_s)
-        self._quiet_to = 0
+        self._next_check_tick = 0
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
         if isinstance(trajectory, p.HandMotion):
@@ -234,7 +234,7 @@ class Executor:
         """One servo tick: read the sample, evaluate, command."""
         seen = self._seen
         n = self._profile_ticks + 1
-        if n < self._quiet_to:  # in nearly every tick of a path; half the time of the whole tick below
+        if n < self._next_check_tick:  # in nearly every tick of a path; half the time of the whole tick below
             seen.sample = seen.arm.read()  # it does not enter the window; that saves 1 us
             seen.feel(True)
             if self._bounds.hold(seen, self._command):
@@ -246,7 +246,7 @@ class Executor:
                     seen.arm.feel(seen.wrench)
                 seen.arm.follow(command)
                 return NOTHING
-            self._quiet_to = 0
+            self._next_check_tick = 0
             seen.watch()
         else:
             seen.read()
@@ -282,7 +282,7 @@ class Executor:
     def _look_ahead(self, follow: profiles.Follow) -> None:
         """Note for how many ticks of a new block only the sample can end the primitive or cause a report: neither its
         time limit, nor the end of the path, nor a periodic report is due."""
-        self._block, self._block_from, self._quiet_to = follow.block, self._profile_ticks - follow.latest, 0
+        self._block, self._block_from, self._next_check_tick = follow.block, self._profile_ticks - follow.latest, 0
         if self._report_when or not (follow.block_fits and self._bounds.exist):
             return
         ticks = [
@@ -294,12 +294,12 @@ class Executor:
             ticks.append(self._report_every - 1 - self._ticks % self._report_every)
         count = int(min(ticks))
         if count > 0:
-            self._quiet_to = self._profile_ticks + 1 + count
+            self._next_check_tick = self._profile_ticks + 1 + count
             self._seen.forget_window()
 
     def _stray(self) -> Reports:
         """Brake an arm that moves without a primitive. A report when it begins, another when the arm rests."""
-        seen, course = self._seen, self._course
+        seen, course = self._seen, self._motion
         if course.strayed_from is None:
             course.strayed_from = seen.stands_at
             self.arm.brake(True)
@@ -338,9 +338,9 @@ class Executor:
     def _begin_executing(self) -> None:
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
-        if self._course.strayed:
+        if self._motion.strayed:
             self.arm.brake(False)
-        self._ticks, self._course = 0, Course()
+        self._ticks, self._motion = 0, MotionProgress()
         self._compliant = self.primitive.control_law.compliance is not None
         every_s = self.primitive.reporting.every_s
         self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
@@ -381,7 +381,7 @@ class Executor:
             )
             self._trip(trip, Trigger.TRIPPED)
             return [*reports, *self._stop(now_s)]
-        if self._pace.paused or self._course.stands:
+        if self._pace.paused or self._motion.stands:
             reports = [*reports, *self._paced(now_s)]
         if self._report_every is not None and self._ticks % self._report_every == 0:
             reports = [*reports, self._progress(now_s)]
@@ -401,12 +401,12 @@ class Executor:
 
     def _paced(self, now_s: float) -> Reports:
         """Count a tick of a pause, and report when the arm stands on its path or goes on."""
-        self._course.paused_ticks += self._pace.paused
+        self._motion.paused_ticks += self._pace.paused
         stands = self._pace.rate == 0.0
-        if stands is self._course.stands:
+        if stands is self._motion.stands:
             return []
-        self._course.stands = stands
-        return [m.Paced(primitive=self.primitive_id, at_s=now_s, paused=stands, done=self._done())]
+        self._motion.stands = stands
+        return [m.PauseChanged(primitive=self.primitive_id, at_s=now_s, paused=stands, done=self._done())]
 
     def _done(self) -> float:
         """Share of the path, or of the turn of the spindle."""
@@ -417,8 +417,8 @@ class Executor:
     def _begin_stopping(self) -> None:
         assert self.primitive is not None
         assert self.trip is not None
-        self._course.was_compliant = self._compliant
-        self._course.stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._profile_time_s
+        self._motion.was_compliant = self._compliant
+        self._motion.stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._profile_time_s
         if self._spindle is not None:
             self._spindle.stop()
         compliance = self.primitive.control_law.compliance
@@ -426,7 +426,7 @@ class Executor:
             self._stiffen(self.primitive.control_law)
         self._use(profiles.Brake(self._command, laden=self._seen.grip_n > SQUEEZE_N))
         hand_moves = isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL
-        if hand_moves or self._course.releasing:
+        if hand_moves or self._motion.releasing:
             self._freeze_hand()
 
     def _stop(self, now_s: float) -> Reports:
@@ -445,7 +445,7 @@ class Executor:
             self._use(profiles.Stay(joints))  # no path to retrace
             return
         tripped_s = self.trip.at_path_s
-        if self._course.was_compliant:  # the arm may be far behind its command
+        if self._motion.was_compliant:  # the arm may be far behind its command
             tripped_s = self._follow.nearest_s(joints, tripped_s)
         self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
 
@@ -470,7 +470,7 @@ class Executor:
         self._apply(Trigger.TRIPPED)
 
     def _begin_release(self) -> None:
-        self._course.releasing = True
+        self._motion.releasing = True
         self._use(profiles.Stay(self._command[0]))
         traits = self.arm.traits
         self._use_hand(HandCommand(traits.max_opening_m, traits.max_grip_n, traits.hand_speed_m_s))
@@ -601,8 +601,8 @@ class Executor:
     def _use(self, profile: profiles.Profile) -> None:
         self._profile = profile
         self._profile_ticks, self._shift_s = 0, 0.0
-        self._quiet_to = 0
-        self._pace = Pace()
+        self._next_check_tick = 0
+        self._pace = PathRate()
 
     def _advance_slowly(self) -> Motion:
         """The command of this tick, in a pause or on the way into or out of it."""
@@ -647,7 +647,7 @@ class Executor:
     @property
     def _elapsed_s(self) -> float:
         """Since the start of the primitive, without its pauses."""
-        return (self._ticks - self._course.paused_ticks) * TICK_S
+        return (self._ticks - self._motion.paused_ticks) * TICK_S
 
     @property
     def _profile_time_s(self) -> float:

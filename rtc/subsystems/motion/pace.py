@@ -20,7 +20,7 @@ CHECKED_S = 0.005  # distance of the checked times of a ramp
 SLACK = 1.002  # of acceleration limits, for rounding
 
 
-class Pace:
+class PathRate:
     def __init__(self) -> None:
         self.paused = False  # the latest order
         self.rate, self.change = 1.0, 0.0  # profile time per time, and its derivative (1/s)

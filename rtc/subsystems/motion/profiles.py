@@ -27,7 +27,7 @@ LADEN_JERK_RAD_S3 = 400.0
 # The command of an arm that leans on something goes to where the arm is: by this share of its lead per second, and not
 # faster than this.
 UNLOAD_PER_S, UNLOAD_RAD_S = 100.0, 0.2
-LEAST_LEAD_RAD = 5e-5  # it ends at this lead, some 3 N at the hand
+MIN_LEAD_RAD = 5e-5  # it ends at this lead, some 3 N at the hand
 UNLOAD_LIMIT_S = 2.0
 UNLOAD_FAR_RAD = 0.05  # from where the arm was: a lead that comes from a weight does not end
 TICKS_PER_S = 1.0 / TICK_S
@@ -36,7 +36,7 @@ SAME_S = 1e-7  # rounding of a time that counts ticks
 BLEND_S = 0.25  # minimum time in which an initial offset between command and path fades out ...
 BLEND_RAD_S = 0.2  # ... and the maximum speed of that
 RETREAT_SPEED_M_S = 0.05  # maximum tcp speed in a reflex
-RETREAT_LEAST_S = 0.2
+RETREAT_MIN_S = 0.2
 
 
 Number = TypeVar("Number", float, Array)
@@ -187,7 +187,7 @@ class Unload:
 
     def done(self, time_s: float) -> bool:
         """Whether the command is where the arm is, or does not come nearer. Then `at` stays there."""
-        if not self._done and self._lead_rad() <= LEAST_LEAD_RAD:
+        if not self._done and self._lead_rad() <= MIN_LEAD_RAD:
             self._joints, self._done = list(self._measured()), True  # without a jump that can be felt
         self._done |= time_s >= self.duration_s
         return self._done
@@ -230,7 +230,7 @@ class Retrace:
         self._to_s, length_m = _time_before(followed, self._from_s, back_m, tcp)
         span_s = self._from_s - self._to_s
         # 1.875 is the greatest slope of the smooth step; with this factor the return is nowhere faster than the path.
-        self.duration_s = max(1.875 * span_s, 1.875 * length_m / RETREAT_SPEED_M_S, RETREAT_LEAST_S)
+        self.duration_s = max(1.875 * span_s, 1.875 * length_m / RETREAT_SPEED_M_S, RETREAT_MIN_S)
         self._offset = np.asarray(start) - followed.path(np.array([self._from_s]))[0, 0]
         self._end = Stay(followed.path(np.array([self._to_s]))[0, 0].tolist()).at(0.0)
 

@@ -33,7 +33,7 @@ class McmSubsystem(Subsystem[Executor]):
         self._pairs = Pairs(self.executors)
         self._reached_s: dict[str, float] = {}  # how far each ended primitive came along its trajectory
         self._pending: dict[str, Pending] = {}  # by performer
-        self._paced: list[m.Paced] = []  # reported in this tick
+        self._paced: list[m.PauseChanged] = []  # reported in this tick
         self._ticks = 0
 
     @property
@@ -78,7 +78,7 @@ class McmSubsystem(Subsystem[Executor]):
             return []
         messages: list[Report] = []
         for message in reports:
-            if isinstance(message, m.Paced):
+            if isinstance(message, m.PauseChanged):
                 if message not in self._paced:  # of two arms once
                     self._paced.append(message)
                     messages.append(message)
@@ -176,7 +176,7 @@ class McmSubsystem(Subsystem[Executor]):
             return f"{name} has not left the space that this needs within {condition.within_s:.3g} s"
         return None
 
-    def _pace(self, order: m.Pace) -> None:
+    def _pace(self, order: m.SetPaused) -> None:
         """Pause a primitive, or let it go on. One that has ended ignores it: its report is on the way."""
         arms = [executor for executor in self.executors.values() if executor.primitive_id == order.primitive]
         ramp_s = max((executor.ramp_s for executor in arms), default=0.0)  # two arms on one object stay together

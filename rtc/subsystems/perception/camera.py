@@ -15,7 +15,7 @@ from rtc.protocol.outcomes import StopReason
 from rtc.subsystems.base.subsystem import Reports, in_scope, not_begun
 from rtc.subsystems.perception.look_task import CHECKS, Evaluated, LookTask, Windows
 
-MOST_LOOKS = 16  # maximum number of looks of one camera at a time
+MAX_LOOKS = 16  # maximum number of looks of one camera at a time
 RETRY_S = 0.2  # pause after a camera that gave no picture
 
 
@@ -32,7 +32,7 @@ class Camera:
 
     @property
     def full(self) -> bool:
-        return len(self.primitives) >= MOST_LOOKS
+        return len(self.primitives) >= MAX_LOOKS
 
     @property
     def due_s(self) -> float | None:
@@ -65,7 +65,7 @@ class Camera:
         if not isinstance(primitive.trajectory, p.Look):
             return f"{self.name} is a camera; it cannot execute a {type(primitive.trajectory).__name__}"
         if self.full:
-            return f"{self.name} has {MOST_LOOKS} looks already"
+            return f"{self.name} has {MAX_LOOKS} looks already"
         if primitive.trajectory.cameras and primitive.trajectory.duration_s is not None:
             return "only one camera can follow a body: pictures of several are not exposed at one time"
         unknown = [type(stop.when).__name__ for stop in primitive.stop_functions if type(stop.when) not in CHECKS]

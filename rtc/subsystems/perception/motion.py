@@ -10,7 +10,7 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 
 KEPT_S = 1.0  # age of the oldest pose
-LEAST_S = 0.25  # span of poses below which a velocity would be noise
+MIN_S = 0.25  # span of poses below which a velocity would be noise
 
 
 class Motion:
@@ -37,7 +37,7 @@ class Motion:
 
     def velocity(self) -> list[float] | None:
         """m/s and rad/s, world axes; None with too short a history."""
-        if not self._poses or self._poses[-1][0] - self._poses[0][0] < LEAST_S:
+        if not self._poses or self._poses[-1][0] - self._poses[0][0] < MIN_S:
             return None
         last = self._poses[-1][1]
         times = np.array([at_s for at_s, _ in self._poses])

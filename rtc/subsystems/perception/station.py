@@ -33,7 +33,7 @@ MakeCameras = Callable[[Settings, Cell, "zmq.Context[Any]"], Cameras]  # called 
 def live(run_dir: Path, fd: int, make_cameras: MakeCameras) -> None:
     """Run S&P with these cameras until it is stopped. `fd`: handover from the supervisor (rtc.runtime.handover)."""
     process.show_name(NAME)
-    given = handover.begin(NAME, run_dir, fd)
+    given = handover.claim_role(NAME, run_dir, fd)
     process.nice(NICENESS)
     process.nice_session(NICENESS)  # with processes that the cameras start
     with process.start(NAME, run_dir) as me:

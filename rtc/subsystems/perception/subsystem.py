@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from rtc.protocol.primitive import Primitive
 from rtc.subsystems.base.subsystem import Outgoing, Reports, Subsystem, in_scope
-from rtc.subsystems.perception.camera import MOST_LOOKS, Camera
+from rtc.subsystems.perception.camera import MAX_LOOKS, Camera
 
 NAME = "S&P"
 
@@ -38,7 +38,7 @@ class PerceptionSubsystem(Subsystem[Camera]):
         full = [name for name in further if name in self.performers and self.performers[name].full]
         if unknown:
             return f"{self.name} has no {', '.join(unknown)}; it has {', '.join(self.performers)}"
-        return f"{', '.join(full)}: {MOST_LOOKS} looks already" if full else ""
+        return f"{', '.join(full)}: {MAX_LOOKS} looks already" if full else ""
 
     def _accept(self, performer: Camera, primitive: Primitive, now_s: float) -> Reports:
         reports = performer.accept(primitive, now_s)

@@ -116,7 +116,7 @@ def test_halt_prints_a_latency_and_confirms_rest(rtc: Run) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     assert result["confirmed"]
     assert result["latency_s"] > 0
-    assert "halt" in result["told"]  # and estop, unless there is rest before that socket is connected
+    assert "halt" in result["sent_to"]  # and estop, unless there is rest before that socket is connected
 
 
 def test_a_lone_halt_submitted_to_do_is_that_halt(rtc: Run) -> None:

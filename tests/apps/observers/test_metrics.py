@@ -134,12 +134,12 @@ def test_half_open_requests_hold_a_limited_number_of_threads_and_scrapes_are_ans
     port, threads = metrics.serve(0), threading.active_count()
     with ExitStack() as opened:
         try:
-            for _ in range(4 * scrapes.MOST):
+            for _ in range(4 * scrapes.MAX_OPEN):
                 half = opened.enter_context(socket.create_connection(("127.0.0.1", port), 5))
                 half.sendall(b"GET /metrics HTTP/1.1\r\nX: ")
             with urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as answer:
                 assert b"rtc_broker_up" in answer.read()
-            until(lambda: threading.active_count() <= threads + scrapes.MOST)
+            until(lambda: threading.active_count() <= threads + scrapes.MAX_OPEN)
         finally:
             metrics.close()
 

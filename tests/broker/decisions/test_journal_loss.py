@@ -161,7 +161,7 @@ class Life:
         self.journal = Journal.open(self.path, "r", State(life=life))
         _, self.state = self.journal.last_snapshot()
         self.lost = lost_batches(self.journal, self.state, given, 5.0, "cccc")
-        self.journal.written = lambda batch: given.remember("broker", self.state.life.encode(), batch, 7)
+        self.journal.written = lambda batch: given.save_counters("broker", self.state.life.encode(), batch, 7)
 
     def turns(self, n):
         for _ in range(n):

@@ -9,7 +9,7 @@ import msgspec
 from broker.decisions.effects import DispatchJob
 from broker.dispatch.more_workers import FAILED_S, ORDER_S, PAUSE_S, WAITED_S, MoreWorkers
 from broker.dispatch.worker_registry import WorkerRegistry
-from rtc.protocol.messages import Asked, AskMore, WorkerKind
+from rtc.protocol.messages import RequestWorkers, WorkerKind, WorkerRequest
 
 BINDER = WorkerKind.BINDER
 OWN, FAR, WAIT_S = 2, 4, 60.0
@@ -22,7 +22,7 @@ class Cluster:
         self.registry = WorkerRegistry()
         self.more = MoreWorkers(command, OWN, FAR, WAIT_S)
         self.processes: list[dict[str, Any]] = [{"name": f"binder@{n}", "state": "ready"} for n in range(own)]
-        self.asked: list[Asked] = []
+        self.asked: list[WorkerRequest] = []
         for n in (*range(own), *(100 + n for n in range(far))):
             self.registry.register(f"binder@{n}", n, BINDER, 1, 0.0)
         for n in range(waiting + own + far):
@@ -36,23 +36,27 @@ class Cluster:
         for n in range(200, 200 + count):
             self.registry.register(f"binder@{n}", n, BINDER, 1, 0.0)
 
-    def look(self, now: float) -> list[AskMore]:
+    def look(self, now: float) -> list[RequestWorkers]:
         return list(self.more.orders(self.registry, self.processes, self.asked, now))
 
-    def record(self, order: AskMore, now: float, **about: Any) -> None:
+    def record(self, order: RequestWorkers, now: float, **about: Any) -> None:
         """The supervisor has run the command."""
-        self.asked = [Asked(kind=order.kind, count=order.count, had=order.had, at_s=now, **about)]
+        self.asked = [
+            WorkerRequest(
+                kind=order.kind, count=order.count, registered_before=order.registered_before, at_s=now, **about
+            )
+        ]
 
 
 def test_jobs_that_wait_at_the_own_maximum_are_asked_for_as_many_as_wait() -> None:
     it = Cluster(waiting=3)
 
     assert it.look(0.5 * WAITED_S) == []
-    assert it.look(2 * WAITED_S) == [AskMore(kind=BINDER, count=3, had=0)]
+    assert it.look(2 * WAITED_S) == [RequestWorkers(kind=BINDER, count=3, registered_before=0)]
 
 
 def test_no_more_are_asked_for_than_the_maximum_elsewhere() -> None:
-    assert Cluster(waiting=20, far=1).look(2.0) == [AskMore(kind=BINDER, count=FAR - 1, had=1)]
+    assert Cluster(waiting=20, far=1).look(2.0) == [RequestWorkers(kind=BINDER, count=FAR - 1, registered_before=1)]
     assert Cluster(waiting=20, far=FAR).look(2.0) == []
 
 
@@ -66,7 +70,7 @@ def test_without_a_command_nothing_is_asked_for() -> None:
 
 
 def test_a_command_without_a_count_starts_one_per_run() -> None:
-    assert Cluster(command="ask {kind}").look(2.0) == [AskMore(kind=BINDER, count=1, had=0)]
+    assert Cluster(command="ask {kind}").look(2.0) == [RequestWorkers(kind=BINDER, count=1, registered_before=0)]
 
 
 def test_an_order_is_not_repeated_before_the_supervisor_can_have_answered() -> None:
@@ -88,7 +92,7 @@ def test_what_was_asked_for_and_has_not_joined_is_not_asked_for_again_before_its
     it.join(FAR - 1)
 
     assert it.look(2.0 + 0.9 * WAIT_S) == []
-    assert it.look(2.0 + 1.1 * WAIT_S) == [AskMore(kind=BINDER, count=1, had=FAR - 1)]
+    assert it.look(2.0 + 1.1 * WAIT_S) == [RequestWorkers(kind=BINDER, count=1, registered_before=FAR - 1)]
 
 
 def test_a_restarted_broker_does_not_ask_again_either() -> None:
@@ -105,7 +109,7 @@ def test_when_all_have_joined_more_are_asked_for_after_a_pause() -> None:
     it.join(3)
 
     assert it.look(2.0 + 0.9 * PAUSE_S) == []
-    assert it.look(2.0 + 1.1 * PAUSE_S) == [AskMore(kind=BINDER, count=1, had=3)]
+    assert it.look(2.0 + 1.1 * PAUSE_S) == [RequestWorkers(kind=BINDER, count=1, registered_before=3)]
 
 
 def test_a_command_that_failed_is_tried_again_later() -> None:

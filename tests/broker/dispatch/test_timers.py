@@ -1,6 +1,6 @@
 """Timers by name, the nearest first."""
 
-from broker.dispatch.timers import DEAD_KEPT, MOST_SLOWED, Timers
+from broker.dispatch.timers import DEAD_KEPT, MAX_SLOWED, Timers
 
 
 def test_due_in_order_and_only_once():
@@ -52,7 +52,7 @@ def test_a_timer_waits_for_the_own_time_of_a_slow_subsystem():
 
 
 def test_a_subsystem_that_stands_still_does_not_stop_the_clock_for_ever():
-    assert slowed(Timers(), 0.0, 2000.0) == MOST_SLOWED * 10.0
+    assert slowed(Timers(), 0.0, 2000.0) == MAX_SLOWED * 10.0
 
 
 def test_a_subsystem_that_reports_no_time_is_judged_by_ours():

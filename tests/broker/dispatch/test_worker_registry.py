@@ -9,7 +9,7 @@ from broker.dispatch.worker_registry import (
     BATCH_MAX,
     BUSY_SILENCE_S,
     DEADLINE_S,
-    LONGEST_JOB_S,
+    MAX_JOB_S,
     QUEUE_LIMIT_S,
     SILENCE_S,
     WorkerRegistry,
@@ -152,9 +152,9 @@ def test_a_worker_that_is_silent_with_a_job_hangs():
 
 def test_no_job_takes_for_ever_however_busy_it_looks():
     r = in_hand("a")
-    beats(r, "a", LONGEST_JOB_S, share=0.01)
-    r.mark_alive("a", LONGEST_JOB_S + 0.1, 6.1)
-    assert [w.name for w, _ in r.hung(LONGEST_JOB_S + 0.2)] == ["a"]
+    beats(r, "a", MAX_JOB_S, share=0.01)
+    r.mark_alive("a", MAX_JOB_S + 0.1, 6.1)
+    assert [w.name for w, _ in r.hung(MAX_JOB_S + 0.2)] == ["a"]
 
 
 def test_the_processor_time_of_a_job_is_not_that_of_the_next():

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from broker.gateway.peers import KEPT_S, LOST_KEPT, RECORDS, Connection, PeerRecords
-from rtc.protocol.messages import FarWorker, PeerRow
+from rtc.protocol.messages import PeerRow, RemoteWorker
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import KnownKey
 
 W1 = KnownKey(name="w1", role=Role.WORKER, public="p1", made_at=1.0, count=2)
 EYES = KnownKey(name="eyes", role=Role.OBSERVER, public="p2", made_at=1.0)
 KNOWN = {"w1": W1, "eyes": EYES}
-BINDER = FarWorker(name="binder@18", last_message_at_s=10.0)
+BINDER = RemoteWorker(name="binder@18", last_message_at_s=10.0)
 
 
 def rows(records: PeerRecords, *connected: Connection, now: float = 10.0) -> dict[tuple[str, str], PeerRow]:

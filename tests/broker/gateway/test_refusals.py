@@ -24,7 +24,7 @@ OUT_S = 1.0  # a revoked key is out within this time
 MUTE_MS = 1_200  # longer than OUT_S
 HELLO = m.WorkerHello(name="binder@18", node=18, kind=BINDER, pid=1)
 RESULTS = m.ResultBatch(name="binder@18", results=[m.JobCrashed(id="C-1/1", attempt=1, evidence="late")])
-read_report = wire.reader(m.GatewayReport | m.Dropped)
+read_report = wire.reader(m.GatewayReport | m.UnreadableMessages)
 
 
 class Reported(Cluster):
@@ -45,7 +45,7 @@ class Reported(Cluster):
         self._reports.setsockopt(zmq.RCVTIMEO, LIMIT_MS)  # what a poll has found may go with the connection
         while now_s() < end_s:
             report = read_report(self._reports.recv_multipart()[1:])
-            if isinstance(report, m.Dropped):
+            if isinstance(report, m.UnreadableMessages):
                 self.counts = report.counts
             elif (row := next(filter(wanted, report.peers), None)) is not None:
                 return row

@@ -47,7 +47,7 @@ class Worker:
         """The next message except the gateway's probes."""
         while self._socket.poll(LIMIT_MS):
             message = read_broker(self._socket.recv_multipart())
-            if message != m.Drop(jobs=[]):
+            if message != m.CancelJobs(jobs=[]):
                 return message
         raise AssertionError("no answer")
 

@@ -141,8 +141,8 @@ def test_of_a_command_that_lived_long_the_story_is_kept_as_long_as_any_others(pa
 
 def test_what_another_run_left_may_look_different(path):
     journal = Journal.open(path, "old run", State())
-    journal.db.execute("DROP TABLE stories")
-    journal.db.execute("CREATE TABLE stories (n INTEGER PRIMARY KEY, record BLOB NOT NULL)")
+    journal.db.execute("DROP TABLE records")
+    journal.db.execute("CREATE TABLE records (n INTEGER PRIMARY KEY, record BLOB NOT NULL)")
     journal.close()
     s = Journalled(Journal.open(path, "run", State()))
     s.analyzing()
@@ -172,7 +172,7 @@ def test_the_command_finds_a_changed_story(path, capsys):
     s.answers("C-1", go_on())
     story = s.journal.record("C-1")
     s.journal.tidy()
-    s.journal.db.execute("UPDATE stories SET record = ?", (wire.encode(type(story)(**{**dump(story), "text": "Y"})),))
+    s.journal.db.execute("UPDATE records SET record = ?", (wire.encode(type(story)(**{**dump(story), "text": "Y"})),))
     assert replay.main([str(path)]) == 1
     assert "DIFFERENT decisions: C-1" in capsys.readouterr().out
 

@@ -20,7 +20,7 @@ def test_who_calls_halts_without_end_is_obeyed_and_folded(working: Bench) -> Non
     working.now += 0.2
     working.turn()
     passed_on = [wire.reader(m.BrokerToSubsystem)(parts[1:]) for parts in working.sockets["subsystems"].sent]
-    assert working.router.core.dropped["halts_folded"] == 50
+    assert working.router.core.dropped["halts_merged"] == 50
     assert len(passed_on) == PER_S + 1  # those beyond number together
     assert (passed_on[-1].halt, passed_on[-1].scope) == (calls[-1].halt, "ALL")  # of two scopes
     assert len(working.router.halts.callers[b"x"]) == HALTS_OF_CALLER

@@ -10,7 +10,7 @@ import pytest
 from broker.decisions.effects import DispatchJob
 from broker.dispatch.worker_registry import WorkerRegistry
 from broker.router.hosts import hosts, requests_for_more
-from rtc.protocol.messages import Asked, FarWorker, PeerRow, WorkerKind
+from rtc.protocol.messages import PeerRow, RemoteWorker, WorkerKind, WorkerRequest
 
 NOW = 100.0
 BINDER = WorkerKind.BINDER
@@ -23,8 +23,8 @@ def peer(**about: Any) -> PeerRow:
     )
 
 
-def far(name: str = "binder@18", last_message_at_s: float = NOW, **about: Any) -> FarWorker:
-    return FarWorker(name=name, last_message_at_s=last_message_at_s, **about)
+def far(name: str = "binder@18", last_message_at_s: float = NOW, **about: Any) -> RemoteWorker:
+    return RemoteWorker(name=name, last_message_at_s=last_message_at_s, **about)
 
 
 @pytest.fixture
@@ -111,7 +111,9 @@ def test_refusals_losses_and_late_results_have_their_ages_and_numbers(registry: 
 
 
 def test_a_request_for_more_states_how_many_have_joined_since(registry: WorkerRegistry) -> None:
-    asked = Asked(kind=BINDER, count=4, had=0, at_s=88.0, failed="ended with status 1", output="no partition")
+    asked = WorkerRequest(
+        kind=BINDER, count=4, registered_before=0, at_s=88.0, failed="ended with status 1", output="no partition"
+    )
     row = requests_for_more(asked, registry, LOCAL, NOW)
     assert (row["asked"], row["joined"], row["ago_s"]) == (4, 1, 12.0)
     assert (row["failed"], row["output"]) == ("ended with status 1", "no partition")

@@ -54,7 +54,7 @@ def test_of_an_array_only_the_bad_map_is_declined(bench: Bench) -> None:
 
 def test_an_array_beyond_its_bound_is_declined_as_a_whole(bench: Bench) -> None:
     front = bench.sockets["front"]
-    many = [m.CommandText(request=str(n), text="X") for n in range(wire.MOST_TOGETHER + 1)]
+    many = [m.CommandText(request=str(n), text="X") for n in range(wire.MAX_BATCH + 1)]
     front.put([b"ann", wire.PROTOCOL, wire.encode(many)])
     bench.turn()
     assert [kinds(body) for body in bodies(front, b"ann")] == ["Declined"]

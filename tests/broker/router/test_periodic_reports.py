@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from broker.decisions.reporting import MOST_PER_S
+from broker.decisions.reporting import MAX_PER_S
 from broker.decisions.state import ParsedHead, ReportHead
 from broker.router.recent_reports import COMMANDS, REPORTS, RecentReports
 from rtc.protocol import messages as m
@@ -45,9 +45,9 @@ def test_a_report_that_was_not_requested_is_dropped(reporting: Bench) -> None:
 
 
 def test_periodic_reports_are_bounded(reporting: Bench) -> None:
-    reporting.send("subsystems", b"MCM", *[progress()] * (2 * MOST_PER_S))
-    assert len(forwarded(reporting)) == MOST_PER_S
-    assert reporting.router.core.dropped["reports"] == MOST_PER_S
+    reporting.send("subsystems", b"MCM", *[progress()] * (2 * MAX_PER_S))
+    assert len(forwarded(reporting)) == MAX_PER_S
+    assert reporting.router.core.dropped["reports"] == MAX_PER_S
 
 
 def test_a_condition_goes_to_the_client_in_the_words_of_its_sentence(reporting: Bench) -> None:

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import pytest
 
-from broker.persistence.program_loads import MOST_WAITING, ProgramLoads
+from broker.persistence.program_loads import MAX_WAITING, ProgramLoads
 from rtc.programs.sandbox import CheckRequest, CheckResult
 from rtc.protocol import messages as m
 from rtc.protocol.digest import digest
@@ -59,7 +59,7 @@ def test_programs_are_checked_one_after_the_other_each_upon_the_one_before(slow:
 
 def test_too_many_programs_at_once_are_declined(slow: Bench) -> None:
     answers = []
-    for n in range(MOST_WAITING + 1):
+    for n in range(MAX_WAITING + 1):
         slow.now += 1.0
         answers += slow.send("front", b"ann", program_text(str(n)))
     assert [answer.refusal.reason for answer in answers] == [RefusalReason.OVERLOAD]

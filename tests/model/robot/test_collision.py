@@ -304,12 +304,12 @@ def test_a_held_object_keeps_the_clearance_from_its_own_arm(world, right, home):
 
 
 def test_the_spreads_of_two_bodies_add_up(world, home):
-    scene = Scene(moving="RIGHT-ARM", clearance_m=0.005, unsure_m={"RACK-1": 0.02, "MACS-NEW": 0.03})
+    scene = Scene(moving="RIGHT-ARM", clearance_m=0.005, pose_tolerance_m={"RACK-1": 0.02, "MACS-NEW": 0.03})
     held = replace(scene, held={"MACS-NEW": Held("RIGHT-ARM", (0.0, 0.0, 0.35, 0.0, 0.0, 0.0, 1.0))})
     for one in world.too_near(home, replace(held, clearance_m=2.0)):
         assert one.margin_m >= 0.005
     margins = {
         frozenset((hit.body_a.split()[0], hit.body_b.split()[0])): hit.margin_m
-        for hit in world.too_near(home, replace(held, unsure_m={"RACK-1": 1.2, "MACS-NEW": 1.3}))
+        for hit in world.too_near(home, replace(held, pose_tolerance_m={"RACK-1": 1.2, "MACS-NEW": 1.3}))
     }
     assert margins[frozenset(("RACK-1", "MACS-NEW"))] == pytest.approx(2.5)

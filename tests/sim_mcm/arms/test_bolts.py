@@ -95,15 +95,15 @@ def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
 
     name = station.begin(p.SpindleMotion(turn_rad=0.5 * TURN, speed_rad_s=6.2, torque_nm=4.0), law=PRESS)
     list(station.tick(200))  # and in again, with a pause
-    station.mcm.handle(m.Pace(primitive=name, paused=True), BROKER, 0.0)
-    paced = [message for message in station.tick(5) if isinstance(message, m.Paced)]
+    station.mcm.handle(m.SetPaused(primitive=name, paused=True), BROKER, 0.0)
+    paced = [message for message in station.tick(5) if isinstance(message, m.PauseChanged)]
     paused_at = bolts.out_turns(BOLT)
     assert [message.paused for message in paced] == [True]
     assert paced[0].done == pytest.approx((8.0 - paused_at) / 0.5, abs=0.05)
     list(station.tick(300))
     assert bolts.out_turns(BOLT) == paused_at > 7.6
-    station.mcm.handle(m.Pace(primitive=name, paused=False), BROKER, 0.0)
-    assert [message.paused for message in station.tick(5) if isinstance(message, m.Paced)] == [False]
+    station.mcm.handle(m.SetPaused(primitive=name, paused=False), BROKER, 0.0)
+    assert [message.paused for message in station.tick(5) if isinstance(message, m.PauseChanged)] == [False]
     assert station.end(name).turned_rad == pytest.approx(0.5 * TURN, rel=1e-6)
     assert bolts.out_turns(BOLT) == pytest.approx(7.5, abs=0.01)
 

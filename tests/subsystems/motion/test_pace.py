@@ -31,7 +31,7 @@ def swing(rig, make, *stops: p.StopFunction, duration_s: float = 2.0, limit_s: f
 
 
 def paced(sent) -> list[bool]:
-    return [message.paused for message in sent if isinstance(message, m.Paced)]
+    return [message.paused for message in sent if isinstance(message, m.PauseChanged)]
 
 
 def stand(rig) -> None:
@@ -178,9 +178,9 @@ def test_the_subsystem_pauses_the_named_primitive_only_and_names_it_in_its_hello
     path = make.joint_path(home, [home[0] - 0.2, *home[1:]], 1.0)
     bench.handle(m.Execute(primitive=make.primitive(path, id="C-1.1")))
     bench.tick(200)
-    bench.handle(m.Pace(primitive="C-9.1", paused=True))
+    bench.handle(m.SetPaused(primitive="C-9.1", paused=True))
     assert bench.subsystem.hello()[0][1].paused == []
-    bench.handle(m.Pace(primitive="C-1.1", paused=True))
+    bench.handle(m.SetPaused(primitive="C-1.1", paused=True))
     bench.tick(SLOWEST_TICKS)
     hello = bench.subsystem.hello()[0][1]
     assert (hello.pauses, hello.paused) == (True, ["C-1.1"])

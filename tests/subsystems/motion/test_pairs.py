@@ -65,16 +65,16 @@ def test_both_arms_pause_and_go_on_together(bench, pair, arms, cell, make):
     partner = msgspec.structs.replace(wanted.partner, trajectory=farther)
     bench.handle(m.Execute(primitive=msgspec.structs.replace(wanted, trajectory=near, partner=partner)))
     bench.tick(700)
-    bench.handle(m.Pace(primitive="C-7.1", paused=True))
+    bench.handle(m.SetPaused(primitive="C-7.1", paused=True))
     parts = []
     for tick in range(5000):
         if tick == 2500:
-            bench.handle(m.Pace(primitive="C-7.1", paused=False))
+            bench.handle(m.SetPaused(primitive="C-7.1", paused=False))
         bench.tick()
         parts.append([arms[name].motion[0][0] - cell.arm(name).home_rad[0] for name in (ARM, OTHER)])
     assert max(abs(3.0 * a - b) for a, b in parts) < 1e-9
     assert parts[2100] == parts[2499] != parts[-1]
-    paced = [message.paused for _, message in bench.sent if isinstance(message, m.Paced)]
+    paced = [message.paused for _, message in bench.sent if isinstance(message, m.PauseChanged)]
     assert paced == [True, False]
 
 

@@ -100,7 +100,7 @@ def test_a_command_goes_to_an_arm_that_leans_on_something_springy_and_along_with
         commanded[:] = now
         if way.done(n * TICK_S):
             break
-    assert abs(commanded[0]) < 2.5 * profiles.LEAST_LEAD_RAD
+    assert abs(commanded[0]) < 2.5 * profiles.MIN_LEAD_RAD
     assert n * TICK_S < 0.3
     assert np.abs(np.diff([0.0, *steps])).max() <= profiles.STOP_ACCELERATION_RAD_S2 * TICK_S**2 * 1.001
     assert way.at(2.0)[0] == way.at(3.0)[0] == pytest.approx([0.5 * q for q in commanded])

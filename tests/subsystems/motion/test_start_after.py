@@ -51,19 +51,19 @@ def test_it_waits_as_long_as_the_other_arm_pauses(bench, swing):
     bench.handle(m.Execute(primitive=swing()))
     bench.handle(m.Execute(primitive=swing("C-8.1", OTHER, when(0.6, within_s=1.0))))
     bench.tick(200)
-    bench.handle(m.Pace(primitive="C-7.1", paused=True))
+    bench.handle(m.SetPaused(primitive="C-7.1", paused=True))
     assert of_left(bench.tick(3000)) == []
-    bench.handle(m.Pace(primitive="C-7.1", paused=False))
+    bench.handle(m.SetPaused(primitive="C-7.1", paused=False))
     assert isinstance(of_left(bench.tick(2500))[0], m.Started)
 
 
 def test_it_does_not_start_while_it_is_paused(bench, swing):
     bench.handle(m.Execute(primitive=swing()))
     bench.handle(m.Execute(primitive=swing("C-8.1", OTHER, when(0.2))))
-    bench.handle(m.Pace(primitive="C-8.1", paused=True))
+    bench.handle(m.SetPaused(primitive="C-8.1", paused=True))
     assert bench.subsystem.hello()[0][1].paused == ["C-8.1"]
     assert of_left(bench.tick(500)) == []
-    bench.handle(m.Pace(primitive="C-8.1", paused=False))
+    bench.handle(m.SetPaused(primitive="C-8.1", paused=False))
     assert isinstance(of_left(bench.tick(2))[0], m.Started)
 
 
@@ -75,7 +75,7 @@ def test_it_starts_at_once_if_the_other_arm_is_past(bench, swing):
 
 def test_a_goal_counts_as_the_end_of_the_path(bench, swing):
     bench.handle(m.Execute(primitive=swing()))
-    bench.handle(m.Execute(primitive=swing("C-8.1", OTHER, when(p.LONGEST_S))))
+    bench.handle(m.Execute(primitive=swing("C-8.1", OTHER, when(p.MAX_S))))
     bench.tick(1500)
     assert [type(message) for message in of_left(bench.sent)] == [m.Started]
     first = next(message for _, message in bench.sent if isinstance(message, m.EndReport))

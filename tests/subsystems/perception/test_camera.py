@@ -14,7 +14,7 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.subsystems.base.subsystem import BROKER, REPEAT_S
-from rtc.subsystems.perception.camera import MOST_LOOKS, Camera
+from rtc.subsystems.perception.camera import MAX_LOOKS, Camera
 from rtc.subsystems.perception.subsystem import PerceptionSubsystem
 from tests.workers.eyes import PERIOD_S, Ideal
 
@@ -211,7 +211,7 @@ def test_a_body_that_is_followed_is_looked_for_where_it_is_expected(cell, eyes, 
 def refused(camera: Camera, made: p.Primitive) -> str:
     (answer,) = camera.accept(made, 0.0)
     assert answer.reason is StopReason.REFUSED
-    assert camera.primitives == [] or len(camera.primitives) == MOST_LOOKS
+    assert camera.primitives == [] or len(camera.primitives) == MAX_LOOKS
     return answer.message
 
 
@@ -227,9 +227,9 @@ def test_what_a_camera_cannot_do_is_refused(look) -> None:
     assert "cannot watch ForceAbove" in refused(camera, changed(stop_functions=[*complete, force]))
     nowhere = p.Look(tags=good.trajectory.tags, believed=[math.nan] * 7)
     assert "not 7 finite numbers" in refused(camera, changed(trajectory=nowhere))
-    for n in range(MOST_LOOKS):
+    for n in range(MAX_LOOKS):
         camera.accept(look(id=f"C-{n}.1"), 0.0)
-    assert f"{MOST_LOOKS} looks already" in refused(camera, look(id="C-99.1"))
+    assert f"{MAX_LOOKS} looks already" in refused(camera, look(id="C-99.1"))
 
 
 def test_an_arm_refuses_to_look(cell, make_arm, look) -> None:

@@ -11,7 +11,14 @@ from rtc.spatial import geometry
 from workers.analyzer.reported_facts import changes_from, seat_at
 from workers.planning.world_query import WorldQuery
 
-VALUES = {"reach_m": 5.0, "seated_m": 0.05, "seated_rad": 0.2, "in_hand_m": 0.06, "told_m": 0.005, "told_rad": 0.035}
+VALUES = {
+    "reach_m": 5.0,
+    "seated_m": 0.05,
+    "seated_rad": 0.2,
+    "in_hand_m": 0.06,
+    "stated_m": 0.005,
+    "stated_rad": 0.035,
+}
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 
 

@@ -12,7 +12,7 @@ from rtc.spatial import geometry
 from rtc.subsystems.motion.profiles import Follow
 from workers.planning.curves import curve
 from workers.planning.motion.path import task_curve
-from workers.planning.motion.timing import Pace, time_path
+from workers.planning.motion.timing import SpeedLimits, time_path
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def off_chords(corners, point) -> float:
 def test_the_command_stays_on_the_curve_within_the_limits_of_the_arm(right, home, start, space, axis, figures, off_m):
     joints = home["RIGHT-ARM"]
     poses = curve(space, start, hinge(start), axis, figures)
-    timed = time_path(right, task_curve(right, joints, poses), Pace(0.02, 1.0))
+    timed = time_path(right, task_curve(right, joints, poses), SpeedLimits(0.02, 1.0))
     command = Follow(timed.trajectory(), joints).path(np.linspace(0.0, timed.duration_s, 400))
 
     assert max(off_chords(poses[:, :3], right.fk(posture)[:3]) for posture in command[:, 0]) < off_m

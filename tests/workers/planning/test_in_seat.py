@@ -10,7 +10,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
 from tests.workers.conftest import CELL, MODEL, Bench
 from workers.planning.motion.plan import before_contact
-from workers.planning.motion.timing import Pace
+from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
 
 RIGHT, LEFT, MODULE = "RIGHT-ARM", "LEFT-ARM", "MACS-NEW"
@@ -87,7 +87,7 @@ def test_a_carry_keeps_clear_of_the_seat_that_it_leads_to(bench):
         assert bench.do(sentence).succeeded
     query = WorldQuery(MODEL, bench.world)
     scene = query.scene(RIGHT, Limits(), exempt=[MODULE, "RACK-1"])
-    request = query.planning_request(RIGHT, scene, Limits(), Pace(), 0.06)
+    request = query.planning_request(RIGHT, scene, Limits(), SpeedLimits(), 0.06)
 
     assert "RACK-1" in scene.near
     assert MODULE not in scene.near  # it keeps its distance from all other bodies, on the straight part too

@@ -12,7 +12,7 @@ import zmq
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     Assessment,
-    Drop,
+    CancelJobs,
     Heartbeat,
     Job,
     JobBatch,
@@ -317,7 +317,7 @@ def test_a_dropped_job_that_has_not_begun_is_not_done(at):
     at.broker.give("wait", "never", "last")
     at.broker.provide()
     assert at.function.began.wait(10)
-    at.broker.send(Drop(jobs=["C-1/2"]))
+    at.broker.send(CancelJobs(jobs=["C-1/2"]))
     at.function.go_on.set()
     waited, dropped, last = sorted(at.broker.results(3), key=lambda r: r.id)
     assert (value(waited), value(last)) == ("waited", "last")

@@ -21,16 +21,16 @@ from rtc.model.robot.collision_scene import in_hands
 from rtc.model.robot.separation import SeparationCheck
 from rtc.model.robot.swept import Boxes, Swept
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
-from rtc.protocol.primitive import LONGEST_S, JointTrajectory, Primitive, StartAfter
+from rtc.protocol.primitive import MAX_S, JointTrajectory, Primitive, StartAfter
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial.geometry import Array
 from workers.planning.motion.request import PlanningRequest
 
 SPACE_M = 0.01  # minimum distance of two moving arms from each other's path
 STEP_M = 0.02  # smallest interval of a path: no point of the arm moves farther in it
-MOST_BLOCKS = 48  # of a course, each with its own boxes
+MAX_BLOCKS = 48  # of a course, each with its own boxes
 SHORT_BLOCKS = 6  # boxes sort out intervals of at least so many blocks
-MOST_CHECKS = 3000  # beyond it what is not decided counts as meeting; some 60 ms
+MAX_CHECKS = 3000  # beyond it what is not decided counts as meeting; some 60 ms
 SOFT_M = 0.1  # greatest distance of a compliant arm from its path that is taken into account
 LAG_S = 0.05  # an arm is at most this far behind its command
 WAIT_FACTOR, WAIT_MARGIN_S = 1.5, 2.0  # limit of the wait for a start, from the time that the other arm needs
@@ -89,7 +89,7 @@ def _clear_from(request: PlanningRequest, motion: Primitive, arm: str, other: Pr
 def _off_m(request: PlanningRequest, arm: str) -> float:
     """How far what an arm holds may be from its believed place."""
     held = [name for name, by in in_hands(request.scene) if by == arm]
-    return max((request.scene.unsure_m.get(name, 0.0) for name in held), default=0.0)
+    return max((request.scene.pose_tolerance_m.get(name, 0.0) for name in held), default=0.0)
 
 
 def _softness_m(motion: Primitive) -> float:
@@ -108,7 +108,7 @@ def _condition(other: Primitive, free_from_s: float) -> StartAfter:
     """A motion that may back off returns on its path, so its end must be awaited."""
     path_s, duration_s = free_from_s + LAG_S, other.paths[other.performer].duration_s
     if path_s >= duration_s or any(stop.back_off_m > 0.0 for stop in other.stop_functions):
-        path_s = LONGEST_S  # reached at its goal only
+        path_s = MAX_S  # reached at its goal only
     within_s = WAIT_FACTOR * min(path_s, duration_s) + WAIT_MARGIN_S
     return StartAfter(primitive=other.id, path_s=path_s, within_s=within_s)
 
@@ -133,7 +133,7 @@ def clear_from(check: SeparationCheck, mine: Course, theirs: Course, clearance_m
     my_parts, their_parts = Parts(mine, my_swept), Parts(theirs, their_swept)
     end = len(theirs.time_s) - 1
     open_ = [(-end, Interval(0, end), Interval(0, len(mine.time_s) - 1))]  # their latest interval first
-    for _ in range(MOST_CHECKS):
+    for _ in range(MAX_CHECKS):
         if not open_:
             return 0.0
         _, late, part = heapq.heappop(open_)
@@ -160,7 +160,7 @@ class Parts:
     def __init__(self, course: Course, swept: Swept) -> None:
         self._postures = course.postures
         count = len(course.time_s) - 1
-        self._block = -(-count // MOST_BLOCKS)  # intervals of the course that share a box
+        self._block = -(-count // MAX_BLOCKS)  # intervals of the course that share a box
         starts = np.arange(0, count, self._block)
         ends = np.minimum(starts + self._block, count)
         low, high = (

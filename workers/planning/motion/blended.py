@@ -11,7 +11,7 @@ import numpy as np
 
 from rtc.spatial.geometry import Array
 
-LEAST = 1e-9  # minimum length of a line
+MIN_LENGTH = 1e-9  # minimum length of a line
 
 
 class Blended:
@@ -43,7 +43,7 @@ class Blended:
     def at(self, s: Array) -> tuple[Array, Array, Array]:
         """The values and their first and second derivative by s, each [len(s)][joints]."""
         nearest = np.searchsorted(self._borders, s)
-        radius = np.maximum(self.radii[nearest], LEAST)[:, None]
+        radius = np.maximum(self.radii[nearest], MIN_LENGTH)[:, None]
         before, after = self._slopes[nearest], self._slopes[nearest + 1]
         past = (s - self._s[1:-1][nearest])[:, None]  # the corner
         u = np.clip((past + radius) / (2 * radius), 0.0, 1.0)
@@ -60,7 +60,7 @@ class Blended:
 
 def lengths(corners: Array) -> Array:
     """s of each corner: the length along the lines."""
-    steps = np.maximum(np.abs(np.diff(corners, axis=0)).max(axis=1), LEAST)
+    steps = np.maximum(np.abs(np.diff(corners, axis=0)).max(axis=1), MIN_LENGTH)
     return np.concatenate(((0.0,), np.cumsum(steps)))
 
 

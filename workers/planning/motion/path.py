@@ -28,7 +28,7 @@ KNOT_M = 0.025  # distance between inverse solutions; a cubic through them is st
 KNOT_RAD = 0.10
 LEAP_RAD = 0.60  # a larger joint step between knots means a singularity or another branch
 METRES_PER_RAD = 0.25  # so that 0.25 m/s means 1 rad/s where the hand only turns
-SHORTEST_M = 1e-6  # least distance between two via points in s
+MIN_STEP_M = 1e-6  # least distance between two via points in s
 CHECK_RAD = 0.025  # joint step between collision checks, weighted below; some 2 cm at the hand
 # The corner of a carried body reaches farther than the hand, and may cross an edge between two checks. Twice the
 # clearance of a freely chosen path: so the body meets nothing between two checks that keep this clearance.
@@ -124,7 +124,7 @@ def poses_through(poses: Sequence[Floats]) -> Array:
     for n in range(1, len(rows)):  # q and -q are the same attitude: take the nearer one
         if rows[n, 3:] @ rows[n - 1, 3:] < 0.0:
             rows[n, 3:] *= -1.0
-    steps = [max(geometry.distance(a, b), METRES_PER_RAD * geometry.angle(a, b), SHORTEST_M) for a, b in pairwise(rows)]
+    steps = [max(geometry.distance(a, b), METRES_PER_RAD * geometry.angle(a, b), MIN_STEP_M) for a, b in pairwise(rows)]
     per_piece = max(smooth.PER_PIECE, math.ceil(max(steps) / KNOT_M))
     _, table = smooth.through(np.concatenate(((0.0,), np.cumsum(steps))), rows, per_piece)
     return np.array([geometry.normalise(row) for row in table])

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from rtc.protocol.messages import Way
+from rtc.protocol.messages import PlannedPath
 from rtc.spatial.geometry import Floats
 from workers.planning.motion.blended import Blended
 from workers.planning.motion.path import Path
@@ -42,15 +42,15 @@ def request_digest(request: PlanningRequest, space: str, goal: Floats) -> bytes:
     return hashlib.blake2b(_encoder.encode(asked), digest_size=DIGEST_BYTES).digest()
 
 
-def to_message(asked: bytes, found: FreeWay) -> Way:
+def to_message(asked: bytes, found: FreeWay) -> PlannedPath:
     """The way as it is sent. `asked`: the digest of the request for which it was found."""
     path = found.path
     radii = path.curve.radii.tolist() if isinstance(path.curve, Blended) else []
     s, knots, notes = path.s.tolist(), path.knots.tolist(), list(found.notes)
-    return Way(asked=asked, space=path.space, s=s, knots=knots, radii=radii, notes=notes)
+    return PlannedPath(request_digest=asked, space=path.space, s=s, knots=knots, radii=radii, notes=notes)
 
 
-def from_message(way: Way) -> FreeWay:
+def from_message(way: PlannedPath) -> FreeWay:
     """The way as it was found, with the same curve."""
     s, knots = np.array(way.s), np.array(way.knots)
     curve: Blended | Spline | None = None

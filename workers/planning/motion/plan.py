@@ -137,7 +137,7 @@ def before_contact(request: PlanningRequest, goal: Array) -> PlanningRequest:
 def steered(request: PlanningRequest) -> PlanningRequest:
     """The request for a line: a body that is nearer at the start than it is uncertain needs the clearance only."""
     scene, ours = request.scene, _ours(request)
-    if not scene.unsure_m:
+    if not scene.pose_tolerance_m:
         return request
     hits = request.world.too_near(request.joints, scene)
     near = {body.split()[0] for hit in hits for body in (hit.body_a, hit.body_b) if hit.margin_m > scene.clearance_m}
@@ -169,7 +169,7 @@ def may_touch_at_start(request: PlanningRequest) -> str:
     Then it leaves on a line, which moves away from that body (`CollisionWorld.check_path`). A search would not know
     which way out is free, a hand at a handle for example. A body with a hinge is known but for its angle, so a way on
     which its distance only grows leads away from it."""
-    if not request.scene.unsure_m:
+    if not request.scene.pose_tolerance_m:
         return ""
     hinged = {thing.name for thing in request.world.cell.objects if thing.hinge is not None}
     hits = request.world.too_near(request.joints, request.scene)
@@ -246,7 +246,7 @@ def _straight(request: PlanningRequest, goal: Array) -> Path | Refusal:
     return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{request.arm.name} would end with other joint values")
 
 
-def lasting(motion: Motion, takes_s: float) -> Motion | Refusal:
+def slowed_to(motion: Motion, takes_s: float) -> Motion | Refusal:
     """The motion on the same path, made slower so that it lasts `takes_s`; refused if it cannot be that fast."""
     least_s = motion.timed.duration_s
     if takes_s < least_s:

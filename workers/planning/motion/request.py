@@ -17,7 +17,7 @@ from rtc.protocol.primitive import Load
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion.constraints import FREE, PathConstraints
 from workers.planning.motion.path import CHECK_RAD, Path
-from workers.planning.motion.timing import FREE_PACE, Pace
+from workers.planning.motion.timing import NO_SPEED_LIMITS, SpeedLimits
 
 LADEN_GROUP = 9  # configurations that one check may prove free, where a load makes their spacing narrow
 
@@ -31,7 +31,7 @@ class PlanningRequest:
     joints: Mapping[str, Floats]  # current values (rad) of every arm; the planned arm starts there
     scene: Scene = AS_BUILT
     path_constraints: PathConstraints = FREE
-    pace: Pace = FREE_PACE
+    pace: SpeedLimits = NO_SPEED_LIMITS
     margin_rad: float = 0.0  # minimum distance from every joint limit
     load: Load | None = None  # in the hand
     seed: int = 0  # of the sampling planner: the same request has the same path

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rtc.model.robot.kinematics import LEAST_WEIGHT
+from rtc.model.robot.kinematics import MIN_WEIGHT
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion import path as paths
@@ -32,12 +32,12 @@ PROJECTED_RAD = 0.25  # weighted length of a step between two projections
 AWAY = 0.5  # a projected step must make this share of its length towards its end
 RAISED_AND_BACK_M = ((0.15, 0.0), (0.0, 0.15), (0.3, 0.15))  # of the first samples
 NARROWER = 8  # maximum number of halvings of a corner's radius, in the mean of all corners
-LEAST_RADIUS = 0.002  # rad; a corner as narrow as this follows the lines within a millimetre
+MIN_RADIUS = 0.002  # rad; a corner as narrow as this follows the lines within a millimetre
 
 
 def find_way_aside(request: PlanningRequest, goal: Array) -> FreeWay | None:
     """A way by both ends moved aside, if one is free."""
-    for by_m, guided in _aside(request, goal, _Space(request).guides(goal)):
+    for by_m, guided in _detours(request, goal, _Space(request).guides(goal)):
         if is_free(request, guided):
             words = "by way of both ends, raised by {:g} m and drawn back by {:g} m".format(*by_m)
             return FreeWay(guided, [f"modified: {words}; tested: free"])
@@ -66,7 +66,7 @@ def find_sampled_way(request: PlanningRequest, roomy: PlanningRequest, goals: Se
             seed=seed,
             samples=ROOMY_SAMPLES if attempt == 0 else SAMPLES - drawn,
             guides=space.guides(ends[0]) if attempt < 2 else (),
-            onto=space.onto,
+            project=space.project,
         )
         if not isinstance(found, Found):
             drawn += found
@@ -82,7 +82,7 @@ def find_sampled_way(request: PlanningRequest, roomy: PlanningRequest, goals: Se
     return drawn
 
 
-def _aside(request: PlanningRequest, goal: Array, guides: list[Array]) -> Iterator[tuple[Floats, Path]]:
+def _detours(request: PlanningRequest, goal: Array, guides: list[Array]) -> Iterator[tuple[Floats, Path]]:
     """Ways by both ends moved aside, which often suffice; they keep no attitude."""
     if request.path_constraints.attitude is None:
         for by_m, first, second in zip(RAISED_AND_BACK_M, guides[::2], guides[1::2], strict=True):
@@ -107,7 +107,7 @@ class _Space:
     def __init__(self, request: PlanningRequest) -> None:
         self._request = request
         steps = request.arm.step_weights
-        self.weights = OUTER + (1.0 - OUTER) * (steps - LEAST_WEIGHT) / (1.0 - LEAST_WEIGHT)
+        self.weights = OUTER + (1.0 - OUTER) * (steps - MIN_WEIGHT) / (1.0 - MIN_WEIGHT)
         self._per_rad = steps / CHECK_RAD  # as `Path.dense`
         self._start = request.start
         self._touches_at_start = free_posture(request)(self._start) is not None
@@ -133,7 +133,7 @@ class _Space:
                 found.append(np.clip(self._request.arm.moved_by(back + np.array((0.0, 0.0, up_m)), end), lower, upper))
         return found
 
-    def onto(self, q: Array) -> Array | None:
+    def project(self, q: Array) -> Array | None:
         """The posture, turned to the attitude to keep; None: not found within the joint limits."""
         if self._attitude is None:
             return q
@@ -193,7 +193,7 @@ class _Space:
         left = self._length(there - here)
         while left > PROJECTED_RAD:
             onward = here + (PROJECTED_RAD / left) * (there - here)
-            step = self.onto(onward)
+            step = self.project(onward)
             if step is None:
                 return chain, False
             remains = self._length(there - step)
@@ -222,7 +222,7 @@ def rounded(request: PlanningRequest, corners: list[Array]) -> Path | None:
             return None
         at = float(problem.detail["fraction"]) * way.length
         nearest = int(np.argmin(np.maximum(np.abs(way.s[1:-1] - at) - radii, 0.0)))
-        if radii[nearest] < LEAST_RADIUS:
+        if radii[nearest] < MIN_RADIUS:
             return None
         radii[nearest] *= 0.5
     return None

@@ -18,7 +18,7 @@ from rtc.spatial.geometry import Array
 Steer = Callable[[Array, Array], tuple[list[Array], bool]]
 
 REACH_RAD = 2.0  # maximum length of one extension, by the largest weighted joint displacement
-LEAST_RAD = 0.05  # a shorter extension adds no node
+MIN_RAD = 0.05  # a shorter extension adds no node
 AROUND_RAD = 0.6  # margin of the first samples around start and goals
 WIDE_AFTER = 120  # samples after which the box covers the joint limits
 MIXED = 0.3  # share of the samples that keep each joint of an end with a probability of one half
@@ -94,12 +94,12 @@ def search(
     seed: int,
     samples: int,
     guides: Sequence[Array] = (),
-    onto: Callable[[Array], Array | None] = lambda q: q,
+    project: Callable[[Array], Array | None] = lambda q: q,
 ) -> Found | int:
     """Way-points from `start` to one of `goals` (rad), or the number of samples that were drawn in vain.
 
     `lower`, `upper`: joint limits (rad). `weights`: of each joint in the distance between postures. `guides`: postures
-    that are taken before random ones, in turn for the tree of the start and that of the goals. `onto`: projects a
+    that are taken before random ones, in turn for the tree of the start and that of the goals. `project`: projects a
     sample onto the constraints; None: it cannot.
     """
     rng = np.random.default_rng(seed)
@@ -116,7 +116,7 @@ def search(
             q = rng.uniform(least + wide * (lower - least), most + wide * (upper - most))
             if rng.random() < MIXED:
                 q = np.where(rng.random(len(q)) < 0.5, ends[rng.integers(len(ends))], q)
-        aim = onto(q)
+        aim = project(q)
         new = None if aim is None else _extend(ours, aim, steer, weights)
         if new is not None:
             met = _connect(others, ours.nodes[new], steer, weights)
@@ -136,7 +136,7 @@ def _extend(tree: _Tree, q: Array, steer: Steer, weights: Array) -> int | None:
     if length > REACH_RAD:
         q = here + way * (REACH_RAD / length)
     chain, _ = steer(here, q)
-    if not chain or float(np.abs((chain[-1] - here) * weights).max()) < LEAST_RAD:
+    if not chain or float(np.abs((chain[-1] - here) * weights).max()) < MIN_RAD:
         return None
     return tree.add_chain(chain, near)
 
@@ -148,7 +148,7 @@ def _connect(tree: _Tree, q: Array, steer: Steer, weights: Array) -> int | None:
     chain, arrived = steer(here, q)
     if arrived:
         return tree.add_chain(chain, near)
-    if chain and float(np.abs((chain[-1] - here) * weights).max()) >= LEAST_RAD:
+    if chain and float(np.abs((chain[-1] - here) * weights).max()) >= MIN_RAD:
         tree.add_chain(chain, near)
     return None
 

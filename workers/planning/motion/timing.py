@@ -42,7 +42,7 @@ toppra.solverwrapper.available_solvers = cache(toppra.solverwrapper.available_so
 
 
 @dataclass(frozen=True)
-class Pace:
+class SpeedLimits:
     """Speed and acceleration limits of the tcp, and the usable fraction of the joint limits."""
 
     speed_m_s: float = 0.25
@@ -50,7 +50,7 @@ class Pace:
     ratio: float = 1.0
 
 
-FREE_PACE = Pace()
+NO_SPEED_LIMITS = SpeedLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +77,15 @@ class Timed:
         )
 
 
-def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE, load: Load | None = None) -> Timed | Refusal:
+def time_path(
+    arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, load: Load | None = None
+) -> Timed | Refusal:
     """Time the path. A path of zero length becomes a hold of one knot spacing.
 
     `load`: in the hand. Refused if the arm cannot hold it against gravity everywhere on the path.
     """
     if np.abs(path.knots - path.knots[0]).max() < 1e-9:
-        return _staying(path)
+        return _zero_length(path)
     torques = Torques.of(arm, load)
     curved = isinstance(path.curve, Blended) or (path.space == "joint" and path.curve is not None)
     timed = _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
@@ -96,7 +98,7 @@ def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE, load: Load | No
     return excess if isinstance(excess, Refusal) else slower(timed, math.sqrt(max(1.0, excess)))
 
 
-def _time_line(arm: ArmModel, path: Path, pace: Pace, share: float = 1.0) -> Timed:
+def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0) -> Timed:
     """`share`: of the acceleration that the other limits allow."""
     samples = SAMPLES if len(path.s) <= SAMPLES else 2 * len(path.s)  # a search pattern bends at every knot
     q, slope, bend = path.at(even(0.0, path.length, samples - 1))
@@ -121,7 +123,7 @@ def _time_line(arm: ArmModel, path: Path, pace: Pace, share: float = 1.0) -> Tim
     return _at_rest(Timed(path.space, time_s, q, slope * along_v[:, None], accelerations), path)
 
 
-def _time_curve(arm: ArmModel, path: Path, pace: Pace, torques: Torques | None = None) -> Timed:
+def _time_curve(arm: ArmModel, path: Path, pace: SpeedLimits, torques: Torques | None = None) -> Timed:
     assert path.curve is not None
     s = np.linspace(0.0, path.length, SAMPLES)
     q, slope, _ = path.at(s)
@@ -212,6 +214,6 @@ def slower(timed: Timed, by: float) -> Timed:
     )
 
 
-def _staying(path: Path) -> Timed:
+def _zero_length(path: Path) -> Timed:
     still = np.zeros((2, path.knots.shape[1]))
     return Timed(path.space, np.array((0.0, KNOT_S)), np.tile(path.knots[-1], (2, 1)), still, still)

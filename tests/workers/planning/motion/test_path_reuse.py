@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtc.model.robot.collision_scene import Scene
-from rtc.protocol.messages import Way
+from rtc.protocol.messages import PlannedPath
 from rtc.spatial import geometry
 from workers.planning import segments
 from workers.planning.motion import path_reuse, plan
@@ -17,7 +17,7 @@ from workers.planning.motion.constraints import PathConstraints
 from workers.planning.motion.path import through
 from workers.planning.motion.plan import PlanningRequest
 from workers.planning.motion.request import FreeWay
-from workers.planning.motion.timing import Pace
+from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
 
 ASIDE = (0.45, -0.885, 0.60)
@@ -33,8 +33,8 @@ def goal(asked):
     return asked.arm.ik(geometry.make_pose(ASIDE, geometry.LEVEL), asked.start)[0].tolist()
 
 
-def sent(way: Way) -> Way:
-    return msgspec.msgpack.decode(msgspec.msgpack.encode(way), type=Way)
+def sent(way: PlannedPath) -> PlannedPath:
+    return msgspec.msgpack.decode(msgspec.msgpack.encode(way), type=PlannedPath)
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def changes(asked):
 def test_everything_the_way_depends_on_changes_the_digest(asked, goal):
     same = path_reuse.request_digest(asked, "move_joint", goal)
     assert same == path_reuse.request_digest(
-        replace(asked, scene=replace(asked.scene), pace=Pace(0.1)), "move_joint", np.array(goal)
+        replace(asked, scene=replace(asked.scene), pace=SpeedLimits(0.1)), "move_joint", np.array(goal)
     )
     others = [path_reuse.request_digest(changed, "move_joint", goal) for changed in changes(asked)]
     others += [
@@ -166,7 +166,7 @@ def test_a_way_to_the_pose_is_not_used_for_joints_of_another_turn(asked):
     )
     turned = asked.arm.ik(pose, asked.start)[0] + [0, 0, 0, 0, 0, 2 * np.pi]
     way = msgspec.structs.replace(
-        way, asked=path_reuse.request_digest(asked, "move_task", asked.arm.fk(turned).tolist())
+        way, request_digest=path_reuse.request_digest(asked, "move_task", asked.arm.fk(turned).tolist())
     )
     refusal = segments.plan_segment(asked, "move_task", Target(joints=turned.tolist()), way)
     assert refusal.detail["cause"] == "branch"

@@ -25,7 +25,7 @@ from workers.planning.motion.plan import (
     plan_joint_motion,
     plan_task_motion,
 )
-from workers.planning.motion.timing import Pace
+from workers.planning.motion.timing import SpeedLimits
 
 FRONT, HANDLE = (0.45, -0.885, 0.60), (0.65, -0.885, 0.60)
 
@@ -56,7 +56,7 @@ def holding(cell, right, joints, thing="MACS-NEW"):
 def test_from_home_to_the_rack_and_on_to_the_handle(setting, right, world, home):
     to_front = plan_joint_motion(setting, goal_at(setting, *FRONT))
     assert to_front.notes == ["generated a line in joint space; tested: free"]
-    there = PlanningRequest(right, world, {**home, "RIGHT-ARM": to_front.goal_joints}, pace=Pace(0.1))
+    there = PlanningRequest(right, world, {**home, "RIGHT-ARM": to_front.goal_joints}, pace=SpeedLimits(0.1))
     to_handle = plan_task_motion(there, level(*HANDLE))
     assert geometry.distance(to_handle.goal_pose, HANDLE) < 1e-6
     assert to_handle.path.space == "task"
@@ -110,7 +110,9 @@ def test_where_there_is_no_room_at_the_goal_the_refusal_states_how_much_there_is
 
 def test_a_body_that_a_later_step_touches_is_an_obstacle_on_the_way_before(setting, right, world):
     """The hand may come near a handle at the end of its way, but does not pass it nearer than that."""
-    scene = Scene(openings_m={"RIGHT-ARM": 0.08}, clearance_m=0.005, unsure_m={"MACS-NEW": 0.12}, near=["MACS-NEW"])
+    scene = Scene(
+        openings_m={"RIGHT-ARM": 0.08}, clearance_m=0.005, pose_tolerance_m={"MACS-NEW": 0.12}, near=["MACS-NEW"]
+    )
     at = PlanningRequest(right, world, with_joints(setting, *FRONT), scene)
     goal = right.ik(level(0.55, -0.885, 0.60), at.start)[0]
     asked = before_contact(at, goal)

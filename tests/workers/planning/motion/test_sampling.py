@@ -87,4 +87,4 @@ def test_guides_come_before_random_samples():
 
 
 def test_samples_that_no_projection_brings_onto_the_constraint_are_left_out():
-    assert find(beside_a_wall, samples=40, onto=lambda q: None) == 40
+    assert find(beside_a_wall, samples=40, project=lambda q: None) == 40

@@ -10,7 +10,7 @@ import pytest
 from rtc.spatial import geometry
 from workers.planning.motion import smooth
 from workers.planning.motion.path import poses_through, spline_through
-from workers.planning.motion.timing import Pace, time_path
+from workers.planning.motion.timing import SpeedLimits, time_path
 
 S = np.array([0.0, 1.0, 3.0, 3.5])
 ROWS = np.array([[0.0, 1.0], [1.0, 1.0], [0.0, 4.0], [0.5, 4.0]])
@@ -50,7 +50,7 @@ def test_a_spline_through_postures_is_timed_within_the_limits_and_does_not_stop(
     start = np.array(home["RIGHT-ARM"])
     via, goal = start + np.array((0.3, 0.1, 0, 0.2, 0, 0)), start + np.array((0.6, 0, 0.1, 0, 0, 0.3))
     way = spline_through([start, via, goal])
-    timed = time_path(right, way, Pace(0.25, 1.0))
+    timed = time_path(right, way, SpeedLimits(0.25, 1.0))
     nearest = int(np.abs(timed.positions - via).max(axis=1).argmin())
     assert np.abs(timed.positions[nearest] - via).max() < 0.02
     assert np.abs(timed.velocities[nearest]).max() > 0.05

@@ -12,7 +12,7 @@ from rtc.model.robot import quintic as quintic_pieces
 from rtc.protocol.primitive import JointTrajectory
 from rtc.spatial import geometry
 from workers.planning.motion.path import joint_line, task_line, through
-from workers.planning.motion.timing import KNOT_S, Pace, time_path
+from workers.planning.motion.timing import KNOT_S, SpeedLimits, time_path
 
 TOLERANCE = 1.02  # of every limit, between knots
 
@@ -62,7 +62,8 @@ def assert_at_rest(timed, path):
 
 
 @pytest.mark.parametrize(
-    "pace", [Pace(), Pace(speed_m_s=10.0, acceleration_m_s2=100.0), Pace(0.02), Pace(10, 100, 0.5)]
+    "pace",
+    [SpeedLimits(), SpeedLimits(speed_m_s=10.0, acceleration_m_s2=100.0), SpeedLimits(0.02), SpeedLimits(10, 100, 0.5)],
 )
 def test_limits_hold_on_random_paths(right, pace):
     for path in random_paths(right, 4, seed=7):
@@ -76,7 +77,7 @@ def test_limits_hold_on_random_paths(right, pace):
         assert speeds(right, q, v).max() <= 1.03 * pace.speed_m_s
 
 
-@pytest.mark.parametrize("pace", [Pace(), Pace(speed_m_s=10.0, acceleration_m_s2=100.0)])
+@pytest.mark.parametrize("pace", [SpeedLimits(), SpeedLimits(speed_m_s=10.0, acceleration_m_s2=100.0)])
 def test_between_the_knots_no_limit_is_passed_at_all(right, pace):
     """An arm refuses what does: a curve used to pass its limit of acceleration by 15 %, of speed by 3 %."""
     limits = right.limits
@@ -92,13 +93,13 @@ def test_between_the_knots_no_limit_is_passed_at_all(right, pace):
 def test_some_limit_is_used(right):
     """Not merely slow: at full pace one joint, or the tcp, is at its limit."""
     for path in random_paths(right, 4, seed=8):
-        timed = time_path(right, path, Pace(speed_m_s=10.0, acceleration_m_s2=100.0))
+        timed = time_path(right, path, SpeedLimits(speed_m_s=10.0, acceleration_m_s2=100.0))
         used = max(
             (np.abs(timed.velocities) / right.limits.velocity).max(),
             (np.abs(timed.accelerations) / right.limits.acceleration).max(),
         )
         assert used > 0.9
-        slow = time_path(right, path, Pace(0.1))
+        slow = time_path(right, path, SpeedLimits(0.1))
         assert speeds(right, slow.positions, slow.velocities).max() > 0.09
 
 
@@ -106,7 +107,7 @@ def test_a_task_line_runs_at_its_speed_and_stays_straight(right, home):
     begin = right.ik(geometry.make_pose((0.48, -0.085, 0.70), geometry.LEVEL), home["RIGHT-ARM"])[0]
     goal = geometry.make_pose((0.78, -0.085, 0.70), geometry.LEVEL)
     path = task_line(right, begin, goal)
-    timed = time_path(right, path, Pace(0.10))
+    timed = time_path(right, path, SpeedLimits(0.10))
     t, q, v, _ = quintic(timed)
     hands = np.array([right.fk(row) for row in q])
     assert np.abs(hands[:, 1:3] - (-0.085, 0.70)).max() < 1e-4
@@ -126,9 +127,9 @@ def test_a_line_starts_and_ends_without_acceleration(right, home):
 
 def test_half_the_ratio_halves_what_the_joints_do(right):
     path = joint_line([0, 1, -2, 0, 0.5, 0], [1, 1.5, -1.5, 0.5, 0.2, 1])
-    half = time_path(right, path, Pace(10, 100, 0.5))
+    half = time_path(right, path, SpeedLimits(10, 100, 0.5))
     assert (np.abs(half.velocities) <= 0.5 * right.limits.velocity * 1.001).all()
-    assert half.duration_s > 1.3 * time_path(right, path, Pace(10, 100, 1.0)).duration_s
+    assert half.duration_s > 1.3 * time_path(right, path, SpeedLimits(10, 100, 1.0)).duration_s
 
 
 def test_no_way_to_go_is_a_short_stay(right, home):

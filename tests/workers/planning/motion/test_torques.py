@@ -9,11 +9,11 @@ from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import Load
 from workers.planning.motion.path import joint_line, task_line, through
-from workers.planning.motion.timing import Pace, time_path
+from workers.planning.motion.timing import SpeedLimits, time_path
 from workers.planning.motion.torques import SHARE
 
 HEAVY_KG = 99.0
-BRISK = Pace(speed_m_s=1.0, acceleration_m_s2=5.0)
+BRISK = SpeedLimits(speed_m_s=1.0, acceleration_m_s2=5.0)
 
 
 def load(mass_kg):
