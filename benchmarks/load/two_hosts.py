@@ -267,8 +267,9 @@ def pass_packets(delay_s: float, jitter_s: float) -> None:
         devices = [_tun(), _tun()]
     except OSError as error:
         raise SystemExit(f"{TUN}: {error.strerror}") from None
-    print(*(name for _, name in devices), flush=True)
-    relay(*(device for device, _ in devices), delay_s, jitter_s, random.Random(1))
+    (one, name), (other, other_name) = devices
+    print(name, other_name, flush=True)
+    relay(one, other, delay_s, jitter_s, random.Random(1))
 
 
 def _tun() -> tuple[int, str]:

@@ -64,7 +64,7 @@ def allowed_after(grammar: Grammar, words: Sequence[Word]) -> set[str]:
     parser = grammar.begin()
     for word in words:
         parser.feed_token(word)
-    return parser.accepts()
+    return parser.accepts()  # type: ignore[no-untyped-call]
 
 
 def readable(grammar: Grammar, allowed: Collection[str], before: Sequence[Word]) -> list[str]:
@@ -87,7 +87,8 @@ def quantities(grammar: Grammar, before: Sequence[Word]) -> list[str]:
     try:
         for word in [*before, mass]:
             parser.feed_token(word)
-        end = END if END in parser.accepts() else "THEN"  # the next word, at which the parser checks the quantity
+        follows = parser.accepts()  # type: ignore[no-untyped-call]
+        end = END if END in follows else "THEN"  # the next word, at which the parser checks the quantity
         parser.feed_token(Word(end, end, 0, 0))
     except SentenceError as wrong:
         return wrong.refusal.expected

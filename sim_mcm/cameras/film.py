@@ -35,7 +35,7 @@ def frames(file: Path) -> list[FilmFrame]:
 
 def drawn(
     cell: Cell, wanted: Sequence[FilmFrame], eye: Sequence[float], target: Sequence[float]
-) -> Iterator[sheet.Image.Image]:
+) -> Iterator[sheet.Sheet]:
     """Each frame with its caption below."""
     studio = SceneRenderer(cell)
     camera = Camera(
@@ -50,7 +50,7 @@ def drawn(
         studio.close()
 
 
-def drawn_by_all_cores(cell: str, wanted: Sequence[FilmFrame]) -> list[sheet.Image.Image]:
+def drawn_by_all_cores(cell: str, wanted: Sequence[FilmFrame]) -> list[sheet.Sheet]:
     """As `drawn`, from above the arms. `cell`: name or file. Raises RtcError."""
     size = math.ceil(len(wanted) / len(os.sched_getaffinity(0))) or 1
     parts = [_begin(cell, wanted[n : n + size]) for n in range(0, len(wanted), size)]
@@ -73,9 +73,9 @@ def _part(there: Connection, cell: str, wanted: Sequence[FilmFrame]) -> None:
         there.send(str(error))
 
 
-def _end(pictures: Connection) -> list[sheet.Image.Image]:
+def _end(pictures: Connection) -> list[sheet.Sheet]:
     try:
-        found: list[sheet.Image.Image] | str = pictures.recv()
+        found: list[sheet.Sheet] | str = pictures.recv()
     except EOFError:
         raise RtcError("a process that draws has ended") from None
     if isinstance(found, str):

@@ -25,6 +25,10 @@ FILM_COLOURS, FILM_ACCENTS = 72, 40
 FILM_END_MS = 1500
 
 
+Sheet = Image.Image  # a composed picture
+from_pixels = Image.fromarray
+
+
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 

@@ -293,7 +293,7 @@ def draw(cell: Cell, scene: SceneView, width: int = 960, height: int = 720, came
         studio.close()
 
 
-def compose(studio: SceneRenderer, wanted: Picture) -> sheet.Image.Image:
+def compose(studio: SceneRenderer, wanted: Picture) -> sheet.Sheet:
     """The panels of a picture with their text, all from the same camera."""
     size = ALONE if len(wanted.panels) == 1 else PANEL
     camera, first = None, None
@@ -322,7 +322,7 @@ def _draw_to_file(studio: SceneRenderer, wanted: Picture | CameraPicture) -> Non
     if file.suffix == ".npy":
         np.save(file, image)
     else:
-        sheet.save(sheet.Image.fromarray(image), file)
+        sheet.save(sheet.from_pixels(image), file)
     return None
 
 

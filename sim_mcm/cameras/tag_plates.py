@@ -42,7 +42,7 @@ class TagPlates:
         square.write_text(_square(half), encoding="ascii")  # pybullet reads it when the body is made
         shades = np.where(tag_family.cells(tag.id), 255, 0).astype(np.uint8)
         whole = np.kron(shades, np.ones((PIXELS_PER_CELL,) * 2, np.uint8))
-        picture.save(picture.Image.fromarray(whole).convert("RGB"), texture)  # pybullet shows a grey texture as black
+        picture.save(picture.from_pixels(whole).convert("RGB"), texture)  # pybullet shows a grey texture as black
         shape = pybullet.createVisualShape(
             pybullet.GEOM_MESH,
             fileName=str(square),

@@ -83,8 +83,8 @@ class Clearances:
             for a, b in pairs[apart_m < best.distance_m].tolist():
                 distance_m = self._distance(a, b, at)
                 if distance_m < best.distance_m:
-                    labels = (self._made.pieces[i].label for i in (a, b))
-                    best = Least(distance_m, *labels, n / max(1, len(rows) - 1))
+                    label, other = (self._made.pieces[i].label for i in (a, b))
+                    best = Least(distance_m, label, other, n / max(1, len(rows) - 1))
         return best
 
     def _distance(self, a: int, b: int, at: list[pin.SE3]) -> float:

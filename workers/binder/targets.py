@@ -11,6 +11,7 @@ from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import Vector
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial import geometry
+from rtc.spatial.axis_names import AXES
 from workers.binder import replan
 from workers.binder.bind_task import BindTask, refused_program
 from workers.conditions import stop_conditions
@@ -39,8 +40,8 @@ def target_of(task: BindTask) -> Target | Refusal:
     if axis == WAY_OUT:
         out = task.query.leaves_along(task.data.context.object)
         return Target(pose=geometry.translate(pose, float(step.args.get("by_m", 0.0)) * out).tolist())
-    if axis not in axes.AXES:
-        return suggestions.unknown("axis", axis, axes.AXES)
+    if axis not in AXES:
+        return suggestions.unknown("axis", axis, AXES)
     if step.space in curves.CURVES:
         return _curve_of(task, pose, axis)
     by_m, by_rad = (float(step.args.get(name, 0.0)) for name in ("by_m", "by_rad"))

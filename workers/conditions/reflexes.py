@@ -44,6 +44,7 @@ from rtc.protocol.primitive import (
 )
 from rtc.protocol.sentence import Condition, ReflexItem
 from rtc.spatial import geometry
+from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array
 from workers.planning import axes, suggestions
 
@@ -240,8 +241,8 @@ def refuse_condition(condition: Condition, about_object: bool, joints: int, word
     if condition.measure == "DISTANCE" and condition.bound == "below" and not about_object:
         message = f"{words} measures the distance to the object of the command, but this command names none"
         return _refusal(message, [], "leave it out, or use a verb that takes an object", word)
-    if condition.along is not None and condition.along not in axes.AXES:
-        return suggestions.unknown("axis", condition.along, axes.AXES, where=words)
+    if condition.along is not None and condition.along not in AXES:
+        return suggestions.unknown("axis", condition.along, AXES, where=words)
     return None
 
 

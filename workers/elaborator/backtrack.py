@@ -23,13 +23,14 @@ from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
 from rtc.protocol.messages import Binding, PlannedPath
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.spatial import geometry
+from rtc.spatial.axis_names import AXES
 from rtc.world.model import location
 from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.elaborator import anchors, two_hands
 from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import advice, axes, curves, in_seat, segments, shared_hold, suggestions
-from workers.planning.motion.plan import PlanningRequest
+from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
 
@@ -126,7 +127,7 @@ def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor |
             return _program("WAY-OUT is the way out of a seat, and the sentence names none")
         out = geometry.rotate(candidate.query.seat_frame(candidate.target.name), candidate.target.way_out)
         moved = geometry.translate(world, by_m * out)
-    elif line.along in axes.AXES:
+    elif line.along in AXES:
         moved = axes.turned(axes.shifted(world, line.along, by_m), line.along, turn_rad)
     else:
         return suggestions.unknown("axis", line.along, extension_names.PLAN_AXES)

@@ -13,6 +13,7 @@ import numpy as np
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
+from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array, Floats
 from workers.planning import axes, suggestions
 from workers.planning.motion.path import KNOT_M
@@ -29,8 +30,8 @@ def curve(space: str, start: Floats, about: Floats, axis: str, figures: Figures)
     `axis` of a circle passes through the origin of the pose `about`; a TOOL axis is an axis of that pose. `axis` of a
     pattern is the normal of its plane; a TOOL axis is an axis of the hand. All poses are in world axes.
     """
-    if axis not in axes.AXES:
-        return suggestions.unknown("axis", axis, axes.AXES)
+    if axis not in AXES:
+        return suggestions.unknown("axis", axis, AXES)
     return CURVES[space](np.asarray(start, dtype=float), np.asarray(about, dtype=float), axis, figures)
 
 

@@ -21,19 +21,17 @@ from workers.planning.motion import ik, path_reuse
 from workers.planning.motion.carry import plan_carry
 from workers.planning.motion.path import poses_through
 from workers.planning.motion.plan import (
-    FreeWay,
     Motion,
-    PlanningRequest,
     find_curve,
     find_direct_way,
     find_joint_way,
     find_spline,
     find_task_way,
-    free_posture,
     in_time,
     plan_joint_motion,
     plan_task_motion,
 )
+from workers.planning.motion.request import FreeWay, PlanningRequest, free_posture
 
 SAME_RAD = 0.02  # tolerance of the joint values at the end of a straight line
 

@@ -24,7 +24,7 @@ from rtc.apps.authoring.robot_file import RobotFile, kinematics, number
 from rtc.model.cells import cell as cells
 from rtc.model.cells import extension, model_checks, urdf_values
 from rtc.model.cells.cell import Cell
-from rtc.model.cells.parts import Box, GraspPoint, Object
+from rtc.model.cells.parts import Arm, Box, GraspPoint, Object
 from rtc.model.cells.urdf_values import MOVING
 from rtc.model.robot import finger_mass
 from rtc.model.robot.collision import CollisionWorld
@@ -194,7 +194,7 @@ def _models(path: Path, plain: Any, text: bytes, folders: list[Path]) -> Iterato
             if srdf.is_file():
                 yield from _srdf(srdf, urdf)
         try:
-            spec = msgspec.convert(arm, cells.Arm)
+            spec = msgspec.convert(arm, Arm)
             both = {spec.urdf: urdf, spec.srdf: srdf}
             texts = {name: file.read_text(encoding="utf-8") for name, file in both.items() if file.is_file()}
         except (msgspec.ValidationError, ValueError, OSError):

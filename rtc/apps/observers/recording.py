@@ -81,7 +81,7 @@ class Recording:
         for arm in cell.arms:
             self._writer.add_attachment(now_ns, now_ns, f"{arm.name}.urdf", "application/xml", urdf_of(cell, arm.name))
         self._writer.add_attachment(now_ns, now_ns, "cell.json", "application/json", cell.encode())
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]
 
     def take(self, received: Received) -> None:
         """Write one message."""
@@ -116,11 +116,11 @@ class Recording:
 
     def flush_if_due(self, now_s: float) -> None:
         if self._flush.due(now_s):
-            self._writer.flush()
+            self._writer.flush()  # type: ignore[no-untyped-call]
 
     def close(self) -> None:
         """Write the index and close the file."""
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
 
     # --- messages -------------------------------------------------------------------------------------

@@ -120,7 +120,7 @@ class Traces:
     def close(self) -> None:
         """Send what is left, within EXPORT_S."""
         self._ended.force_flush(int(1e3 * EXPORT_S))
-        self._ended.shutdown()
+        self._ended.shutdown()  # type: ignore[no-untyped-call]
 
     def _take_note(self, note: m.ProgressNote) -> None:
         command = self._commands.setdefault(note.command, TracedCommand())

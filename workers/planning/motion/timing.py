@@ -146,7 +146,7 @@ def _time_curve(arm: ArmModel, path: Path, pace: SpeedLimits, torques: Torques |
     return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
 
 
-class _MostSpeeds(toppra.constraint.LinearConstraint):
+class _MostSpeeds(toppra.constraint.LinearConstraint):  # type: ignore[misc]
     """The speed limits (rad/s) of the joints at each grid point, [grid][joints]."""
 
     def __init__(self, most: Array) -> None:
@@ -159,7 +159,7 @@ class _MostSpeeds(toppra.constraint.LinearConstraint):
         return *[None] * 6, np.stack((np.zeros(len(pace)), pace * pace), axis=1)
 
 
-class _MostAccelerations(toppra.constraint.JointAccelerationConstraint):
+class _MostAccelerations(toppra.constraint.JointAccelerationConstraint):  # type: ignore[misc]
     """As its base, whose constructor takes most of its time to put the limits (rad/s^2) in words."""
 
     def __init__(self, most: Array) -> None:
