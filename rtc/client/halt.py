@@ -116,7 +116,7 @@ class HaltLine:
                 who = (
                     "the cluster's gateway does not answer, or does not know this key"
                     if self._far
-                    else "neither the broker nor the MCM answers"
+                    else "neither the broker nor a subsystem of arms answers"
                 )
                 raise ClusterError(f"halt not sent: {who}; use the emergency stop")
             return self._await_rest(order, sent_to, called_at_s + timeout_s)

@@ -12,6 +12,7 @@ from lark.exceptions import UnexpectedInput
 
 from rtc.language.alike import nearest_words
 from rtc.language.grammar import END, Grammar
+from rtc.language.hands import ARM_OF_WORD
 from rtc.language.refuse import SentenceError, quoted, refusal
 from rtc.language.words import Word
 from rtc.protocol.outcomes import Refusal
@@ -25,7 +26,6 @@ READABLE = {
 }
 #: directions, used for a hint only; the workers decide which directions exist
 AXES = frozenset({"X", "Y", "Z", "TOOL-X", "TOOL-Y", "TOOL-Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK"})
-ARMS = frozenset({"LEFT-ARM", "RIGHT-ARM"})
 HELD_BY = "HELD-BY"  # an attribute whose value is an arm, which SET cannot state; used for a hint only
 THE_END = "the end of the sentence"
 A_UNIT, A_TIME = "a unit such as CM", "a unit of time such as SEC"
@@ -191,7 +191,7 @@ def _misplaced(stop: Stop) -> Refusal:
         near = _meant(stop, word) or nearest(stop.grammar, word.value, stop.allowed)
         if stop.opening():
             message = f"{written} is not a verb of the language."
-        elif word.value in ARMS and "NAME" in stop.allowed and len(stop.before) == 1:
+        elif word.value in ARM_OF_WORD.values() and "NAME" in stop.allowed and len(stop.before) == 1:
             message = f"{stop.written(stop.before[-1])} needs the name of an object; {written} is an arm."
         elif word.type in stop.grammar.reserved and "NAME" in stop.allowed:
             message = f"{written} is a reserved word and cannot be a name, after {stop.written(stop.before[-1])}."

@@ -10,21 +10,19 @@ from __future__ import annotations
 import re
 
 from rtc.language.dictionary import reserved_words
+from rtc.language.hands import ARM_OF_WORD
 from rtc.language.refuse import MAX_CHARACTERS
+from rtc.protocol.sentence import BOTH_ARMS
 
 EVERYTHING = "ALL"
-ARMS = {
-    "LEFT-ARM": "LEFT-ARM",
-    "RIGHT-ARM": "RIGHT-ARM",
-    "BOTH-ARMS": EVERYTHING,  # as ALL: with both arms halted, a command that needs an arm must not begin either
-    "LEFT-END-EFF": "LEFT-ARM",
-    "RIGHT-END-EFF": "RIGHT-ARM",
-}
+# BOTH-ARMS as ALL: with both arms halted, a command that needs an arm must not begin either
+SCOPES = {**ARM_OF_WORD, BOTH_ARMS: EVERYTHING}
 
 _NAME = r"[A-Z][A-Z0-9]*(?:[-_][A-Z0-9]+)*"
+_HAND = "|".join(word.replace("-", "[-_]") for word in SCOPES)
 _SENTENCE = re.compile(
     r"[ \t,]*(?:HALT|STOP)(?:[ \t,]+(?:"
-    r"(?P<ALL>ALL)|(?P<HAND>(?:LEFT|RIGHT)[-_](?:ARM|END[-_]EFF)|BOTH[-_]ARMS)|(?P<COMMAND>C[-_]\d+)"
+    rf"(?P<ALL>ALL)|(?P<HAND>{_HAND})|(?P<COMMAND>C[-_]\d+)"
     rf"|ARM[ \t,]+(?P<ARM>{_NAME})))?"
     r"[ \t,]*(?:\.[ \t,]*)?(?:--.*)?",
     re.IGNORECASE | re.ASCII,
@@ -53,4 +51,4 @@ def halt_scope(text: str) -> str | None:
     scope = match[kind].upper().replace("_", "-")
     if kind == "ARM" and (scope in _RESERVED or _COMMAND.fullmatch(scope)):
         return None  # a reserved word cannot name an arm; a command id as a name would be ambiguous
-    return ARMS.get(scope, scope)
+    return SCOPES.get(scope, scope)

@@ -15,6 +15,7 @@ from typing import Any
 
 from lark.lexer import Token
 
+from rtc.language.hands import ARM_OF_WORD
 from rtc.language.quantities import (
     AMOUNTS,
     ANYTHING,
@@ -42,7 +43,6 @@ Parts = list[Any]
 
 NOTHING: Fields = {}  # the fields of every empty clause; never modified
 
-ARMS = {"LEFT-END-EFF": "LEFT-ARM", "RIGHT-END-EFF": "RIGHT-ARM"}
 ACTIONS = {"STOP": "stop", "BACK-OFF": "back_off", "COMPLY": "comply", "RELEASE": "release"}
 SHARED_PARTS = {"ORIENTATION": "WRIST"}  # synonyms for a part of a shared motion
 POSITION_NUMBERS = 3  # x y z
@@ -112,7 +112,7 @@ def command(parts: Parts) -> Fields:
 
 def arm(parts: Parts) -> HandFields:
     """A hand is represented by its arm; ARM <name> by the name."""
-    hand = HandFields(hand=ARMS.get(parts[-1], str(parts[-1])))
+    hand = HandFields(hand=ARM_OF_WORD.get(parts[-1], str(parts[-1])))
     hand.column = parts[0].start_pos
     return hand
 

@@ -90,12 +90,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 BOTH_ARMS = "BOTH-ARMS"  # in the place of a hand: every arm
-OWN_WORDS = frozenset({"LEFT-ARM", "RIGHT-ARM", BOTH_ARMS})  # hands that are words of the language
-
-
-def hand_in_words(arm: str) -> str:
-    """An arm as a sentence names it: a name that is not a word of the language follows ARM."""
-    return arm if arm in OWN_WORDS or not arm else f"ARM {arm}"
 
 
 class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="ParsedCommand"):

@@ -12,12 +12,13 @@ import math
 import msgspec
 import numpy as np
 
+from rtc.language.hands import hand_in_words
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
-from rtc.protocol.sentence import ReflexItem, hand_in_words
+from rtc.protocol.sentence import ReflexItem
 from rtc.spatial import geometry
 from rtc.world.model import World
 from rtc.world.spread import even, widened

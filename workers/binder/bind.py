@@ -15,6 +15,7 @@ from typing import Any
 
 import msgspec
 
+from rtc.language.hands import hand_in_words
 from rtc.programs import expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, StopClass
@@ -32,7 +33,6 @@ from rtc.protocol.primitive import (
     Vector,
 )
 from rtc.protocol.primitive_id import command_of, seed_of
-from rtc.protocol.sentence import hand_in_words
 from rtc.protocol.units import in_words
 from rtc.world.model import World
 from workers.binder import compliance, impact, look, replan, targets, together

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rtc.language.hands import hand_in_words
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.sentence import hand_in_words
 from workers.planning.world_query import WorldQuery
 
 

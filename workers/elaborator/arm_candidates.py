@@ -7,12 +7,13 @@ from typing import TypeVar
 
 import msgspec
 
+from rtc.language.hands import hand_in_words
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal
-from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, hand_in_words
+from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from rtc.spatial import geometry
 from workers.elaborator import two_hands
 from workers.elaborator.task_candidate import TaskCandidate, figures_of

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import msgspec
 
+from rtc.language.hands import hand_in_words
 from rtc.protocol.messages import Limits, WorldChange
 from rtc.protocol.outcomes import Refusal
-from rtc.protocol.sentence import hand_in_words
 from rtc.spatial.geometry import Floats
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning.motion.plan import find_joint_way

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from rtc.language.hands import hand_in_words
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.sentence import hand_in_words
 from rtc.spatial import geometry
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import shared_hold

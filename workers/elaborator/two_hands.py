@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, hand_in_words
+from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from workers.conditions import sharing
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import shared_hold

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 
 import msgspec
 
+from rtc.language.hands import hand_in_words
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal
-from rtc.protocol.sentence import hand_in_words
 from workers.planning import in_seat
 from workers.planning.world_query import CLEARANCE_M, WorldQuery
 

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rtc.language.hands import hand_in_words
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.sentence import hand_in_words
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
 from workers.planning.world_query import WorldQuery

@@ -14,13 +14,13 @@ from functools import cached_property
 
 import numpy as np
 
+from rtc.language.hands import hand_in_words
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts, taught
 from rtc.model.robot.collision_scene import AttachedBody, Held, Scene
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Load, Primitive
-from rtc.protocol.sentence import hand_in_words
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array, Floats
 from rtc.world.model import World

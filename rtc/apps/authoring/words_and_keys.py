@@ -7,9 +7,9 @@ from typing import Any
 
 import yaml
 
+from rtc.language.hands import ARM_OF_WORD
 from rtc.language.parse import default_grammar
 
-HANDS = frozenset({"LEFT-ARM", "RIGHT-ARM", "LEFT-END-EFF", "RIGHT-END-EFF"})  # reserved words that name a hand
 #: pattern of a type -> what it means, for people
 PATTERNS = {
     "^[A-Z][A-Z0-9]*(-[A-Z0-9]+)*$": "a name of capital letters, digits and hyphens is expected, such as MY-CUBE-1",
@@ -31,7 +31,7 @@ def faults(plain: Any) -> Iterator[Row]:
         return
     reserved = default_grammar().vocabulary.reserved
     for where, name in _names(plain):
-        if isinstance(name, str) and name in reserved and not (where.startswith("arms") and name in HANDS):
+        if isinstance(name, str) and name in reserved and not (where.startswith("arms") and name in ARM_OF_WORD):
             problem = f"{name} is a word of the command language: no sentence can use it as a name"
             yield where, problem, "error", "another name"
     gravity = plain.get("gravity_m_s2")

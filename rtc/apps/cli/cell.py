@@ -75,7 +75,7 @@ def new(
         typer.Option("-o", "--out", help="The cell file; its models are beside it.", show_default="NAME/cell.yaml"),
     ] = None,
     name: Annotated[
-        str, typer.Option(help="Name of the arm in sentences, such as PANDA.", show_default="the robot's name")
+        str, typer.Option(help="Name of the arm in sentences, such as MY-ARM.", show_default="the robot's name")
     ] = "",
     tip: Annotated[
         str, typer.Option(help="Link after which the arm ends: what is beyond is replaced by a parallel hand.")

@@ -231,7 +231,7 @@ def of_ticks(samples: Iterator[m.Telemetry]) -> Iterator[Finding]:
     """Findings about the control ticks during SAMPLE_S, and since the start of each MCM."""
     first = next(samples, None)
     if first is None:
-        yield Finding("ticks", "no telemetry", "the MCM does not run: see `rtc status` and logs/MCM.log")
+        yield Finding("ticks", "no telemetry", "no subsystem of arms runs: see `rtc status` and its log in logs/")
         return
     last = next((one for one in samples if one.at_s - first.at_s >= SAMPLE_S), first)
     ticks, late = last.ticks - first.ticks, last.late_ticks - first.late_ticks

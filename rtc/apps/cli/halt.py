@@ -28,7 +28,7 @@ LATE_S = 0.2  # an MCM that answers later may have been restarted and have lost 
 
 
 def halt(
-    scope: Annotated[str, typer.Argument(help="ALL, an arm (RIGHT-ARM), or a command (C-7).")] = "ALL",
+    scope: Annotated[str, typer.Argument(help="ALL, an arm by its name, or a command (C-7).")] = "ALL",
     timeout: Annotated[float, typer.Option(min=0.01, help="Seconds to wait for rest.")] = 2.0,
     json: AsJson = False,
     run_dir: RunDir = None,
@@ -127,5 +127,5 @@ def _print(result: HaltResult, out: Console) -> None:
     out.print(line)
     if "halt" not in result.sent_to:
         out.print(
-            Text("the broker did not get this order; the MCM passes it on, and starts nothing until the broker has it")
+            Text("the broker did not get this order; subsystems pass it on, and start nothing until the broker has it")
         )

@@ -19,11 +19,11 @@ from rtc.protocol.messages import SimDone
 from rtc.protocol.outcomes import RtcError, TimedOut
 
 app = typer.Typer(
-    help="Inject faults into the simulation; undo them. rtc status shows the active ones. Faults end with the MCM.",
+    help="Inject faults into the simulation; undo them. rtc status shows the active ones. They end with its process.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
-Arm = Annotated[str, typer.Argument(help="An arm, such as RIGHT-ARM.")]
+Arm = Annotated[str, typer.Argument(help="An arm, by its name: rtc names arms.")]
 
 
 @app.command()
@@ -169,7 +169,7 @@ def slow(
 def undo(
     name: Annotated[
         list[str] | None,
-        typer.Argument(help="A fault by its name: stick RIGHT-ARM joint_3", show_default="all"),
+        typer.Argument(help="A fault by its name, as rtc status shows it.", show_default="all"),
     ] = None,
     run_dir: RunDir = None,
     json: AsJson = False,
@@ -193,7 +193,7 @@ def _change(send: Callable[[Client], SimDone], run_dir: RunDir, json: bool) -> N
         try:
             done = send(rtc)
         except TimedOut as error:
-            raise RtcError("faults are injected into a simulation, and this MCM does not answer as one") from error
+            raise RtcError("faults are injected into a simulation, and no subsystem of arms answers as one") from error
     if done.note:
         console.print(Text(done.note))
     console.print(Text("injected faults: ", style="bold") + Text("; ".join(done.active) or "none"))

@@ -52,7 +52,7 @@ COMMANDS = {
     "demo": "demo",
     "docs": "docs",
 }
-EPILOG = 'First steps: rtc demo, or: rtc up -d; rtc do "STOW LEFT-ARM"; rtc halt; rtc down'
+EPILOG = "First steps: rtc demo, or: rtc up -d; rtc shell; rtc halt; rtc down"
 
 
 def build(names: list[str]) -> typer.Typer:

@@ -13,9 +13,10 @@ from rtc.apps.cli.cluster_cell import cell_of
 from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, table
 from rtc.apps.cli.teach import with_taught
 from rtc.language.alike import nearest_words
+from rtc.language.hands import hand_in_words
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Camera, Object, Place, Region, Seat
-from rtc.protocol.sentence import hand_in_words
+from rtc.protocol.sentence import BOTH_ARMS
 from rtc.spatial.axis_names import AXES
 
 NO_GRASP = "GRASP needs a row of command_object_table for it"  # of an object of a kind that the programs do not know
@@ -96,13 +97,8 @@ def _arms(cell: Cell) -> list[NameEntry]:
         )
         for arm in cell.arms
     ]
-    known = {arm.name for arm in cell.arms}
-    both = (
-        [NameEntry("BOTH-ARMS", "in HALT, and in MOVE BOTH-ARMS BY or TO with one object in both hands")]
-        if {"LEFT-ARM", "RIGHT-ARM"} <= known
-        else []
-    )
-    return found + (both if {"LEFT-ARM", "RIGHT-ARM"} <= known else [])
+    both = NameEntry(BOTH_ARMS, "in HALT, and in MOVE BOTH-ARMS BY or TO with one object in both hands")
+    return [*found, both] if len(found) > 1 else found
 
 
 def _objects(cell: Cell) -> list[NameEntry]:

@@ -11,7 +11,6 @@ HANDLING = {
     *("CARRY", "HANDOFF"),
 }
 LOOKING = {"LOCATE", "TRACK", "VERIFY"}
-HANDS = {"LEFT-END-EFF", "RIGHT-END-EFF"}
 #: last word typed -> kind of the names that may follow it
 NAME_KIND_AFTER = {
     "ALONG": "axes",
@@ -39,6 +38,7 @@ class CellNames:
 
     def __init__(self, cell: Cell) -> None:
         self._points = {thing.name: [point.name for point in thing.grasp_points] for thing in cell.objects}
+        self._hands = {arm.end_effector for arm in cell.arms}
         self._kinds = {
             "axes": list(AXES),
             "regions": [region.name for region in cell.regions],
@@ -69,7 +69,7 @@ class CellNames:
             return self._points[last]
         if last == "AT":
             return self._points.get(given[-2], []) if verb != "VERIFY" else self._kinds["arms"] + self._kinds["seats"]
-        if verb in HANDLING and (len(given) == 1 or last in HANDS):
+        if verb in HANDLING and (len(given) == 1 or last in self._hands):
             return self._kinds["graspable"]
         if len(given) == 1 and verb in LOOKING:
             return self._kinds["objects" if verb == "VERIFY" else "tagged"]

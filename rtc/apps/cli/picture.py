@@ -64,7 +64,9 @@ def picture(
         try:
             truth = rtc.truth()
         except TimedOut as error:
-            raise RtcError("no picture: cameras are simulated, and this MCM does not report a true scene") from error
+            raise RtcError(
+                "no picture: cameras are simulated, and no subsystem of arms reports a true scene"
+            ) from error
         scene, found = true_scene(truth), cell.camera(name)
         seed = secrets.randbits(32)  # the picture and the pixels that are evaluated have the same noise
         with Renderer() as renderer:

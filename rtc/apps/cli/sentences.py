@@ -76,7 +76,7 @@ def do(
     """
     texts = [as_text(text) for text in (*(sentences or []), *(_lines(file) if file else []))]
     if not all(text.strip() for text in texts) or not texts:
-        raise cli_error('no sentence; give one in quotes: rtc do "STOW LEFT-ARM"', 2)
+        raise cli_error("no sentence; give one in quotes; rtc dictionary VERB shows examples", 2)
     if source not in ("operator", "aip"):
         raise cli_error(f"--as is operator or aip, not {source}", 2)
     halts = [halt_scope(text) for text in texts]

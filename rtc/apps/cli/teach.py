@@ -20,7 +20,7 @@ from rtc.protocol.outcomes import NoCluster, OutcomeKind
 
 def teach(
     place: Annotated[str, typer.Argument(help="A name for the place, such as P1.", show_default="list them")] = "",
-    arm: Annotated[str, typer.Argument(help="The arm that stands there, such as RIGHT-ARM.", show_default="")] = "",
+    arm: Annotated[str, typer.Argument(help="The arm that stands there, by its name.", show_default="")] = "",
     forget: Annotated[bool, typer.Option("--forget", help="Forget the place, for this arm or for all.")] = False,
     json: AsJson = False,
     run_dir: RunDir = None,

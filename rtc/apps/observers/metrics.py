@@ -156,7 +156,7 @@ def _of_hosts(rows: list[dict[str, Any]]) -> Iterator[Metric]:
 
 
 def _of_telemetry(telemetry: m.Telemetry) -> Iterator[Metric]:
-    yield CounterMetricFamily("rtc_mcm_ticks", "Control ticks of the MCM", telemetry.ticks)
+    yield CounterMetricFamily("rtc_mcm_ticks", "Control ticks of the arms' subsystem", telemetry.ticks)
     yield CounterMetricFamily("rtc_mcm_late_ticks", "Control ticks that began late", telemetry.late_ticks)
     moving = {name: float(bool(arm.primitive)) for name, arm in telemetry.arms.items()}
     yield _labelled("rtc_arm_moving", "1 while the arm executes a primitive", "arm", moving)
