@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from toppra import SplineInterpolator
 
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning.motion import path as paths
@@ -28,9 +28,13 @@ def find(request: PlanningRequest, goal: Array) -> Path | None:
 
 def _ways(request: PlanningRequest, goal: Array) -> Iterator[Path]:
     yield paths.joint_line(request.start, goal)
-    straight = paths.task_line(request.arm, request.start, request.arm.fk(goal), request.way_margin_rad)
-    if not isinstance(straight, Refusal) and np.abs(straight.knots[-1] - goal).max() < plan.SAME_RAD:
-        yield straight
+    try:
+        straight = paths.task_line(request.arm, request.start, request.arm.fk(goal), request.way_margin_rad)
+    except Refused:
+        pass
+    else:
+        if np.abs(straight.knots[-1] - goal).max() < plan.SAME_RAD:
+            yield straight
     ends = [(request.arm.fk(q), q) for q in (request.start, goal)]
     for back in BACK_M:
         for up in RAISE_M:

@@ -2,7 +2,7 @@
 
 Three kinds of failure are kept apart:
 
-* a `Refusal` is expected: a value that travels in messages;
+* a `Refusal` is expected: a value that travels in messages; inside a worker it is raised as `Refused`;
 * an `RtcError` is a failure of the environment: an exception, see the tree below;
 * a bug is an AssertionError, which ends the process.
 
@@ -167,6 +167,20 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     owner: str = ""  # command that holds the resource, e.g. "C-3"
     clears: str = ""  # what would clear it
     detail: dict[str, float | str] = {}  # figures: joint, limit_rad, value_rad, bodies, distance_m ...
+
+
+class Refused(Exception):
+    """Leaves the computation of a worker, whose `run` returns the `refusal`. Never leaves a worker."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        super().__init__(refusal.message)
+        self.refusal = refusal
+
+
+def refuse_if(problem: Refusal | None) -> None:
+    """Raise Refused for a problem that a check has found."""
+    if problem is not None:
+        raise Refused(problem)
 
 
 class Sighting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):

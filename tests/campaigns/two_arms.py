@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.report import finish, percentile, question
 from rtc.model.robot.collision_scene import AS_BUILT, Scene
-from rtc.protocol.outcomes import OutcomeKind, Refusal
+from rtc.protocol.outcomes import OutcomeKind, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from rtc.subsystems.motion.arm import TICK_S, ArmState, HandCommand
@@ -86,13 +86,12 @@ def _free(joints: dict[str, Array]) -> bool:
 
 
 def _crosses(starts: dict[str, Array], goals: dict[str, Array]) -> bool:
-    lines = [time_path(MODEL.arms[arm], joint_line(starts[arm], goals[arm])) for arm in ARMS]
+    try:
+        lines = [time_path(MODEL.arms[arm], joint_line(starts[arm], goals[arm])) for arm in ARMS]
+    except Refused:
+        return False
     check = MODEL.collision.compare_arms(*ARMS, AS_BUILT)
-    courses = []
-    for line, reach in zip(lines, check.reaches, strict=True):
-        if isinstance(line, Refusal):
-            return False
-        courses.append(course(line.trajectory(), reach))
+    courses = [course(line.trajectory(), reach) for line, reach in zip(lines, check.reaches, strict=True)]
     return clear_from(check, courses[0], courses[1], SPACE_M) != 0.0
 
 
@@ -108,7 +107,11 @@ def _way(arm: str, joints: dict[str, Array], goals: dict[str, Array]) -> bool:
     request = PlanningRequest(
         MODEL.arms[arm], MODEL.collision, joints, Scene(moving=arm, arms_apart_m=ARMS_APART_M), margin_rad=MARGIN_RAD
     )
-    return not isinstance(find_joint_way(request, goals[arm]), Refusal)
+    try:
+        find_joint_way(request, goals[arm])
+    except Refused:
+        return False
+    return True
 
 
 class Runner:

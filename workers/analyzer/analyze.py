@@ -17,7 +17,7 @@ from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity, WorldChange
-from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.protocol.sentence import ReflexItem
 from rtc.spatial import geometry
 from rtc.world.model import World
@@ -95,12 +95,20 @@ def run(
     """Evaluate an end report."""
     assert cell is not None
     assert world is not None
-    evaluation, query = data.evaluation, WorldQuery(cell, world)
+    try:
+        return _assessed(compiled, WorldQuery(cell, world), data)
+    except Refused as refused:
+        return refused.refusal
+
+
+def _assessed(compiled: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Assessment:
+    evaluation = data.evaluation
     row = row_of(evaluation.step)
     if row not in compiled.outcomes:
         known = ", ".join(compiled.outcomes)
         message = f"the analyzer has no row {row}; there are {known}"
-        return Refusal(reason=RefusalReason.PROGRAM, message=message, where=row, clears="LOAD a program that has it")
+        no_row = Refusal(reason=RefusalReason.PROGRAM, message=message, where=row, clears="LOAD a program that has it")
+        raise Refused(no_row)
     wrong = _wrong(compiled, data) or ("dropped" if _dropped(query, data) else "")
     reason = compiled.derived.get(row, {}).get(wrong, data.report.reason)
     if not wrong and data.report.reason in evaluation.step.expect:
@@ -192,18 +200,15 @@ def _off_m(data: AnalyzerInput) -> float:
     return geometry.distance(data.report.tcp_pose, goal) if goal is not None and data.report.tcp_pose else 0.0
 
 
-def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Assessment | Refusal:
+def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Assessment:
     step = data.evaluation.step
     changes = _arm_changes(program, query, data) + _partner_changes(program, query, data)
-    reported = reported_facts.changes_from(data.report.facts, query, program.values)
-    if isinstance(reported, Refusal):
-        return reported
-    changes += reported
+    changes += reported_facts.changes_from(data.report.facts, query, program.values)
     effect = step.args.get("effect")
     if isinstance(effect, str) and effect:
         if effect not in EFFECTS:
             message = f"unknown effect {effect}; there are {', '.join(EFFECTS)}"
-            return Refusal(reason=RefusalReason.PROGRAM, message=message, where=step.label)
+            raise Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, where=step.label))
         changes += EFFECTS[effect](query, data, Validity.VALID)
     changes += _held_object_changes(program, query, data, changes, suspect=False)
     changes += _pressed_on(program, query, data)

@@ -12,7 +12,7 @@ from typing import Any
 
 from rtc.model.cells import taught
 from rtc.protocol.messages import Validity, WorldChange
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial import geometry, hinges
 from rtc.world.model import initial_facts, location, problem
 from rtc.world.spread import even
@@ -25,26 +25,24 @@ HINGE_OFF_M = 0.05  # maximum error of a hinge's place in the cell file
 HINGE_OFF_RAD = 0.1  # maximum error of its axis, and of an angle at a stop
 
 
-def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes | Refusal:
-    """World changes for all facts, or the refusal of an implausible one."""
+def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes:
+    """World changes for all facts. Raises Refused for an implausible one."""
     changes: Changes = []
     for key, value in facts.items():
         thing, _, attribute = key.rpartition(".")
         change = WorldChange(key=key, value=value, spread=SPREADS[attribute](values) if attribute in SPREADS else None)
         wrong = problem(change) or PLAUSIBLE.get(attribute, _anything)(key, value, values)
         if wrong:
-            return _refused(wrong, key, "repeat it with the correct value and unit")
-        if value and (arm := taught.arm_of(attribute)) and (beyond := _beyond_limits(arm, value, query)):
-            return beyond
-        following = FOLLOWS[attribute](thing, value, query, values) if attribute in FOLLOWS else []
-        if isinstance(following, Refusal):
-            return following
-        changes += [change, *following]
+            raise _refused(wrong, key, "repeat it with the correct value and unit")
+        if value and (arm := taught.arm_of(attribute)):
+            refuse_if(_beyond_limits(arm, value, query))
+        changes.append(change)
+        changes += FOLLOWS[attribute](thing, value, query, values) if attribute in FOLLOWS else []
     return changes
 
 
-def _refused(message: str, where: str, clears: str) -> Refusal:
-    return Refusal(reason=RefusalReason.INFEASIBLE, message=message, where=where, clears=clears)
+def _refused(message: str, where: str, clears: str) -> Refused:
+    return Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, where=where, clears=clears))
 
 
 # --- plausibility ----------------------------------------------------------------------------------------
@@ -82,18 +80,18 @@ SPREADS: dict[str, Callable[[Values], list[float]]] = {
 # --- consequences ----------------------------------------------------------------------------------------
 
 
-def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:
+def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes:
     """Changes of seat, grasp or seated objects that follow from a new frame."""
     if any(seat.name == thing for seat in query.cell.seats):
         return _moved_with(thing, frame, query)
     if off := _off_hinge(thing, frame, query):
-        return _refused(off, f"{thing}.frame", f"SET {thing} ANGLE and an angle in DEG; or its hinge in the cell file")
+        raise _refused(off, f"{thing}.frame", f"SET {thing} ANGLE and an angle in DEG; or its hinge in the cell file")
     if query.held_by(thing):
         return _in_hand(thing, frame, query, values)
     seat = seat_at(frame, query, values["seated_m"], values["seated_rad"])
     inside = [t.name for t in query.cell.objects if seat and t.name != thing and query.seat(t.name) == seat]
     if inside:
-        return _refused(
+        raise _refused(
             f"{thing}.frame is in {seat}, where {inside[0]} is believed to be",
             f"{thing}.frame",
             f"first state where {inside[0]} is",
@@ -126,14 +124,14 @@ def _off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:
     return ""
 
 
-def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:
+def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes:
     """Grasp of a held object at this frame; refused if all its grasp points are too far from the tcp."""
     arm = query.held_by(thing)
     tcp = query.tcp(arm)
     points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
     away_m = min((geometry.distance(tcp, point) for point in points), default=math.inf)
     if away_m > values["in_hand_m"]:
-        return _refused(
+        raise _refused(
             f"{thing} is held by {arm}, and would be {away_m * 1000:.0f} mm from its fingers; "
             f"{values['in_hand_m'] * 1000:.0f} mm is the most",
             f"{thing}.frame",
@@ -211,4 +209,4 @@ def _initial(_: str, __: Any, query: WorldQuery, ___: Values) -> Changes:
     return list(begin.values())
 
 
-FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes | Refusal]] = {"frame": _placed, "facts": _initial}
+FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes]] = {"frame": _placed, "facts": _initial}

@@ -20,7 +20,7 @@ from rtc.programs import expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Limits, Validity
-from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason, refuse_if
 from rtc.protocol.primitive import (
     HandMotion,
     HoldStill,
@@ -69,57 +69,53 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     """Bind the step to the current world."""
     assert cell is not None
     assert world is not None
-    step = data.step
-    if step.who not in PERFORMERS:
-        return refused_program(f"a step for {step.who}", f"performers of steps are {', '.join(PERFORMERS)}")
-    if step.do not in compiled.actions:
-        return refused_program(f"unknown action {step.do}", f"there are {', '.join(compiled.actions)}")
+    query = WorldQuery(cell, world, data.at_s, seed_of(command_of(data.primitive_id)), data.moving)
     try:
-        query = WorldQuery(cell, world, data.at_s, seed_of(command_of(data.primitive_id)), data.moving)
-        return ACTIONS[compiled.actions[step.do]](BindTask(compiled, query, data))
+        return _bound(BindTask(compiled, query, data))
+    except Refused as refused:
+        return refused.refusal
     except expressions.ExpressionError as error:
-        return refused_program(
-            str(error), "a figure that the step needs must be in the script, the program or the cell"
-        )
+        lacking = "a figure that the step needs must be in the script, the program or the cell"
+        return refused_program(str(error), lacking).refusal
+
+
+def _bound(task: BindTask) -> BoundStep:
+    step, known = task.data.step, task.program.actions
+    if step.who not in PERFORMERS:
+        raise refused_program(f"a step for {step.who}", f"performers of steps are {', '.join(PERFORMERS)}")
+    if step.do not in known:
+        raise refused_program(f"unknown action {step.do}", f"there are {', '.join(known)}")
+    return ACTIONS[known[step.do]](task)
 
 
 # --- a motion of the arm ---------------------------------------------------------------------------------
 
 
-def bind_motion(task: BindTask) -> BoundStep | Refusal:
-    step, context, query = task.data.step, task.data.context, task.query
+def bind_motion(task: BindTask) -> BoundStep:
+    step, context, query, clears = task.data.step, task.data.context, task.query, task.program.clears
     stop_class = task.stop_class(step.stop)
-    if isinstance(stop_class, Refusal):
-        return stop_class
     if step.space not in segments.SPACES:
-        return refused_program(f"no space {step.space}", f"there are {', '.join(segments.SPACES)}")
-    lacks = certainty.refuse_if_uncertain(query, task.arm, step.args, task.program.clears)
-    if lacks is not None:
-        return lacks
+        raise refused_program(f"no space {step.space}", f"there are {', '.join(segments.SPACES)}")
+    refuse_if(certainty.why_uncertain(query, task.arm, step.args, clears))
+    sharing.refuse_alone(query, task.arm, context.partner, clears)
     target = targets.target_of(task)
-    if (alone := sharing.refuse_alone(query, task.arm, context.partner, task.program.clears)) is not None:
-        return alone
-    if isinstance(target, Refusal):
-        return target
-    tcp, clears = query.tcp(task.arm), task.program.clears
-    if (sideways := in_seat.refuse_other_way(query, task.arm, step.space, tcp, target.pose, clears)) is not None:
-        return sideways
+    in_seat.refuse_other_way(query, task.arm, step.space, query.tcp(task.arm), target.pose, clears)
     values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data, task.arm)
     held = query.holding(task.arm)
     expected = step.space != "move_joint" or stop_class.touches
     keep = impact.keeping(task, target, values, held, touches=expected)
-    if isinstance(keep, Refusal):
-        return keep
     request = planning_request(task, stop_class, values, held, keep.speed_m_s)
-    motion = segments.plan_segment(request, step.space, target, step.way)
-    if not isinstance(motion, Refusal):
-        motion = impact.kept(task, motion, values, keep)
-    if not isinstance(motion, Refusal) and "takes_s" in step.args:
+    try:
+        motion = segments.plan_segment(request, step.space, target, step.way)
+    except Refused as refused:
+        leaves_seat = step.args.get("leaves") == "seat"
+        blocked = refused.refusal
+        raise Refused(
+            advice.advise_on_collision(blocked, query, task.arm, clears, context.limits, leaves_seat=leaves_seat)
+        ) from None
+    motion = impact.kept(task, motion, values, keep)
+    if "takes_s" in step.args:
         motion = plans.slowed_to(motion, float(step.args["takes_s"]))
-    if isinstance(motion, Refusal):
-        return advice.advise_on_collision(
-            motion, query, task.arm, clears, context.limits, leaves_seat=step.args.get("leaves") == "seat"
-        )
     remarks = [*filter(None, (keep.remark, speed_not_kept(context.limits, values), detour(task, motion)))]
     evaluation = EvaluationContext(
         context=context,
@@ -136,8 +132,6 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     trajectory = motion.timed.trajectory()
     note = "; ".join((*remarks, *motion.notes))
     bound = primitive(task, stop_class, values, trajectory, evaluation, against, note)
-    if isinstance(bound, Refusal):
-        return bound
     if remarks:
         bound = msgspec.structs.replace(bound, remark="; ".join(remark.partition(": ")[0] for remark in remarks))
     if motion.partner is not None:
@@ -191,13 +185,11 @@ def planning_request(
     return replace(request, partner=query.model.arms[context.partner]) if context.partner else request
 
 
-def beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep | Refusal:
+def beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep:
     """The step with the conditions of its start beside the motions of other arms."""
     if not task.query.moving or bound.primitive is None:
         return bound
     conditions = beside.start_conditions(request, bound.primitive, task.query.moving)
-    if isinstance(conditions, Refusal):
-        return conditions
     if not conditions:
         return bound
     awaited = ", ".join(command_of(condition.primitive) for condition in conditions)
@@ -212,18 +204,16 @@ def beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) ->
 # --- a motion of the hand --------------------------------------------------------------------------------
 
 
-def bind_hand(task: BindTask) -> BoundStep | Refusal:
+def bind_hand(task: BindTask) -> BoundStep:
     return hand_motion(task, task.data.step.op)
 
 
-def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
+def hand_motion(task: BindTask, op: str) -> BoundStep:
     """Open the hand to a width, or close it until it grips an object or is fully closed."""
     step, context, query = task.data.step, task.data.context, task.query
     if op not in task.program.hand:
-        return refused_program(f"a hand cannot {op}", f"it can {', '.join(task.program.hand)}")
+        raise refused_program(f"a hand cannot {op}", f"it can {', '.join(task.program.hand)}")
     stop_class = task.stop_class(task.program.hand[op])
-    if isinstance(stop_class, Refusal):
-        return stop_class
     values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data, task.arm)
     gripper = query.cell.arm(task.arm).gripper
     width_m = values.get("width_m", 0.0)
@@ -233,7 +223,7 @@ def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
         ("grip force", grip_n, gripper.max_force_n, "N"),
     ):
         if not -MIN_WIDTH_M <= value <= most + MIN_WIDTH_M:
-            return _refuse_hand_figure(task, name, value, most, unit)
+            raise _refused_hand_figure(task, name, value, most, unit)
     way_m = abs(query.hand_width(task.arm) - width_m)
     evaluation = EvaluationContext(
         context=context,
@@ -249,31 +239,30 @@ def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
     return primitive(task, stop_class, values, motion, evaluation, None, "", moves=False)
 
 
-def _refuse_hand_figure(task: BindTask, name: str, value: float, most: float, unit: str) -> Refusal:
+def _refused_hand_figure(task: BindTask, name: str, value: float, most: float, unit: str) -> Refused:
     hand = task.query.cell.arm(task.arm).end_effector
     now = f"; it is open {in_words(task.query.hand_width(task.arm), 'm')} now" if unit == "m" else ""
-    return Refusal(
+    refusal = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"{name} of {hand}: {in_words(value, unit)} is asked for; it can have 0 to {in_words(most, unit)}{now}",
         clears=f"{name} of 0 to {in_words(most, unit)}",
         detail={"cause": name, f"value_{unit.lower()}": value, f"limit_{unit.lower()}": most, "arm": task.arm},
     )
+    return Refused(refusal)
 
 
 # --- staying ---------------------------------------------------------------------------------------------
 
 
-def bind_still(task: BindTask) -> BoundStep | Refusal:
+def bind_still(task: BindTask) -> BoundStep:
     step, query = task.data.step, task.query
     stop_class = task.stop_class(step.stop)
-    if isinstance(stop_class, Refusal):
-        return stop_class
     values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data, task.arm)
     duration_s = values["duration_s"]
     left_s = time_left_s(task)
     if left_s is not None:
         if left_s <= 0.0:
-            return _refuse_time(task, 0.0, left_s)
+            raise _refused_time(task, 0.0, left_s)
         duration_s = min(duration_s, left_s)
     known = query.trusts(f"{task.arm}.joints")  # otherwise only the report will contain the position that the arm holds
     evaluation = EvaluationContext(
@@ -291,10 +280,8 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
 # --- a camera --------------------------------------------------------------------------------------------
 
 
-def bind_look(task: BindTask) -> BoundStep | Refusal:
+def bind_look(task: BindTask) -> BoundStep:
     stop_class = task.stop_class(task.data.step.stop)
-    if isinstance(stop_class, Refusal):
-        return stop_class
     values = stop_conditions.figures_in_force(task.program, stop_class, task.query, task.data, task.arm)
     return look.bind(task.query, task.data, stop_class, values)
 
@@ -313,7 +300,7 @@ def primitive(
     *,
     moves: bool = True,
     timed: bool = True,
-) -> BoundStep | Refusal:
+) -> BoundStep:
     """Assemble T = (P, M, F, R).
 
     `moves`: the arm moves, so a held object is monitored, if it is known how it is held. `timed`: the time limit of the
@@ -323,10 +310,9 @@ def primitive(
     left_s = time_left_s(task)
     if left_s is not None and timed:
         if evaluation.predicted_s > left_s:
-            return _refuse_time(task, evaluation.predicted_s, left_s)
+            raise _refused_time(task, evaluation.predicted_s, left_s)
         limit_s = min(limit_s, left_s)
-    if (endless := refuse_if_endless(limit_s)) is not None:
-        return endless
+    refuse_if_endless(limit_s)
     values = {**values, "time_limit_s": limit_s}
     # An arm that may have lost what it held backs off nevertheless.
     own, grasp = command_of(task.data.primitive_id), f"{evaluation.held}.grasp"
@@ -346,15 +332,14 @@ def primitive(
     every_s = task.data.step.args.get("report_every_s")
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
     load = None if lets_go else task.query.load(task.arm)
-    refusal = compliance.refuse(task, stop_class, values, load) or _refuse_weight(task, evaluation.held, load)
-    if refusal is not None:
-        return refusal
+    control_law = compliance.control_law(task, stop_class, values, trajectory, load)
+    _refuse_weight(task, evaluation.held, load)
     made = Primitive(
         id=task.data.primitive_id,
         performer=task.arm,
         trajectory=trajectory,
         stop_functions=stops,
-        control_law=compliance.control_law(task, stop_class, values, trajectory, load),
+        control_law=control_law,
         reporting=Reporting(
             every_s=float(every_s) if every_s is not None else None,
             when=stop_conditions.reported(task.data, task.query, values, rows),
@@ -370,16 +355,17 @@ def primitive(
     )
 
 
-def _refuse_weight(task: BindTask, held: str, load: Load | None) -> Refusal | None:
+def _refuse_weight(task: BindTask, held: str, load: Load | None) -> None:
     payload_kg = task.query.cell.arm(task.arm).payload_kg
     if load is None or load.mass_kg <= payload_kg:
-        return None
-    return Refusal(
+        return
+    refusal = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"{held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
         clears=f"let go of {held}; if it is lighter, correct its mass",
         detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": task.arm},
     )
+    raise Refused(refusal)
 
 
 def time_left_s(task: BindTask) -> float | None:
@@ -388,69 +374,61 @@ def time_left_s(task: BindTask) -> float | None:
     return None if most_s is None else most_s - task.data.moved_s
 
 
-def _refuse_time(task: BindTask, predicted_s: float, left_s: float) -> Refusal:
+def _refused_time(task: BindTask, predicted_s: float, left_s: float) -> Refused:
     most_s, moved_s = task.data.context.limits.time_s or 0.0, task.data.moved_s
     left = f", of which {max(left_s, 0.0):.3g} s are left" if moved_s else ""
-    return Refusal(
+    refusal = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"this step takes {predicted_s:.3g} s; the time limit is {most_s:g} s{left}",
         clears="more time, or more speed",
         detail={"cause": "time", "predicted_s": predicted_s, "limit_s": most_s, "moved_s": moved_s},
     )
+    return Refused(refusal)
 
 
 # --- steps that move nothing -----------------------------------------------------------------------------
 
 
-def bind_assignment(task: BindTask) -> BoundStep | Refusal:
+def bind_assignment(task: BindTask) -> BoundStep:
     """A binding computed from other bindings, measured or planned: GP = 0.5*(GP1 + GP2)."""
     step = task.data.step
     given: dict[str, float | list[float]] = {}
     for name in expressions.names(step.value):
-        binding = task.data.bindings.get(name)
-        if binding is None:
-            return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
-        pose = binding.number if binding.number is not None else targets.world_pose(task, binding, name)
-        if isinstance(pose, Refusal):
-            return pose
-        given[name] = pose
+        binding = targets.binding(task, name)
+        given[name] = binding.number if binding.number is not None else targets.world_pose(task, binding, name)
     try:
         value = expressions.evaluate(step.value, given)
     except expressions.ExpressionError as error:
-        return Refusal(
-            reason=RefusalReason.INFEASIBLE,
-            message=f"{step.name} = {step.value}: {error}",
-            where=step.name,
-            clears="measure again",
-        )
+        message = f"{step.name} = {step.value}: {error}"
+        apart = Refusal(reason=RefusalReason.INFEASIBLE, message=message, where=step.name, clears="measure again")
+        raise Refused(apart) from error
     binding = Binding(pose=value) if isinstance(value, list) else Binding(number=value)
     return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
 
 
 def _now(task: BindTask, stated: Any) -> Any:
-    """A stated value; {"now": KEY} stands for the value of that fact now, refused if it is not valid."""
+    """A stated value; {"now": KEY} stands for the value of that fact now. Raises Refused if it is not valid."""
     if not isinstance(stated, dict):
         return stated
     fact = task.query.world.get(stated["now"])
     if fact is not None and fact.validity is Validity.VALID:
         return fact.value
     arm = stated["now"].partition(".")[0]
-    return Refusal(
+    unsure = Refusal(
         reason=RefusalReason.SUSPECT,
         message=f"{stated['now']} is {fact.validity.value if fact else 'unknown'}: where {arm} stands is not sure",
         where=stated["now"],
         clears=f"the next motion reads the joints first, such as HOLD {hand_in_words(arm)} FOR 1 SEC",
     )
+    raise Refused(unsure)
 
 
-def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
+def bind_stated_facts(task: BindTask) -> BoundStep:
     """The facts stated by the command, as a report (A24); the analyzer judges and writes them."""
     context = task.data.context
     if not context.stated:
-        return refused_program("the command states no facts", "a script for a command that states facts")
+        raise refused_program("the command states no facts", "a script for a command that states facts")
     facts = {key: _now(task, value) for key, value in context.stated.items()}
-    if unsure := next((value for value in facts.values() if isinstance(value, Refusal)), None):
-        return unsure
     report = EndReport(
         primitive=task.data.primitive_id,
         performer=STATED_BY,
@@ -462,28 +440,29 @@ def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
     return BoundStep(report=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="stated")
 
 
-def bind_procedure(task: BindTask) -> BoundStep | Refusal:
+def bind_procedure(task: BindTask) -> BoundStep:
     known = task.program.procedures
     name = task.data.step.name
-    return PROCEDURES[known[name]](task) if name in known else suggestions.unknown("procedure", name, known)
+    if name not in known:
+        raise suggestions.unknown("procedure", name, known)
+    return PROCEDURES[known[name]](task)
 
 
-def open_hand(task: BindTask) -> BoundStep | Refusal:
+def open_hand(task: BindTask) -> BoundStep:
     """Open the empty hand to the width required before a grasp."""
     held = task.query.holding(task.arm)
     if held:
         message = f"{task.arm} already holds {held}"
-        return Refusal(reason=RefusalReason.STATE, message=message, clears=f"let go of {held}")
+        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=f"let go of {held}"))
     return hand_motion(task, "open")
 
 
-def grasp_plan(task: BindTask) -> BoundStep | Refusal:
+def grasp_plan(task: BindTask) -> BoundStep:
     """Bindings of the plan, with joint values solved again for objects that have moved since planning."""
-    laid = replan.replan(task.query, task.arm, task.data.bindings)
-    return laid if isinstance(laid, Refusal) else BoundStep(bindings=laid, note="the plan")
+    return BoundStep(bindings=replan.replan(task.query, task.arm, task.data.bindings), note="the plan")
 
 
-Action = Callable[[BindTask], BoundStep | Refusal]
+Action = Callable[[BindTask], BoundStep]
 
 ACTIONS: dict[str, Action] = {
     "motion": bind_motion,

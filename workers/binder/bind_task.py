@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import MAX_S
 from workers.planning.world_query import WorldQuery
 
@@ -24,22 +24,25 @@ class BindTask:
         """The arm that performs the step: that of the command, or another one whose joints it reads first."""
         return str(self.data.step.args.get("arm", "")) or self.data.context.arm
 
-    def stop_class(self, name: str) -> StopClass | Refusal:
+    def stop_class(self, name: str) -> StopClass:
         known = self.program.stop_classes
-        return known.get(name) or refused_program(f"no stop class {name}", f"there are {', '.join(known)}")
+        if name not in known:
+            raise refused_program(f"no stop class {name}", f"there are {', '.join(known)}")
+        return known[name]
 
 
-def refused_program(message: str, clears: str) -> Refusal:
-    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears)
+def refused_program(message: str, clears: str) -> Refused:
+    return Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears))
 
 
-def refuse_if_endless(limit_s: float) -> Refusal | None:
+def refuse_if_endless(limit_s: float) -> None:
     """Refuse a step whose time limit (s) no primitive can have: a speed near zero, or a time of years."""
     if limit_s <= MAX_S:
-        return None
-    return Refusal(
+        return
+    endless = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"this step would need a time limit of {limit_s:.3g} s; {MAX_S:g} s is the longest possible",
         clears="more speed or a greater force, if the sentence limits them; a shorter way or time",
         detail={"cause": "time", "limit_s": MAX_S, "value_s": limit_s},
     )
+    raise Refused(endless)

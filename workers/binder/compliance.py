@@ -5,17 +5,12 @@ from __future__ import annotations
 from typing import Literal
 
 from rtc.programs.schema import StopClass
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import Compliance, ControlLaw, ForceProfile, HandMotion, Load, Trajectory
 from rtc.spatial.axis_names import AXES
 from workers.binder.bind_task import BindTask, refused_program
 from workers.conditions.stop_conditions import Values
 from workers.planning import axes, suggestions
-
-
-def refuse(task: BindTask, stop_class: StopClass, values: Values, load: Load | None) -> Refusal | None:
-    """Refuse figures of a spring that would have no effect, and impossible ones."""
-    return _refuse_press(task, stop_class, values) or _refuse_spring(stop_class, values, load)
 
 
 def control_law(
@@ -28,7 +23,10 @@ def control_law(
     the tcp (0) and the centre of mass of the load (1). `spin_m` replaces `turn_m` about the axis of the step.
 
     Its spring pulls with a share of the force and torque limits, so a blocked arm leans on the obstacle within them.
+    Raises Refused for impossible figures, and for those that would have no effect.
     """
+    _refuse_press(task, stop_class, values)
+    _refuse_spring(stop_class, values, load)
     gains = {"wn": values["laden_wn_rad_s"]} if load else {}
     step, stiffness_n_m = task.data.step, values.get("stiffness_n_m")
     axis = str(step.args.get("axis", "TOOL-Z"))
@@ -68,46 +66,47 @@ def _press_profile(values: Values, most_n: float) -> ForceProfile | None:
     return ForceProfile(time_s=[0.0, values["press_s"]], share=shares)
 
 
-def _refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> Refusal | None:
+def _refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> None:
     """Refuse a force set-point that would have no effect, or would trip the step's own force limit."""
     if "press_n" not in values:
         alone = [name for name in ("press_s", "press_from_n") if name in values]
-        return refused_program(f"{alone[0]} needs press_n", "the force at the end of the press") if alone else None
+        if alone:
+            raise refused_program(f"{alone[0]} needs press_n", "the force at the end of the press")
+        return
     axis = str(task.data.step.args.get("axis", "TOOL-Z"))
     if axis not in AXES:
-        return suggestions.unknown("axis", axis, AXES)
+        raise suggestions.unknown("axis", axis, AXES)
     if "stiffness_n_m" not in values or stop_class.rigid:
-        return refused_program("press_n needs a compliant step", "stiffness_n_m of the step, and another stop class")
+        raise refused_program("press_n needs a compliant step", "stiffness_n_m of the step, and another stop class")
     if "press_from_n" in values and "press_s" not in values:
-        return refused_program("press_from_n needs press_s", "the time in which the press changes")
+        raise refused_program("press_from_n needs press_s", "the time in which the press changes")
     if not values.get("press_s", 1.0) > 0.0:
-        return refused_program(f"a press cannot change in {values['press_s']:g} s", "press_s above 0")
+        raise refused_program(f"a press cannot change in {values['press_s']:g} s", "press_s above 0")
     for press_n, least_n in ((values["press_n"], 1e-9), (values.get("press_from_n", 0.0), 0.0)):
         if not least_n <= press_n < values["force_n"]:
-            return Refusal(
+            refusal = Refusal(
                 reason=RefusalReason.INFEASIBLE,
                 message=f"a press with {press_n:g} N is asked for; the force limit is {values['force_n']:g} N",
                 clears=f"a press with less than {values['force_n']:g} N",
                 detail={"cause": "force", "value_n": press_n, "limit_n": values["force_n"], "arm": task.arm},
             )
-    return None
+            raise Refused(refusal)
 
 
-def _refuse_spring(stop_class: StopClass, values: Values, load: Load | None) -> Refusal | None:
+def _refuse_spring(stop_class: StopClass, values: Values, load: Load | None) -> None:
     """Refuse figures of a spring that would have no effect."""
     share = values.get("centre_share", 0.0)
     named = [name for name in ("centre_share", "spin_m") if name in values]
     if not named:
-        return None
+        return
     if "stiffness_n_m" not in values or stop_class.rigid:
-        return refused_program(f"{named[0]} needs a compliant step", "stiffness_n_m, and another stop class")
+        raise refused_program(f"{named[0]} needs a compliant step", "stiffness_n_m, and another stop class")
     if "spin_m" in values and "press_n" in values:
-        return refused_program("spin_m and press_n both act along the axis of the step", "one of them")
+        raise refused_program("spin_m and press_n both act along the axis of the step", "one of them")
     if not 0.0 <= share <= 1.0:
-        return refused_program(f"centre_share {share:g} is not a share", "a share of 0 to 1")
+        raise refused_program(f"centre_share {share:g} is not a share", "a share of 0 to 1")
     if share and load is None:
-        return refused_program("centre_share needs an object in the hand, without a hinge", "a step after the grasp")
-    return None
+        raise refused_program("centre_share needs an object in the hand, without a hinge", "a step after the grasp")
 
 
 def _spin_axis(task: BindTask) -> int:

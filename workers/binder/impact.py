@@ -14,7 +14,7 @@ import numpy as np
 
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.messages import ScriptContext
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial.geometry import Array, Floats
 from workers.binder.bind_task import BindTask
 from workers.conditions.stop_conditions import Values
@@ -91,10 +91,11 @@ def impact(
     return Impact(limit_n, force_per_speed * speed_m_s, limit_n / force_per_speed)
 
 
-def keeping(task: BindTask, target: Target, values: Values, held: str, *, touches: bool) -> Keeping | Refusal:
+def keeping(task: BindTask, target: Target, values: Values, held: str, *, touches: bool) -> Keeping:
     """The speed at which this motion keeps what the command promises: the lower one of it and of the speed in force.
 
-    A path without expected contact (not `touches`) is not slowed: there a force limit is a collision stop.
+    A path without expected contact (not `touches`) is not slowed: there a force limit is a collision stop. Raises
+    Refused if the slowest motion does not keep it.
     """
     speed_m_s, promise = values["speed_m_s"], promise_of(task.data.context, values)
     if promise is None:
@@ -112,7 +113,7 @@ def keeping(task: BindTask, target: Target, values: Values, held: str, *, touche
         return Keeping(speed_m_s, remark=f"{limit_n:g} N is a collision stop on this free way: {felt}")
     slowest_m_s = values["slowest_m_s"]
     if hit.safe_speed_m_s * values["kept_factor"] < slowest_m_s:
-        return _refuse(task, limit_n, slowest_m_s, limit_n * slowest_m_s / hit.safe_speed_m_s)
+        raise _refused(task, limit_n, slowest_m_s, limit_n * slowest_m_s / hit.safe_speed_m_s)
     slow_m_s = max(hit.safe_speed_m_s, slowest_m_s)
     most = f"{limit_n:g} N is kept up to {hit.safe_speed_m_s * 1e3:.3g} mm/s; {promise.faster}"
     return Keeping(slow_m_s, limit_n, carried_kg, f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; {most}")
@@ -152,11 +153,12 @@ def _momenta(arm: ArmModel, timed: Timed, carried_kg: float, least_kg: float) ->
     return np.array(found)
 
 
-def _refuse(task: BindTask, limit_n: float, slowest_m_s: float, felt_n: float) -> Refusal:
+def _refused(task: BindTask, limit_n: float, slowest_m_s: float, felt_n: float) -> Refused:
     least_n = math.ceil(felt_n)
-    return Refusal(
+    refusal = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"{limit_n:g} N cannot be kept: a rigid body is felt with {felt_n:.2g} N at {1e3 * slowest_m_s:g} mm/s",
         clears=f"a force of at least {least_n} N",
         detail={"cause": "force", "limit_n": limit_n, "value_n": felt_n, "arm": task.arm},
     )
+    return Refused(refusal)

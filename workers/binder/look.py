@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from rtc.programs.schema import StopClass
 from rtc.protocol.messages import BinderInput, BoundStep, EvaluationContext
-from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Look, Primitive, Reporting, TagGeometry
-from workers.binder.bind_task import refuse_if_endless
+from workers.binder.bind_task import refuse_if_endless, refused_program
 from workers.conditions import stop_conditions
 from workers.conditions.looking import cameras_of
 from workers.conditions.stop_conditions import Values
@@ -19,21 +18,17 @@ from workers.planning.world_query import WorldQuery
 SUBSYSTEM = "S&P"
 
 
-def bind(query: WorldQuery, data: BinderInput, stop_class: StopClass, values: Values) -> BoundStep | Refusal:
+def bind(query: WorldQuery, data: BinderInput, stop_class: StopClass, values: Values) -> BoundStep:
     """Args of the step: `camera`, `body`; `pictures`, or `duration_s` to follow the body every `every_s`; `further`:
     other cameras, with blanks between."""
     args, context = data.step.args, data.context
     cameras, body = cameras_of(data.step), str(args.get("body", ""))
     known = [one.name for one in query.cell.cameras]
     if unknown := [name for name in cameras if name not in known] or ([""] if not cameras else []):
-        return suggestions.unknown("camera", unknown[0], known)
+        raise suggestions.unknown("camera", unknown[0], known)
     tags = sight.tags(query.cell, body)
     if not tags:
-        return Refusal(
-            reason=RefusalReason.PROGRAM,
-            message=f"a step looks for {body or 'nothing'}, which has no tags",
-            clears="tags of it in the cell file",
-        )
+        raise refused_program(f"a step looks for {body or 'nothing'}, which has no tags", "tags of it in the cell file")
     follows = "duration_s" in values
     picture_s = values["picture_s"]
     predicted_s = values["duration_s"] if follows else values["pictures"] * picture_s * len(cameras)
@@ -48,8 +43,7 @@ def bind(query: WorldQuery, data: BinderInput, stop_class: StopClass, values: Va
         every_s=values["every_s"],
         cameras=cameras[1:],
     )
-    if (endless := refuse_if_endless(limit_s)) is not None:
-        return endless
+    refuse_if_endless(limit_s)
     every_s = args.get("report_every_s")
     made = Primitive(
         id=data.primitive_id,

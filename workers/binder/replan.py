@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from rtc.protocol.messages import Binding
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.binding_names import POSE_OF_JOINTS
@@ -16,9 +16,9 @@ MOVED_M = 0.0005  # smaller displacements need no replanning
 MOVED_RAD = math.radians(0.2)
 
 
-def current_pose(query: WorldQuery, arm: str, binding: Binding) -> Array | Refusal:
+def current_pose(query: WorldQuery, arm: str, binding: Binding) -> Array:
     """The tcp pose of a pose binding now, world frame. With an object that lies otherwise in the hand than planned, the
-    tcp goes where the object comes to the planned place."""
+    tcp goes where the object comes to the planned place. Raises Refused if the object is not in the hand any more."""
     assert binding.pose is not None
     pose = geometry.compose(query.pose(binding.frame) if binding.frame else geometry.IDENTITY, binding.pose)
     if binding.grasp is None:
@@ -27,14 +27,14 @@ def current_pose(query: WorldQuery, arm: str, binding: Binding) -> Array | Refus
     grasp = query.grasp(held) if held else None
     if grasp is None:
         message = f"{arm} does not hold the object any more"
-        return Refusal(reason=RefusalReason.STATE, message=message, clears="take it again")
+        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears="take it again"))
     if geometry.distance(grasp, binding.grasp) < MOVED_M and geometry.angle(grasp, binding.grasp) < MOVED_RAD:
         return pose
     return geometry.compose(geometry.compose(pose, binding.grasp), geometry.inverse(grasp))
 
 
-def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding] | Refusal:
-    """Joint values (rad), nearest to the old ones, for each planned pose that is elsewhere now; or a refusal."""
+def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding]:
+    """Joint values (rad), nearest to the old ones, for each planned pose that is elsewhere now. Raises Refused."""
     model = query.model.arms[arm]
     margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
     replanned: dict[str, Binding] = {}
@@ -43,8 +43,6 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
         if not name.endswith(POSE_OF_JOINTS) or planned.pose is None or old is None or old.joints is None:
             continue
         wanted = current_pose(query, arm, planned)
-        if isinstance(wanted, Refusal):
-            return wanted
         was = model.fk(old.joints)
         if geometry.distance(wanted, was) < MOVED_M and geometry.angle(wanted, was) < MOVED_RAD:
             continue
@@ -52,6 +50,6 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
         if not found:
             why = model.why_no_ik(wanted, margin_rad)
             assert why is not None
-            return why
+            raise Refused(why)
         replanned[name.removesuffix(POSE_OF_JOINTS)] = Binding(joints=found[0].tolist())
     return replanned

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rtc.programs.extension_names import SPACE_ARGS, WAY_OUT
 from rtc.protocol.messages import Binding
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import Refused, refuse_if
 from rtc.protocol.primitive import Vector
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial import geometry
@@ -23,25 +23,22 @@ MIN_STEP_M = 0.001  # minimum length of a line with a defined direction
 MAX_TURN_RAD = math.radians(5.0)  # maximum rotation along a line with a constant direction in the tool frame
 
 
-def target_of(task: BindTask) -> Target | Refusal:
-    """The target of the step (world frame): a binding or the tcp pose, shifted and turned by the step's args."""
+def target_of(task: BindTask) -> Target:
+    """The target of the step (world frame): a binding or the tcp pose, shifted and turned by the step's args.
+
+    Raises Refused."""
     step = task.data.step
     if step.to == "HERE":
         pose = task.query.tcp(task.arm).tolist()
     else:
-        vias = [_bound_target(task, name) for name in str(step.args.get("through", "")).split()]
         goal = _bound_target(task, step.to)
-        for found in (goal, *vias):
-            if isinstance(found, Refusal):
-                return found
-        assert isinstance(goal, Target)
-        return replace(goal, via=tuple(via for via in vias if isinstance(via, Target)))
+        return replace(goal, via=tuple(_bound_target(task, name) for name in str(step.args.get("through", "")).split()))
     axis = str(step.args.get("axis", "TOOL-Z"))
     if axis == WAY_OUT:
         out = task.query.leaves_along(task.data.context.object)
         return Target(pose=geometry.translate(pose, float(step.args.get("by_m", 0.0)) * out).tolist())
     if axis not in AXES:
-        return suggestions.unknown("axis", axis, AXES)
+        raise suggestions.unknown("axis", axis, AXES)
     if step.space in curves.CURVES:
         return _curve_of(task, pose, axis)
     by_m, by_rad = (float(step.args.get(name, 0.0)) for name in ("by_m", "by_rad"))
@@ -52,46 +49,41 @@ def target_of(task: BindTask) -> Target | Refusal:
     return Target(pose=pose)
 
 
-def _bound_target(task: BindTask, name: str) -> Target | Refusal:
+def _bound_target(task: BindTask, name: str) -> Target:
     """The target that a binding stands for."""
-    if name not in task.data.bindings:
-        return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
-    binding = task.data.bindings[name]
-    if binding.joints is not None:
-        return Target(joints=binding.joints)
-    pose = world_pose(task, binding, name)
-    return pose if isinstance(pose, Refusal) else Target(pose=pose)
+    found = binding(task, name)
+    return Target(pose=world_pose(task, found, name)) if found.joints is None else Target(joints=found.joints)
 
 
-def _curve_of(task: BindTask, start: list[float], axis: str) -> Target | Refusal:
+def binding(task: BindTask, name: str) -> Binding:
+    known = task.data.bindings
+    if name not in known:
+        raise refused_program(f"nothing binds {name}", f"there are {', '.join(known)}")
+    return known[name]
+
+
+def _curve_of(task: BindTask, start: list[float], axis: str) -> Target:
     step, about = task.data.step, start
     if (name := str(step.args.get("about", "HERE"))) != "HERE":
-        if name not in task.data.bindings:
-            return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
-        found = world_pose(task, task.data.bindings[name], name)
-        if isinstance(found, Refusal):
-            return found
+        found = world_pose(task, binding(task, name), name)
         about = task.query.hinge_of_tcp(task.arm, start, found, _hand_turn(task)).tolist()
     figures = {name: float(step.args[name]) for name in SPACE_ARGS[step.space] if name in step.args}
-    poses = curves.curve(step.space, start, about, axis, figures)
-    return poses if isinstance(poses, Refusal) else Target(poses=poses)
+    return Target(poses=curves.curve(step.space, start, about, axis, figures))
 
 
-def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Refusal:
+def world_pose(task: BindTask, binding: Binding, name: str) -> list[float]:
     """A pose binding in the world frame. Refuses a binding relative to a body whose frame is not trusted (R151)."""
     if binding.pose is None:
-        return refused_program(f"{name} is not a pose", "bind a pose or joint values to it")
+        raise refused_program(f"{name} is not a pose", "bind a pose or joint values to it")
     query = task.query
     if binding.frame is not None:
         known = [one.name for bodies in (query.cell.objects, query.cell.seats) for one in bodies]
         if binding.frame not in known:
-            return suggestions.unknown("object or seat", binding.frame, known)
+            raise suggestions.unknown("object or seat", binding.frame, known)
         command = command_of(task.data.primitive_id)
-        distrusted = query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command)
-        if distrusted is not None:
-            return distrusted
-    pose = replan.current_pose(query, task.arm, binding)
-    return pose if isinstance(pose, Refusal) else pose.tolist()
+        refuse_if(query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command))
+    pose: list[float] = replan.current_pose(query, task.arm, binding).tolist()
+    return pose
 
 
 def against_motion(start: list[float], motion: Motion) -> Vector | None:
@@ -115,8 +107,9 @@ def turn_line(task: BindTask) -> stop_conditions.Line:
     if (not isinstance(axis, str) or axis == WAY_OUT) and name == "HERE":
         return stop_conditions.Line(None, None)
     here = query.tcp(task.arm)
-    found = world_pose(task, task.data.bindings[name], name) if name in task.data.bindings else here.tolist()
-    if isinstance(found, Refusal):  # `target_of` has refused it
+    try:
+        found = world_pose(task, task.data.bindings[name], name) if name in task.data.bindings else here.tolist()
+    except Refused:  # `target_of` has refused it already
         return stop_conditions.Line(None, None)
     along = axes.direction(found, str(axis or "TOOL-Z"))
     if name == "HERE":

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import msgspec
 
 from rtc.protocol.messages import EndReport
-from rtc.protocol.outcomes import Reflex, Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import Reflex, Refusal, RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import (
     BodyTouch,
     ClearanceBelow,
@@ -210,50 +210,48 @@ def reason_of(condition: Condition) -> StopReason | None:
     return None if row is None else row[0]
 
 
-def refuse_unsupported(reflex: ReflexItem, about_object: bool, joints: int) -> Refusal | None:
-    """Refuse a reflex that cannot be performed; None if it can. `about_object`: the command names an object. `joints`:
-    number of joints of an arm."""
-    problem = refuse_condition(reflex.condition, about_object, joints)
-    if problem is not None or reflex.action in ACTIONS:
-        return problem
-    word = reflex.action.upper().replace("_", "-")
-    return _refusal(f"THEN {word} is not supported", [action.upper().replace("_", "-") for action in ACTIONS])
+def refuse_unsupported(reflex: ReflexItem, about_object: bool, joints: int) -> None:
+    """Refuse a reflex that cannot be performed. `about_object`: the command names an object. `joints`: number of
+    joints of an arm."""
+    refuse_condition(reflex.condition, about_object, joints)
+    if reflex.action not in ACTIONS:
+        word = reflex.action.upper().replace("_", "-")
+        raise _refused(f"THEN {word} is not supported", [action.upper().replace("_", "-") for action in ACTIONS])
 
 
-def refuse_condition(condition: Condition, about_object: bool, joints: int, word: str = "UNLESS") -> Refusal | None:
-    """Refuse a condition that the motion loop does not measure; None if it does. `word`: that introduces it."""
+def refuse_condition(condition: Condition, about_object: bool, joints: int, word: str = "UNLESS") -> None:
+    """Refuse a condition that the motion loop does not measure. `word`: that introduces it."""
     words = f"{word} {condition.words}"
     if _row(condition) is None:
         known = [*EVENTS, *(f"{measure} {bound}" for measure, bound in MEASURES)]
-        return _refusal(f"{words}: nothing in the motion loop measures that", known, word=word)
+        raise _refused(f"{words}: nothing in the motion loop measures that", known, word=word)
     if condition.measure == "GRIP-FORCE" and condition.along is not None:
-        return _refusal(f"{words}: the fingers press along one axis only", [], "leave out ALONG and its axis", word)
+        raise _refused(f"{words}: the fingers press along one axis only", [], "leave out ALONG and its axis", word)
     if condition.measure == "TURN" and (condition.along or "").startswith(JOINT):
         number = (condition.along or "").removeprefix(JOINT)
         if not number.isdigit() or not 1 <= int(number) <= joints:
-            return suggestions.unknown("joint", condition.along or "", [f"{JOINT}{n + 1}" for n in range(joints)])
-        return None
+            raise suggestions.unknown("joint", condition.along or "", [f"{JOINT}{n + 1}" for n in range(joints)])
+        return
     if condition.measure == "CLEARANCE" and condition.along is not None:
-        return _refusal(f"{words}: a clearance is measured in all directions", [], "leave out ALONG and its axis", word)
+        raise _refused(f"{words}: a clearance is measured in all directions", [], "leave out ALONG and its axis", word)
     if condition.measure == "TURN" and condition.along is None and _figure(condition) > math.pi:
         message = f"{words}: without an axis the change of attitude is measured, which is 180 DEG at most"
-        return _refusal(message, [], "TURN ALONG an axis, such as TURN ALONG TOOL-Z EXCEEDS 2 TURNS", word)
+        raise _refused(message, [], "TURN ALONG an axis, such as TURN ALONG TOOL-Z EXCEEDS 2 TURNS", word)
     if condition.measure == "DISTANCE" and condition.bound == "below" and not about_object:
         message = f"{words} measures the distance to the object of the command, but this command names none"
-        return _refusal(message, [], "leave it out, or use a verb that takes an object", word)
+        raise _refused(message, [], "leave it out, or use a verb that takes an object", word)
     if condition.along is not None and condition.along not in AXES:
-        return suggestions.unknown("axis", condition.along, AXES, where=words)
-    return None
+        raise suggestions.unknown("axis", condition.along, AXES, where=words)
 
 
-def refuse_without_grip(condition: Condition, arm: str, holding: bool, closes: bool) -> Refusal | None:
-    """Refuse a condition about a held object for a hand that holds none; None if it can become true. `closes`: a step
-    of the script closes the hand."""
+def refuse_without_grip(condition: Condition, arm: str, holding: bool, closes: bool) -> None:
+    """Refuse a condition about a held object for a hand that holds none, so that it can never become true. `closes`: a
+    step of the script closes the hand."""
     about = condition.event in HELD or (condition.measure, condition.bound) == ("GRIP-FORCE", "below")
     if not about or holding or (closes and condition.event != "OBJECT-LOST"):
-        return None
+        return
     message = f"{condition.words} is about a held object, but {arm} holds none"
-    return _refusal(message, [], f"leave out {condition.words}, or GRASP an object first")
+    raise _refused(message, [], f"leave out {condition.words}, or GRASP an object first")
 
 
 def report_conditions(conditions: list[Condition], state: StepState) -> list[ReportCondition]:
@@ -303,10 +301,11 @@ def _row(condition: Condition) -> tuple[StopReason, Maker] | None:
     return MEASURES.get((condition.measure or "", condition.bound or ""))
 
 
-def _refusal(
+def _refused(
     message: str, expected: list[str], clears: str = "leave it out, or use one of those expected", word: str = "UNLESS"
-) -> Refusal:
-    return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=word, expected=expected, clears=clears)
+) -> Refused:
+    reason = RefusalReason.NO_SCRIPT
+    return Refused(Refusal(reason=reason, message=message, where=word, expected=expected, clears=clears))
 
 
 # --- evaluation of a report ------------------------------------------------------------------------------

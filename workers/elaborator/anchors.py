@@ -1,7 +1,7 @@
 """Plan anchors by registered name: grasp point, destination, stowed posture, seat. Pure.
 
 An anchor is joint values or a tcp pose. The pose is in an object's frame if it depends on that object. So it can be
-bound again after the object was found elsewhere. An anchor that does not exist is a Refusal.
+bound again after the object was found elsewhere. An anchor that does not exist is refused.
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.model.cells import parts
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry, hinges
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
@@ -31,11 +32,11 @@ class Anchor:
     relies_on: tuple[str, ...] = ()
 
 
-def grasp_point(candidate: TaskCandidate) -> Anchor | Refusal:
+def grasp_point(candidate: TaskCandidate) -> Anchor:
     """The tcp pose at the grasp point, in the object's frame."""
     assert candidate.thing is not None
     if candidate.point is None:
-        return _no_grasp_point(candidate.thing.name)
+        raise _no_grasp_point(candidate.thing.name)
     pose = candidate.point.frame.pose
     if candidate.point.round:
         at = geometry.compose(candidate.query.frame(candidate.thing.name), pose)
@@ -48,17 +49,17 @@ def grasp_point(candidate: TaskCandidate) -> Anchor | Refusal:
     )
 
 
-def stow(candidate: TaskCandidate) -> Anchor | Refusal:
+def stow(candidate: TaskCandidate) -> Anchor:
     return Anchor(joints=candidate.arm.stow_rad)
 
 
-def seat(candidate: TaskCandidate) -> Anchor | Refusal:
+def seat(candidate: TaskCandidate) -> Anchor:
     """The tcp pose at which the held object is seated in the target seat."""
     assert candidate.thing is not None
     assert candidate.target is not None
     grasp = candidate.query.grasp(candidate.thing.name)
     if grasp is None:
-        return _state(
+        raise _state(
             f"how {candidate.arm.name} holds {candidate.thing.name} is not known", "let go of it, and take it again"
         )
     pose = geometry.compose(candidate.target.module_frame.pose, geometry.inverse(grasp)).tolist()
@@ -70,29 +71,29 @@ def seat(candidate: TaskCandidate) -> Anchor | Refusal:
     )
 
 
-def hinge(candidate: TaskCandidate) -> Anchor | Refusal:
+def hinge(candidate: TaskCandidate) -> Anchor:
     """A pose on the hinge of the object, in the object's frame: its z is the axis."""
     assert candidate.thing is not None
     name, hinge = candidate.thing.name, candidate.thing.hinge
     if hinge is None:
-        return _state(f"{name} has no hinge", "an object that has a hinge")
+        raise _state(f"{name} has no hinge", "an object that has a hinge")
     pose = hinges.frame(geometry.IDENTITY, hinge.axis).tolist()
     return Anchor(pose=pose, frame=name, relies_on=(f"{name}.frame", f"{name}.angle"))
 
 
-def destination(candidate: TaskCandidate) -> Anchor | Refusal:
+def destination(candidate: TaskCandidate) -> Anchor:
     """The destination of MOVE ... TO."""
     place = candidate.parsed.place
     assert place is not None
     if place.joints is not None:
         wanted = len(candidate.arm.joints)
         if len(place.joints) != wanted:
-            return _state(
+            raise _state(
                 f"{candidate.arm.name} has {wanted} joints, {len(place.joints)} were given", f"give {wanted} values"
             )
         slides = [n for n, value in enumerate(candidate.arm.home_deg) if isinstance(value, str)]
         if slides != place.sliding:
-            return _state(
+            raise _state(
                 _wrong_units(candidate, slides, place.sliding), "give each joint its unit, such as 0.5 M 30 DEG"
             )
         return Anchor(joints=list(place.joints))
@@ -112,29 +113,29 @@ def _wrong_units(candidate: TaskCandidate, slides: list[int], lengths: list[int]
     return f"{arm.joints[wrong]} of {arm.name} {'slides: its value is a length' if wrong in slides else 'turns'}"
 
 
-def refuse_unknown_place(query: WorldQuery, name: str) -> Refusal | None:
-    """The refusal for a name that is not a place of the cell or a taught one; None if it is one."""
-    if any(place.name == name for place in query.places):
-        return None
+def place(query: WorldQuery, name: str) -> parts.Place:
+    """The place of the cell, or the taught one, with this name. Raises Refused if there is none."""
+    known = {place.name: place for place in reversed(query.places)}
+    if name in known:
+        return known[name]
     if any(thing.name == name for thing in query.cell.objects):
         message = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
-        return Refusal(reason=RefusalReason.NAME, message=message, nearest=[name], clears="use one of the two forms")
-    return suggestions.unknown("place", name, [place.name for place in query.places])
+        refusal = Refusal(reason=RefusalReason.NAME, message=message, nearest=[name], clears="use one of the two forms")
+        raise Refused(refusal)
+    raise suggestions.unknown("place", name, known)
 
 
-def named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
+def named(candidate: TaskCandidate, name: str) -> Anchor:
     """The pose or the joint values of a named place, for this arm."""
-    if (unknown := refuse_unknown_place(candidate.query, name)) is not None:
-        return unknown
-    place = next(place for place in candidate.query.places if place.name == name)
-    joints = place.joints_rad(candidate.arm.name)
+    there = place(candidate.query, name)
+    joints = there.joints_rad(candidate.arm.name)
     if joints is not None:
         return Anchor(joints=joints)
-    frame = place.poses.get(candidate.arm.name)
+    frame = there.poses.get(candidate.arm.name)
     if frame is not None:
         return Anchor(pose=frame.pose.tolist())
-    able = sorted({*place.poses, *place.joints_deg})
-    return Refusal(
+    able = sorted({*there.poses, *there.joints_deg})
+    refusal = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"{candidate.arm.name} has no posture for {name}; {', '.join(able)} can",
         where=name,
@@ -142,15 +143,16 @@ def named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
         clears=f"another arm, or a place that {candidate.arm.name} can go to",
         detail={"cause": "place", "arm": candidate.arm.name, "place": name},
     )
+    raise Refused(refusal)
 
 
-def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor | Refusal:
+def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor:
     cell = candidate.query.cell
     thing = next((t for t in cell.objects if t.name == name), None)
     if thing is None:
-        return suggestions.unknown("object", name, [t.name for t in cell.objects])
+        raise suggestions.unknown("object", name, [t.name for t in cell.objects])
     if not thing.grasp_points:
-        return _no_grasp_point(name)
+        raise _no_grasp_point(name)
     base = candidate.arm.base.pose
     frame = candidate.query.frame(name)
     points = [geometry.compose(frame, p.frame.pose) for p in thing.grasp_points]
@@ -161,20 +163,21 @@ def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor | Refu
     return Anchor(pose=start.tolist(), frame=name, relies_on=(f"{name}.frame",))
 
 
-def _no_grasp_point(thing: str) -> Refusal:
-    return Refusal(
+def _no_grasp_point(thing: str) -> Refused:
+    refusal = Refusal(
         reason=RefusalReason.NAME,
         message=f"{thing} has no grasp point",
         where=thing,
         clears="an object that has grasp points, or a grasp point for it in the cell",
     )
+    return Refused(refusal)
 
 
-def _state(message: str, clears: str) -> Refusal:
-    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+def _state(message: str, clears: str) -> Refused:
+    return Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
 
 
-ANCHORS: dict[str, Callable[[TaskCandidate], Anchor | Refusal]] = {
+ANCHORS: dict[str, Callable[[TaskCandidate], Anchor]] = {
     "grasp_point": grasp_point,
     "destination": destination,
     "stow": stow,

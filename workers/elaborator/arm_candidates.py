@@ -12,7 +12,7 @@ from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import Limits
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal, Refused
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from rtc.spatial import geometry
 from workers.elaborator import two_hands
@@ -27,31 +27,16 @@ def candidates(
     parsed: ParsedCommand,
     limits: Limits,
     query: WorldQuery,
-) -> list[TaskCandidate] | Refusal:
-    """One candidate per arm and grasp point that the sentence allows, nearest first."""
-    cell = query.cell
-    thing: parts.Object | None = None
-    if parsed.object is not None:
-        found = _part(cell.objects, parsed.object, "object")
-        if isinstance(found, Refusal):
-            return _or_a_hand(found, program, parsed, cell)
-        thing = found
-    target: parts.Seat | None = None
-    if parsed.target is not None:
-        seat = _part(cell.seats, parsed.target, "seat")
-        if isinstance(seat, Refusal):
-            return seat
-        target = seat
+) -> list[TaskCandidate]:
+    """One candidate per arm and grasp point that the sentence allows, nearest first. Raises Refused."""
+    thing = _thing(program, parsed, query.cell)
+    target = None if parsed.target is None else _part(query.cell.seats, parsed.target, "seat")
     arms = _arms(program, parsed, query, thing)
-    points = arms if isinstance(arms, Refusal) else _points(program, scripts, parsed, thing)
-    if isinstance(arms, Refusal) or isinstance(points, Refusal):
-        return arms if isinstance(arms, Refusal) else points  # type: ignore[return-value]
+    points = _points(program, scripts, parsed, thing)
     allowed = []
     for arm in arms:
         for point in two_hands.free_points(query, parsed, thing, points):
             figures = figures_of(program, parsed, query, arm, thing, point, target)
-            if isinstance(figures, Refusal):
-                return figures
             partner = two_hands.partner(query, arm) if parsed.hand == BOTH_ARMS else None
             allowed.append(
                 TaskCandidate(query, program, parsed, limits, arm, thing, point, target, figures, partner=partner)
@@ -59,16 +44,25 @@ def candidates(
     return sorted(allowed, key=_far)
 
 
-def _or_a_hand(unknown: Refusal, program: ElaboratorProgram, parsed: ParsedCommand, cell: cells.Cell) -> Refusal:
-    """Refusal for an unknown object. If the verb also takes a hand without an object, arms are expected as well."""
-    takers = [row for row in program.decision_tree if row.verb == parsed.verb]
-    hands = any(check.missing == "object" for row in takers for check in row.when)
-    if parsed.hand is not None or not hands:
-        return unknown
+def _thing(program: ElaboratorProgram, parsed: ParsedCommand, cell: cells.Cell) -> parts.Object | None:
+    """The object of the sentence. Raises Refused; if the verb also takes a hand alone, arms are expected as well."""
+    if parsed.object is None:
+        return None
+    try:
+        return _part(cell.objects, parsed.object, "object")
+    except Refused as unknown:
+        takers = [row for row in program.decision_tree if row.verb == parsed.verb]
+        hands = any(check.missing == "object" for row in takers for check in row.when)
+        if parsed.hand is not None or not hands:
+            raise
+        raise _neither_object_nor_hand(unknown.refusal, parsed, cell) from None
+
+
+def _neither_object_nor_hand(unknown: Refusal, parsed: ParsedCommand, cell: cells.Cell) -> Refused:
     named = next((arm for arm in cell.arms if parsed.object in (arm.name, arm.end_effector)), None)
     if named is not None:  # a further arm, without its ARM
         clears = f"{parsed.verb} {hand_in_words(named.name)}"
-        return msgspec.structs.replace(unknown, nearest=[], clears=clears)
+        return Refused(msgspec.structs.replace(unknown, nearest=[], clears=clears))
     alone = [arm.end_effector for arm in cell.arms if hand_in_words(arm.name) == arm.name]  # written without ARM
     known = [*unknown.expected, *(hand_in_words(arm.name) for arm in cell.arms), *alone]
     return suggestions.unknown("object or hand", parsed.object or "", known)
@@ -85,14 +79,13 @@ def _far(candidate: TaskCandidate) -> float:
 
 def _arms(
     program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery, thing: parts.Object | None
-) -> list[parts.Arm] | Refusal:
+) -> list[parts.Arm]:
     """The arm named in the sentence; else the arm that holds the object; else all arms."""
     cell = query.cell
     if parsed.hand is not None:
         if parsed.hand == BOTH_ARMS:
-            return two_hands.both_arms(program, parsed, query)
-        found = _part(cell.arms, parsed.hand, "arm")
-        return found if isinstance(found, Refusal) else [found]
+            return [two_hands.both_arms(program, parsed, query)]
+        return [_part(cell.arms, parsed.hand, "arm")]
     holder = query.held_by(thing.name) if thing else ""
     return [arm for arm in cell.arms if not holder or arm.name == holder]
 
@@ -102,20 +95,21 @@ def _points(
     scripts: Mapping[str, ScriptFile],
     parsed: ParsedCommand,
     thing: parts.Object | None,
-) -> list[parts.GraspPoint | None] | Refusal:
+) -> list[parts.GraspPoint | None]:
     """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
     chosen = [scripts[b.script] for b in program.decision_tree if b.verb == parsed.verb]
     if thing is None or not any("grasp_point" in script.uses for script in chosen):
         return [None]
     if parsed.grasp_point is None:
         return [*thing.grasp_points] or [None]
-    found = _part(thing.grasp_points, parsed.grasp_point, f"grasp point of {thing.name}")
-    return found if isinstance(found, Refusal) else [found]
+    return [_part(thing.grasp_points, parsed.grasp_point, f"grasp point of {thing.name}")]
 
 
 T = TypeVar("T", parts.Arm, parts.Object, parts.Seat, parts.GraspPoint)
 
 
-def _part(choices: list[T], name: str, what: str) -> T | Refusal:
-    found = next((part for part in choices if part.name == name), None)
-    return found or suggestions.unknown(what, name, [part.name for part in choices])
+def _part(choices: list[T], name: str, what: str) -> T:
+    known = {part.name: part for part in choices}
+    if name not in known:
+        raise suggestions.unknown(what, name, known)
+    return known[name]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ import numpy as np
 from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
 from rtc.protocol.messages import Binding, PlannedPath
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
 from rtc.world.model import location
@@ -52,27 +53,21 @@ class Planned:
         return Planned({}, [], [], False, {}, [])
 
 
-def plan(script: ScriptFile, candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned | Refusal:
-    """The tested bindings of the script for this candidate, or the refusal with the obstacle.
+def plan(script: ScriptFile, candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned:
+    """The tested bindings of the script for this candidate. Raises Refused with the obstacle.
 
     `sensed`: held objects that a camera looks for before the script begins.
     """
     lines = _lines(script, candidate)
-    if isinstance(lines, Refusal):
-        return lines
-    relies_on = [key for anchor in lines.values() for key in anchor.relies_on]
-    relies_on = list(dict.fromkeys(relies_on))
+    relies_on = list(dict.fromkeys(key for anchor in lines.values() for key in anchor.relies_on))
     doubtful: list[str] = []
     for key in relies_on:
         distrusted = candidate.query.distrusted(key, candidate.program.clears)
         if distrusted is not None and not can_be_seen(key, candidate):
-            return distrusted
+            raise Refused(distrusted)
         if distrusted is not None:
             doubtful.append(location(key))
-    solved = _search(script, candidate, lines, {*sensed, *doubtful})
-    if isinstance(solved, Refusal):
-        return solved
-    joints, notes, ways = solved
+    joints, notes, ways = _search(script, candidate, lines, {*sensed, *doubtful})
     chosen = any(line.solve and lines[line.name].joints is None for line in script.plan)
     return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways, doubtful)
 
@@ -90,47 +85,43 @@ def can_be_seen(key: str, candidate: TaskCandidate) -> bool:
 # --- the poses, backwards from the goal ------------------------------------------------------------------
 
 
-def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor] | Refusal:
+def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor]:
     lines: dict[str, Anchor] = {}
     for n, line in enumerate(script.plan):
-        anchor = lines[line.at] if line.at in lines else _anchor(line, candidate)
-        moved = anchor if isinstance(anchor, Refusal) else _moved(anchor, line, candidate)
-        if isinstance(moved, Refusal):
-            return _where(moved, f"{script.script}.plan[{n}] ({line.name})")
-        lines[line.name] = moved
+        with _at_place(f"{script.script}.plan[{n}] ({line.name})"):
+            anchor = lines[line.at] if line.at in lines else _anchor(line, candidate)
+            lines[line.name] = _moved(anchor, line, candidate)
     for name, place in zip(candidate.vias, candidate.parsed.through, strict=True):
-        via = anchors.named(candidate, place)
-        if isinstance(via, Refusal):
-            return _where(via, f"THROUGH {place}")
-        lines[name] = via
+        with _at_place(f"THROUGH {place}"):
+            lines[name] = anchors.named(candidate, place)
     return lines
 
 
-def _anchor(line: PlanLine, candidate: TaskCandidate) -> Anchor | Refusal:
+def _anchor(line: PlanLine, candidate: TaskCandidate) -> Anchor:
     if line.at not in ANCHORS:
-        return _program(f"unknown plan anchor {line.at}; known are {', '.join(ANCHORS)} or an earlier line")
+        raise _program(f"unknown plan anchor {line.at}; known are {', '.join(ANCHORS)} or an earlier line")
     return ANCHORS[line.at](candidate)
 
 
-def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor | Refusal:
+def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor:
     if not line.along:
         return anchor
     try:
         by_m, turn_rad = (expressions.number(value, candidate.figures) for value in (line.by, line.turn_rad))
     except expressions.ExpressionError as error:
-        return _program(f"{line.by}, {line.turn_rad}: {error}")
+        raise _program(f"{line.by}, {line.turn_rad}: {error}") from error
     pose = anchor.pose or candidate.query.model.arms[candidate.arm.name].fk(anchor.joints or ()).tolist()
     frame = candidate.query.pose(anchor.frame) if anchor.frame else geometry.IDENTITY
     world = geometry.compose(frame, pose)
     if line.along == extension_names.WAY_OUT:
         if candidate.target is None:
-            return _program("WAY-OUT is the way out of a seat, and the sentence names none")
+            raise _program("WAY-OUT is the way out of a seat, and the sentence names none")
         out = geometry.rotate(candidate.query.seat_frame(candidate.target.name), candidate.target.way_out)
         moved = geometry.translate(world, by_m * out)
     elif line.along in AXES:
         moved = axes.turned(axes.shifted(world, line.along, by_m), line.along, turn_rad)
     else:
-        return suggestions.unknown("axis", line.along, extension_names.PLAN_AXES)
+        raise suggestions.unknown("axis", line.along, extension_names.PLAN_AXES)
     return replace(anchor, joints=None, pose=geometry.relative(frame, moved).tolist())
 
 
@@ -154,24 +145,24 @@ def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[
 Solved = tuple[dict[str, list[float]], list[str], dict[int, PlannedPath]]
 
 
-def _search(
-    script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], sensed: set[str]
-) -> Solved | Refusal:
+def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], sensed: set[str]) -> Solved:
     """`sensed`: bodies whose poses are measured before the script begins, so that their spread does not count."""
     request = _request(script, candidate, sensed)
     ways = list(_ways(script, candidate, lines, request))
     if not ways:
-        return _unreachable(script, candidate, lines, request)
+        raise _unreachable(script, candidate, lines, request)
     notes: list[str] = []
     first: Refusal | None = None
     searched = 0
     for n, joints, detours in _order(ways):
         if detours and searched == MAX_DETOURED:
             break
-        tried = _try(script, candidate, lines, joints, request, detours)
         what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
-        if not isinstance(tried, Refusal):
-            return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], tried
+        try:
+            found = _try(script, candidate, lines, joints, request, detours)
+            return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], found
+        except Refused as refused:
+            tried = refused.refusal
         notes.append(f"generated {what}; tested: {tried.message}")
         if "samples" in tried.detail:
             searched += 1
@@ -182,7 +173,7 @@ def _search(
     goal = (candidate.parsed.place.name if candidate.parsed.place else None) or ""
     out = any(step.words.get("leaves") == "seat" for step in script.steps)
     first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits, goal, out)
-    return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
+    raise Refused(msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))}))
 
 
 def _tells_more(tried: Refusal, first: Refusal) -> bool:
@@ -266,16 +257,14 @@ def _world(candidate: TaskCandidate, anchor: Anchor) -> list[float]:
 
 def _unreachable(
     script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], request: PlanningRequest
-) -> Refusal:
+) -> Refused:
     for line in script.plan:
         if line.solve and lines[line.name].joints is None:
             why = request.arm.why_no_ik(_world(candidate, lines[line.name]), request.margin_rad)
             if why is not None:
-                return _where(why, line.name)
-    return Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"{candidate.arm.name} cannot reach the postures of the plan in one chain",
-    )
+                return Refused(_where(why, line.name))
+    message = f"{candidate.arm.name} cannot reach the postures of the plan in one chain"
+    return Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message))
 
 
 def _try(
@@ -285,9 +274,9 @@ def _try(
     joints: dict[str, list[float]],
     request: PlanningRequest,
     detours: bool,
-) -> dict[int, PlannedPath] | Refusal:
-    """Test the segments in order; returns the refusal of the first blocked one, or the way of the first segment by
-    index of its step. The later segments start where the arm will come to rest, which is not known yet."""
+) -> dict[int, PlannedPath]:
+    """Test the segments in order; the way of the first segment, by index of its step. The later segments start where
+    the arm will come to rest, which is not known yet. Raises Refused for the first blocked one."""
     here = start = request.start
     straight = _straight(script, candidate, request)
     ways: dict[int, PlannedPath] = {}
@@ -297,25 +286,19 @@ def _try(
             continue
         asked = request if step.space == "move_joint" else straight
         now = replace(asked, joints={**request.joints, candidate.arm.name: here})
-        target = _target(step, candidate, lines, joints, now)
-        if isinstance(target, Refusal):
-            return _where(target, f"step {n} ({step.to})")
+        with _at_place(f"step {n} ({step.to})"):
+            target = _target(step, candidate, lines, joints, now)
         if step.space not in segments.SPACES:
-            return _program(f"step {n}: no space {step.space}; there are {', '.join(segments.SPACES)}")
+            raise _program(f"step {n}: no space {step.space}; there are {', '.join(segments.SPACES)}")
         tcp, clears = now.arm.fk(here), candidate.program.clears
-        kept = in_seat.refuse_other_way(candidate.query, candidate.arm.name, step.space, tcp, target.pose, clears)
-        if kept is not None:
-            return kept
+        in_seat.refuse_other_way(candidate.query, candidate.arm.name, step.space, tcp, target.pose, clears)
         test = _Test(n, step, now, target, detours, first=here is start)
         if detours and test.first and step.space == "move_joint" and target.joints is not None:
             last, here = test, np.asarray(target.joints, dtype=float)  # a search is expensive: after the other segments
             continue
-        segment = test.run(ways)
-        if isinstance(segment, Refusal):
-            return segment
-        here = segment.end
-    if last is not None and isinstance(blocked := last.run(ways), Refusal):
-        return blocked
+        here = test.run(ways).end
+    if last is not None:
+        last.run(ways)
     return ways
 
 
@@ -345,12 +328,11 @@ class _Test(NamedTuple):
     detours: bool
     first: bool  # it starts where the arm is
 
-    def run(self, ways: dict[int, PlannedPath]) -> segments.Segment | Refusal:
+    def run(self, ways: dict[int, PlannedPath]) -> segments.Segment:
         """The segment; the way of the first one is added to `ways`."""
         space = self.step.space
-        segment = segments.check_segment(self.request, space, self.target, self.detours, self.first)
-        if isinstance(segment, Refusal):
-            return _where(segment, f"step {self.n} ({self.step.to})")
+        with _at_place(f"step {self.n} ({self.step.to})"):
+            segment = segments.check_segment(self.request, space, self.target, self.detours, self.first)
         if self.first and (way := segment.way(self.request, space)) is not None:
             ways[self.n - 1] = way
         return segment
@@ -362,22 +344,22 @@ def _target(
     lines: dict[str, Anchor],
     joints: dict[str, list[float]],
     now: PlanningRequest,
-) -> Target | Refusal:
+) -> Target:
     if step.to in joints or step.to in lines:
         goal = Target(joints=joints[step.to]) if step.to in joints else _at(candidate, lines[step.to])
         names = candidate.fill_in(step.words.get("through", "")).split()
         return replace(goal, via=tuple(_at(candidate, lines[name]) for name in names))
     if step.to != "HERE":
-        return _program(f"nothing binds {step.to}")
+        raise _program(f"nothing binds {step.to}")
     axis = candidate.fill_in(step.words.get("axis", "TOOL-Z"))
     if axis not in extension_names.PLAN_AXES:
-        return suggestions.unknown("axis", axis, extension_names.PLAN_AXES)
+        raise suggestions.unknown("axis", axis, extension_names.PLAN_AXES)
     if step.space in curves.CURVES:
         return _curve(step, candidate, lines, now, axis)
     try:
         by_m, by_rad = (expressions.number(step.args.get(name, 0.0), candidate.figures) for name in ("by_m", "by_rad"))
     except expressions.ExpressionError as error:
-        return _program(str(error))
+        raise _program(str(error)) from error
     if axis == extension_names.WAY_OUT:
         out = candidate.query.leaves_along(candidate.thing.name if candidate.thing else "")
         return Target(pose=geometry.translate(now.arm.fk(now.start), by_m * out).tolist())
@@ -391,11 +373,11 @@ def _at(candidate: TaskCandidate, anchor: Anchor) -> Target:
 
 def _curve(
     step: ScriptStep, candidate: TaskCandidate, lines: dict[str, Anchor], now: PlanningRequest, axis: str
-) -> Target | Refusal:
+) -> Target:
     here = about = now.arm.fk(now.start)
     if (name := step.words.get("about", "HERE")) != "HERE":
         if name not in lines or lines[name].pose is None:
-            return _program(f"{name} is not a pose of the plan")
+            raise _program(f"{name} is not a pose of the plan")
         about = np.array(_world(candidate, lines[name]))
     try:
         figures = {
@@ -404,10 +386,18 @@ def _curve(
             if name in step.args
         }
     except expressions.ExpressionError as error:
-        return _program(str(error))
+        raise _program(str(error)) from error
     about = candidate.query.hinge_of_tcp(candidate.arm.name, here, about, figures.get("hand_turn", 1.0))
-    poses = curves.curve(step.space, here, about, axis, figures)
-    return poses if isinstance(poses, Refusal) else Target(poses=poses)
+    return Target(poses=curves.curve(step.space, here, about, axis, figures))
+
+
+@contextmanager
+def _at_place(where: str) -> Iterator[None]:
+    """Add the place to a refusal that is raised inside."""
+    try:
+        yield
+    except Refused as refused:
+        raise Refused(_where(refused.refusal, where)) from None
 
 
 def _where(refusal: Refusal, where: str) -> Refusal:
@@ -419,5 +409,5 @@ def _where(refusal: Refusal, where: str) -> Refusal:
     )
 
 
-def _program(message: str) -> Refusal:
-    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears="LOAD a corrected script")
+def _program(message: str) -> Refused:
+    return Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, clears="LOAD a corrected script"))

@@ -5,6 +5,7 @@ A field is never silently ignored.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import msgspec
@@ -12,9 +13,10 @@ import msgspec
 from rtc.model.cells.cell import Cell
 from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import Constraint, ParsedCommand, Quantity
 from rtc.protocol.units import KINDS, such_as
+from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
 
 #: Fields of the record that scripts need not list: others act on them, or this module checks them.
@@ -60,8 +62,8 @@ def in_words(path: str) -> str:
     return _WORDS.get(path, path)
 
 
-def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand, *, cameras: bool = False) -> Refusal | None:
-    """Refuse a field that this release does not support; None if there is none. `cameras`: VIA may name one."""
+def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand, *, cameras: bool = False) -> None:
+    """Refuse a field that this release does not support. `cameras`: VIA may name one."""
     checks = [check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when]
     chosen_by = {(name, value) for check in checks for name, value in check.equals.items()}
     for name, why in program.not_yet.items():
@@ -69,14 +71,11 @@ def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand, *, cam
         if cameras and name == "performer":
             continue
         if value is not None and not (isinstance(value, str) and (name, value) in chosen_by):
-            return _refused(why, name, f"leave out {in_words(name)}")
-    return None
+            raise _refused(why, name, f"leave out {in_words(name)}")
 
 
-def refuse_unused_field(
-    parsed: ParsedCommand, script: str, uses: list[str], *, performer: bool = False
-) -> Refusal | None:
-    """Refuse a field that is set but not used by the script; None if there is none. `performer`: VIA has chosen it."""
+def refuse_unused_field(parsed: ParsedCommand, script: str, uses: list[str], *, performer: bool = False) -> None:
+    """Refuse a field that is set but not used by the script. `performer`: VIA has chosen it."""
     for name in parsed.__struct_fields__:
         if name == "performer" and performer:
             continue
@@ -84,25 +83,22 @@ def refuse_unused_field(
             words = in_words(name)
             message = f"{parsed.verb} does not take {words}: its script {script} has no use for it"
             clears = f"leave out {words}; in a script of your own, put {name} into its `uses`"
-            return _refused(message, name, clears)
-    return None
+            raise _refused(message, name, clears)
 
 
-def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Limits | Refusal:
-    """Limits from MAINTAIN. An unsupported constraint is refused; the refusal lists the supported ones."""
+def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Limits:
+    """Limits from MAINTAIN. Raises Refused for an unsupported constraint; the refusal lists the supported ones."""
     figures: dict[str, Any] = {}
     for constraint in parsed.constraints:
         kept = program.constraints.get(constraint.slot)
         if kept is None:
             message = f"MAINTAIN {constraint.slot} is not supported"
             clears = f"leave out {constraint.slot}; supported are {', '.join(sorted(program.constraints))}"
-            return _refused(message, constraint.slot, clears)
+            raise _refused(message, constraint.slot, clears)
         unit, value = argument(constraint, cell)
         if unit not in kept:
-            return _needs(constraint.slot, kept, unit, cell)
-        problem = _impossible(program, constraint.slot, kept[unit], unit, value, cell)
-        if problem is not None:
-            return problem
+            raise _needs(constraint.slot, kept, unit, cell)
+        _refuse_impossible(program, constraint.slot, kept[unit], unit, value, cell)
         if kept[unit] == "keep_out":
             figures.setdefault("keep_out", []).append(value)
         else:
@@ -122,40 +118,40 @@ def argument(constraint: Constraint, cell: Cell) -> tuple[str, str | float]:
     return cell.maintain.meaning(constraint.slot) or ("", 0.0)
 
 
-def _impossible(
+def _refuse_impossible(
     program: ElaboratorProgram, slot: str, limit: str, unit: str, value: str | float, cell: Cell
-) -> Refusal | None:
-    """Refusal for a name that the cell lacks, or for a value that no arm can keep."""
+) -> None:
+    """Refuse a name that the cell lacks, or a value that no arm can keep."""
     if isinstance(value, str):
-        return _name(limit, value, cell)
-    if slot not in program.ranges:
-        return None
-    least, most = program.ranges[slot]
+        if value not in (known := _known(limit, cell)):
+            raise suggestions.unknown("attitude" if limit == "attitude" else "region", value, known)
+        return
+    least, most = program.ranges.get(slot, (-math.inf, math.inf))
     if least <= value <= most:
-        return None
+        return
     if limit == "grip_force_n":  # the hand of the command is not known yet
         most = min(most, max(arm.gripper.max_force_n for arm in cell.arms))
-    return _outside(slot, Quantity(value, unit), least, most)
+    raise _outside(slot, Quantity(value, unit), least, most)
 
 
-def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
-    """Refuse a constraint, condition or reflex that applies to no step of the script; None if each applies to one."""
+def refuse_without_effect(script: ScriptFile, candidate: TaskCandidate) -> None:
+    """Refuse a constraint, condition or reflex that applies to no step of the script."""
+    parsed = candidate.parsed
     complies = any(SOFT in step.args and not step.op for step in script.steps)
     soft = complies or any(constraint.slot == "STIFFNESS" for constraint in parsed.constraints)
     conditions = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
     if not soft and any(condition.event == "NO-PROGRESS" for condition in conditions):
         message = f"NO-PROGRESS is about a compliant arm; {parsed.verb} moves a rigid one, which its force limit stops"
-        return _refused(message, "NO-PROGRESS", "MAINTAIN STIFFNESS, such as 600 N/M; or leave out NO-PROGRESS")
+        raise _refused(message, "NO-PROGRESS", "MAINTAIN STIFFNESS, such as 600 N/M; or leave out NO-PROGRESS")
     if any(item.action == "back_off" for item in parsed.reflexes) and not any(s.do == "move" for s in script.steps):
         message = f"BACK-OFF goes back along the path of the arm, of which {parsed.verb} has none"
-        return _refused(message, "BACK-OFF", "another reflex, such as THEN STOP")
+        raise _refused(message, "BACK-OFF", "another reflex, such as THEN STOP")
     for constraint in parsed.constraints:
-        wanted = program.acts_on.get(constraint.slot)
+        wanted = candidate.program.acts_on.get(constraint.slot)
         if wanted is None or any(_is(step, wanted) for step in script.steps):
             continue
         message = f"MAINTAIN {constraint.slot} is about {wanted.about}, of which {parsed.verb} has none"
-        return _refused(message, constraint.slot, f"leave out {constraint.slot}")
-    return None
+        raise _refused(message, constraint.slot, f"leave out {constraint.slot}")
 
 
 def _is(step: ScriptStep, wanted: ActsOn) -> bool:
@@ -163,25 +159,25 @@ def _is(step: ScriptStep, wanted: ActsOn) -> bool:
     return (wanted.do == "" or step.do in does) and wanted.op in ("", step.op)
 
 
-def refuse_report_interval(parsed: ParsedCommand) -> Refusal | None:
-    """Refuse a REPORT EVERY interval that is too short; None if it is supported."""
+def refuse_report_interval(parsed: ParsedCommand) -> None:
+    """Refuse a REPORT EVERY interval that is too short."""
     every_s = parsed.report.every_s if parsed.report else None
     if every_s is None or every_s >= MIN_REPORT_S:
-        return None
+        return
     message = f"REPORT EVERY {every_s:g} s is too often; {MIN_REPORT_S:g} s is the shortest interval"
-    return _refused(message, "EVERY", f"REPORT EVERY {MIN_REPORT_S:g} SEC, or rarer; `telemetry` has every sample")
+    raise _refused(message, "EVERY", f"REPORT EVERY {MIN_REPORT_S:g} SEC, or rarer; `telemetry` has every sample")
 
 
-def refuse_longer_than_limit(parsed: ParsedCommand, limits: Limits) -> Refusal | None:
+def refuse_longer_than_limit(parsed: ParsedCommand, limits: Limits) -> None:
     """Refuse a FOR that is longer than the TIME-LIMIT of the same sentence."""
     for_s, most_s = parsed.duration_s, limits.time_s
     if for_s is None or most_s is None or for_s <= most_s:
-        return None
+        return
     message = f"FOR {for_s:g} s is longer than the TIME-LIMIT, {most_s:g} s"
-    return _refused(message, "TIME-LIMIT", f"FOR {most_s:g} SEC or less, or a longer TIME-LIMIT")
+    raise _refused(message, "TIME-LIMIT", f"FOR {most_s:g} SEC or less, or a longer TIME-LIMIT")
 
 
-def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
+def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refused:
     """Refusal for a constraint without a value, or with a value of the wrong kind."""
     ways = []
     for way, limit in kept.items():
@@ -196,7 +192,7 @@ def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
     return _refused(f"{slot} needs {needed}{given}{here}", slot, f"give {slot} {needed}, or leave it out")
 
 
-def _outside(slot: str, value: Quantity, least: float, most: float) -> Refusal:
+def _outside(slot: str, value: Quantity, least: float, most: float) -> Refused:
     """Refusal for a value that no arm can keep."""
     unit = value.unit.upper()
     message = f"{slot} {value.value:g} {unit} is outside {least:g} to {most:g} {unit}"
@@ -207,11 +203,5 @@ def _known(limit: str, cell: Cell) -> list[str]:
     return list(cell.attitudes) if limit == "attitude" else [region.name for region in cell.regions]
 
 
-def _name(limit: str, name: str, cell: Cell) -> Refusal | None:
-    known = _known(limit, cell)
-    what = "attitude" if limit == "attitude" else "region"
-    return None if name in known else suggestions.unknown(what, name, known)
-
-
-def _refused(message: str, where: str, clears: str, expected: list[str] | None = None) -> Refusal:
-    return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=where, clears=clears, expected=expected or [])
+def _refused(message: str, where: str, clears: str) -> Refused:
+    return Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=where, clears=clears))

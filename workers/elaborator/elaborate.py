@@ -8,7 +8,7 @@ scripts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -17,7 +17,7 @@ from rtc.programs import expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import Branch, BranchCondition, ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
 from rtc.protocol.messages import ElaboratorInput, Script, ScriptContext, Step, Trim
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
@@ -77,47 +77,47 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     """Choose and plan the script for a command."""
     assert cell is not None
     assert world is not None
-    program, parsed = compiled.program, data.parsed
-    branches = [b for b in program.decision_tree if b.verb == parsed.verb and b.enabled]
+    try:
+        return _elaborated(
+            compiled, WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving), data.parsed
+        )
+    except Refused as refused:
+        return refused.refusal
+
+
+def _elaborated(compiled: Compiled, query: WorldQuery, parsed: ParsedCommand) -> Script:
+    """The first feasible script of those that the decision tree has for this sentence. Raises Refused."""
+    program, scripts = compiled.program, compiled.scripts
+    branches = [branch for branch in program.decision_tree if branch.verb == parsed.verb and branch.enabled]
     if not branches:
-        return no_script.refuse_verb(program, parsed)
-    limits = command_fields.limits(program, parsed, cell.cell)
-    cameras = any("camera" in compiled.scripts[branch.script].resources for branch in branches)
-    problem = command_fields.refuse_unsupported(program, parsed, cameras=cameras)
-    problem = problem or command_fields.refuse_report_interval(parsed)
-    if isinstance(limits, Refusal) or problem is not None:
-        return problem or limits  # type: ignore[return-value]
-    problem = command_fields.refuse_longer_than_limit(parsed, limits)
-    if problem is not None:
-        return problem
-    joints = max(len(arm.joints) for arm in cell.cell.arms)
-    for reflex in parsed.reflexes:
-        problem = reflexes.refuse_unsupported(reflex, parsed.object is not None, joints)
-        if problem is not None:
-            return problem
-    for condition in parsed.report.when if parsed.report else ():
-        problem = reflexes.refuse_condition(condition, parsed.object is not None, joints, "REPORT WHEN")
-        if problem is not None:
-            return problem
-    query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
+        raise no_script.refused_verb(program, parsed)
+    cameras = any("camera" in scripts[branch.script].resources for branch in branches)
+    command_fields.refuse_unsupported(program, parsed, cameras=cameras)
+    command_fields.refuse_report_interval(parsed)
+    limits = command_fields.limits(program, parsed, query.cell)
+    command_fields.refuse_longer_than_limit(parsed, limits)
+    _refuse_unmeasured(parsed, query)
     if parsed.kind == "data":
-        return set_fact.script(program, compiled.scripts[branches[0].script], parsed, query)
+        return set_fact.script(program, scripts[branches[0].script], parsed, query)
     branches = [branch for branch in branches if _fits_sentence(branch, parsed)] or branches
     candidates: list[TaskCandidate] = []
-    for looks in sorted({_looks(compiled.scripts[branch.script]) for branch in branches}):
-        found = (look.candidates if looks else arm_candidates.candidates)(
-            compiled.program, compiled.scripts, parsed, limits, query
-        )
-        if isinstance(found, Refusal):
-            return found
-        candidates += found
-    options = _ranked(branches, candidates, compiled.scripts)
-    if isinstance(options, Refusal):
-        return options
+    for looks in sorted({_looks(scripts[branch.script]) for branch in branches}):
+        find = look.candidates if looks else arm_candidates.candidates
+        candidates += find(program, scripts, parsed, limits, query)
+    options = _ranked(branches, candidates, scripts)
     if not options:
         hinged = parsed.object is not None and query.hinge(parsed.object) is not None
-        return no_script.refuse_form(parsed, branches, hinged=hinged)
+        raise no_script.refused_form(parsed, branches, hinged=hinged)
     return _first_feasible(compiled, options)
+
+
+def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:
+    """Refuse conditions that nothing measures, and actions that no reflex performs."""
+    joints = max(len(arm.joints) for arm in query.cell.arms)
+    for reflex in parsed.reflexes:
+        reflexes.refuse_unsupported(reflex, parsed.object is not None, joints)
+    for condition in parsed.report.when if parsed.report else ():
+        reflexes.refuse_condition(condition, parsed.object is not None, joints, "REPORT WHEN")
 
 
 # --- choose the script -----------------------------------------------------------------------------------
@@ -125,7 +125,7 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
 
 def _ranked(
     branches: list[Branch], candidates: list[TaskCandidate], scripts: Mapping[str, ScriptFile]
-) -> list[ScriptOption] | Refusal:
+) -> list[ScriptOption]:
     """All pairs of branch and candidate whose conditions hold: the likeliest first, then the nearest."""
     options = []
     for branch in branches:
@@ -135,12 +135,9 @@ def _ranked(
                 if all(_holds(check, candidate) for check in branch.when):
                     options.append(ScriptOption(branch, candidate))
             except expressions.ExpressionError as error:
-                return Refusal(
-                    reason=RefusalReason.PROGRAM,
-                    message=f"the decision tree for {branch.verb} ({branch.script}): {error}",
-                    where="decision_tree",
-                    clears="LOAD a row of command_object_table that has that figure",
-                )
+                message = f"the decision tree for {branch.verb} ({branch.script}): {error}"
+                clears = "LOAD a row of command_object_table that has that figure"
+                raise _wrong_program(message, "decision_tree", clears) from error
     return sorted(options, key=lambda c: -c.branch.likelihood)
 
 
@@ -174,25 +171,23 @@ def _holds(check: BranchCondition, candidate: TaskCandidate) -> bool:
     return least and (check.at_most is None or value <= expressions.number(check.at_most, candidate.figures) + 1e-9)
 
 
-def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script | Refusal:
-    """The script of the first feasible option; else the most informative refusal with the number of options."""
+def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script:
+    """The script of the first feasible option. Raises the most informative refusal, with the number of options."""
     refused: list[tuple[Refusal, ScriptOption]] = []
     notes: list[str] = []
     for option in options:
-        made = _script(compiled, option, options, notes)
-        if isinstance(made, Script):
-            return made
-        notes.append(f"generated {option.name}; tested: {made.message}")
-        refused.append((made, option))
+        try:
+            return _script(compiled, option, options, notes)
+        except Refused as problem:
+            notes.append(f"generated {option.name}; tested: {problem}")
+            refused.append((problem.refusal, option))
     first = _most_informative(compiled, refused, options)
     if len(options) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
-        return first
+        raise Refused(first)
     others = "; ".join(notes[1:4]) if len(notes) > 1 else ""
-    return msgspec.structs.replace(
-        first,
-        message=f"{first.message} ({len(options)} candidates tried)",
-        detail={**first.detail, "candidates": float(len(options)), "others": others[:600]},
-    )
+    message = f"{first.message} ({len(options)} candidates tried)"
+    detail = {**first.detail, "candidates": float(len(options)), "others": others[:600]}
+    raise Refused(msgspec.structs.replace(first, message=message, detail=detail))
 
 
 def _most_informative(
@@ -206,7 +201,11 @@ def _most_informative(
         return first
 
     def can_be_planned(candidate: TaskCandidate) -> bool:
-        return isinstance(_script(compiled, ScriptOption(its.branch, candidate), options, []), Script)
+        try:
+            _script(compiled, ScriptOption(its.branch, candidate), options, [])
+        except Refused:
+            return False
+        return True
 
     advised = make_way.advise(first, its.candidate, other, can_be_planned)
     if advised is not None:
@@ -233,52 +232,36 @@ def _rank(refusal: Refusal) -> tuple[int, bool]:
 # --- the script ------------------------------------------------------------------------------------------
 
 
-def _script(
-    compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]
-) -> Script | Refusal:
+def _script(compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]) -> Script:
+    """The planned script of one option. Raises Refused with the first problem."""
     candidate, script = option.candidate, compiled.scripts[option.branch.script]
     chosen = any("performer" in check.equals for check in option.branch.when)
-    problem = command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses, performer=chosen)
-    problem = problem or command_fields.refuse_without_effect(candidate.program, candidate.parsed, script)
-    if candidate.hand:
-        problem = problem or _too_tight(candidate) or _nothing_held(script, candidate)
-    for need in script.needs:
-        problem = problem or preconditions.refuse_if_unmet(need, candidate)
-    if problem is None and (place := candidate.parsed.place) is not None and place.name:
-        problem = anchors.refuse_unknown_place(candidate.query, place.name)  # a wrong name before doubtful facts
-    unsure = _unsure_grasp(script, candidate) if candidate.hand else None
-    if unsure is not None and not can_be_seen(unsure.where, candidate):
-        problem = problem or unsure
-    problem = problem or (hinged.refuse_other_motion(script, candidate) if candidate.hand else None)
-    problem = problem or hinged.refuse_turn_of_hand(script, candidate) or hinged.refuse_beyond_stops(script, candidate)
-    problem = problem or (two_hands.refuse_moving_alone(script, candidate) if candidate.hand else None)
-    unplaced = _unsure_place(script, candidate)
-    if unplaced is not None and not candidate.query.finds(candidate.body):
-        problem = problem or unplaced
-    if problem is not None:
-        return problem
+    command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses, performer=chosen)
+    for check in CHECKS:
+        check(script, candidate)
     try:
-        trims = _trims(compiled, script, candidate)
-        if isinstance(trims, Refusal):
-            return trims
-        entries, left_out = trims
-        nominal = [_step(step, candidate, entries, nominal=True) for step in script.steps]
-        lacks = _refuse_if_uncertain(nominal, candidate) if candidate.hand else None
-        if lacks is not None and not can_be_seen(lacks.where, candidate):
-            return lacks
-        held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
-        in_hand = [held] if lacks is not None or unsure is not None else []
-        planned = plan(script, candidate, in_hand) if candidate.hand else Planned.nothing()
-        if isinstance(planned, Refusal):
-            return planned
-        for index, way in planned.ways.items():
-            nominal[index] = msgspec.structs.replace(nominal[index], way=way)
-        looked_for = [candidate.body] if unplaced is not None else []
-        doubtful = list(dict.fromkeys([*in_hand, *planned.doubtful, *looked_for]))
-        others = _lost_arms(script, candidate)
-        steps = [*_sensed_first(compiled, candidate, doubtful, others), *nominal]
+        return _planned(compiled, option, options, notes)
     except expressions.ExpressionError as error:
-        return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
+        raise _wrong_program(f"{script.script}: {error}", script.script) from error
+
+
+def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]) -> Script:
+    """The script of an option that has passed the checks. Raises Refused and ExpressionError."""
+    candidate, script = option.candidate, compiled.scripts[option.branch.script]
+    entries, left_out = _trims(compiled, script, candidate)
+    nominal = [_step(step, candidate, entries, nominal=True) for step in script.steps]
+    held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
+    lacks = _why_uncertain(nominal, candidate)
+    if lacks is not None and not can_be_seen(lacks.where, candidate):
+        raise Refused(lacks)
+    in_hand = [held] if lacks is not None or _why_unsure_grasp(script, candidate) is not None else []
+    planned = plan(script, candidate, in_hand) if candidate.hand else Planned.nothing()
+    for index, way in planned.ways.items():
+        nominal[index] = msgspec.structs.replace(nominal[index], way=way)
+    looked_for = [candidate.body] if _why_unsure_place(script, candidate) is not None else []
+    doubtful = list(dict.fromkeys([*in_hand, *planned.doubtful, *looked_for]))
+    others = _lost_arms(script, candidate)
+    steps = [*_sensed_first(compiled, candidate, doubtful, others), *nominal]
     looking = [*steps, *(step for entry in entries for step in entry.steps)]
     cameras = [name for step in looking if step.who == CAMERA for name in cameras_of(step)]
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
@@ -297,7 +280,7 @@ def _script(
     )
 
 
-def _unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+def _why_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
     """The refusal of a script for which the pose of the object is too uncertain; None if it is certain enough."""
     if script.unsure_if is None or candidate.thing is None or not _holds(script.unsure_if, candidate):
         return None
@@ -312,12 +295,14 @@ def _unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | Non
     )
 
 
-def _refuse_if_uncertain(steps: list[Step], candidate: TaskCandidate) -> Refusal | None:
-    """Refuse a script if the held object will be too uncertain for one of its steps when that step begins."""
+def _why_uncertain(steps: list[Step], candidate: TaskCandidate) -> Refusal | None:
+    """The refusal of a script if the held object will be too uncertain for one of its steps when that step begins."""
+    if candidate.hand is None:
+        return None
     query, ahead_s = candidate.query, 0.0
     motion_s = certainty.motion_time_s(query, candidate.limits)
     for step in steps:
-        lacks = certainty.refuse_if_uncertain(query, candidate.arm.name, step.args, candidate.program.clears, ahead_s)
+        lacks = certainty.why_uncertain(query, candidate.arm.name, step.args, candidate.program.clears, ahead_s)
         if lacks is not None:
             return lacks
         ahead_s += motion_s if step.do == "move" else 0.0
@@ -439,7 +424,7 @@ def _performed_by(arm: str, candidate: TaskCandidate, step: Step) -> Step:
 MAX_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
 
 
-def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> tuple[list[Trim], list[str]] | Refusal:
+def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> tuple[list[Trim], list[str]]:
     """The trimming stack, and notes about entries without a piece of script, which are left out."""
     entries: list[Trim] = []
     left_out: list[str] = []
@@ -458,7 +443,7 @@ def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> 
         name = (reflex.trim or "").lower()
         piece = compiled.pieces.get(name)
         if piece is None or script.case < FIRST_SKILL:
-            return _cannot_try(name.upper(), compiled, script)
+            raise _cannot_try(name.upper(), compiled, script)
         reason = reflexes.reason_of(reflex.condition)
         steps = [_step(step, candidate, [], nominal=False) for step in piece.steps]
         entries.append(Trim(n=n, label=f"TRY {name.upper()}", steps=steps, fits=[reason] if reason else []))
@@ -468,42 +453,90 @@ def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> 
 # --- refusals --------------------------------------------------------------------------------------------
 
 
-def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
+def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refused:
     if script.case < FIRST_SKILL and name.lower() in compiled.pieces:
         message = f"AND TRY {name}: {script.script} is an action, and only skills are corrected on the way"
-        return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=name, clears="leave out AND TRY")
+        return Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=name, clears="leave out AND TRY"))
     return suggestions.unknown("piece of script to TRY", name, [piece.upper() for piece in compiled.pieces])
 
 
-def _unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
-    """Refuse to move a held object whose grasp is suspect (R151).
+def _wrong_program(message: str, where: str, clears: str = "") -> Refused:
+    return Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, where=where, clears=clears))
+
+
+def _refuse_unmet(script: ScriptFile, candidate: TaskCandidate) -> None:
+    for need in script.needs:
+        preconditions.refuse_if_unmet(need, candidate)
+
+
+def _refuse_unknown_place(_: ScriptFile, candidate: TaskCandidate) -> None:
+    if (place := candidate.parsed.place) is not None and place.name:
+        anchors.place(candidate.query, place.name)
+
+
+def _refuse_unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> None:
+    """Refuse to move a held object whose grasp is suspect (R151), and that no camera can sense before."""
+    unsure = _why_unsure_grasp(script, candidate)
+    if unsure is not None and not can_be_seen(unsure.where, candidate):
+        raise Refused(unsure)
+
+
+def _refuse_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> None:
+    """Refuse a script for which the pose of the object is too uncertain, and that no camera finds before."""
+    unplaced = _why_unsure_place(script, candidate)
+    if unplaced is not None and not candidate.query.finds(candidate.body):
+        raise Refused(unplaced)
+
+
+def _why_unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+    """The refusal to move a held object whose grasp is suspect; None if it is not.
 
     Scripts that move only the fingers are allowed, and scripts with `despite_grasp`: backing off and letting go.
     """
-    held = candidate.query.holding(candidate.arm.name)
+    held = candidate.query.holding(candidate.hand.name) if candidate.hand else ""
     if not held or script.despite_grasp or not any(step.to for step in script.steps):
         return None
     return candidate.query.distrusted(f"{held}.grasp", candidate.program.clears)
 
 
-def _nothing_held(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+def _refuse_nothing_held(script: ScriptFile, candidate: TaskCandidate) -> None:
     """Refuse a condition about a held object that can never become true."""
-    parsed, arm = candidate.parsed, candidate.hand.name if candidate.hand else ""
+    if candidate.hand is None:
+        return
+    parsed, arm = candidate.parsed, candidate.hand.name
     asked = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
     holding, closes = bool(candidate.query.holding(arm)), any(step.op == "close" for step in script.steps)
-    found = (reflexes.refuse_without_grip(condition, arm, holding, closes) for condition in asked)
-    return next(filter(None, found), None)
+    for condition in asked:
+        reflexes.refuse_without_grip(condition, arm, holding, closes)
 
 
-def _too_tight(candidate: TaskCandidate) -> Refusal | None:
+def _refuse_too_tight(_: ScriptFile, candidate: TaskCandidate) -> None:
     """Refuse a grip force that the hand does not have, before any motion."""
     grip_n, arm = candidate.limits.grip_force_n, candidate.hand
     if grip_n is None or arm is None or grip_n <= arm.gripper.max_force_n:
-        return None
+        return
     most_n = arm.gripper.max_force_n
-    return Refusal(
+    refusal = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"GRIP-FORCE {grip_n:g} N is asked for; {arm.end_effector} grips with {most_n:g} N at most",
         clears=f"GRIP-FORCE of at most {most_n:g} N",
         detail={"cause": "grip force", "value_n": grip_n, "limit_n": most_n, "arm": arm.name},
     )
+    raise Refused(refusal)
+
+
+#: The order of the checks of an option; the first one that fails is the reason. What is wrong with the sentence comes
+#: first, then what the state of the world does not allow, then what is in doubt.
+CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
+    command_fields.refuse_without_effect,
+    _refuse_too_tight,
+    _refuse_nothing_held,
+    _refuse_unmet,
+    _refuse_unknown_place,
+    _refuse_unsure_grasp,
+    hinged.refuse_other_motion,
+    hinged.refuse_turn_of_hand,
+    hinged.refuse_beyond_stops,
+    two_hands.refuse_moving_alone,
+    _refuse_unsure_place,
+)

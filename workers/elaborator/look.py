@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.sensing import absence
 from workers.conditions.looking import CAMERA
@@ -24,29 +24,27 @@ def candidates(
     parsed: ParsedCommand,
     limits: Limits,
     query: WorldQuery,
-) -> list[TaskCandidate] | Refusal:
-    """A camera that the sentence names looks in any case; else those that can see the body where it is believed."""
+) -> list[TaskCandidate]:
+    """A camera that the sentence names looks in any case; else those that can see the body where it is believed.
+
+    Raises Refused."""
     cell, name = query.cell, parsed.object or ""
     report = parsed.report
     if report is not None and (report.joints or report.forces or report.when):
         message = f"a camera reports the pose of {name}; it has neither joints nor forces, nor conditions of an arm"
-        return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="REPORT", clears="REPORT POSE")
+        raise Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="REPORT", clears="REPORT POSE"))
     thing = next((one for one in cell.objects if one.name == name), None)
     seat = next((one for one in cell.seats if one.name == name), None)
     if thing is None and seat is None:
         known = [*(one.name for one in cell.objects), *(one.name for one in cell.seats)]
-        return suggestions.unknown("object or seat", name, known)
+        raise suggestions.unknown("object or seat", name, known)
     if not sight.tags(cell, name):
-        return _without_tags(program, query, name)
+        raise _without_tags(program, query, name)
     target = next((one for one in cell.seats if one.name == parsed.target), None)
     if parsed.target is not None and target is None:
-        return suggestions.unknown("seat", parsed.target, [one.name for one in cell.seats])
+        raise suggestions.unknown("seat", parsed.target, [one.name for one in cell.seats])
     cameras = _cameras(program, parsed, query, name)
-    if isinstance(cameras, Refusal):
-        return cameras
     figures = figures_of(program, parsed, query, None, None, None, None)
-    if isinstance(figures, Refusal):
-        return figures
     return [
         TaskCandidate(query, program, parsed, limits, None, thing, None, target, figures, camera, seat)
         for camera in cameras
@@ -68,18 +66,19 @@ def further_cameras(step: ScriptStep, candidate: TaskCandidate, body: str, camer
     return [other.name for other in candidate.query.cameras(body) if other.name != camera.name][:MAX_FURTHER]
 
 
-def _cameras(
-    program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery, body: str
-) -> list[parts.Camera] | Refusal:
-    known = [camera.name for camera in query.cell.cameras]
-    if parsed.performer is not None:
-        named = [camera for camera in query.cell.cameras if camera.name == parsed.performer]
-        return named or suggestions.unknown("camera", parsed.performer, known)
-    return query.cameras(body) or _unseen(program, body, known)
+def _cameras(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery, body: str) -> list[parts.Camera]:
+    known = {camera.name: camera for camera in query.cell.cameras}
+    if parsed.performer is None:
+        if not (able := query.cameras(body)):
+            raise _unseen(program, body, list(known))
+        return able
+    if parsed.performer not in known:
+        raise suggestions.unknown("camera", parsed.performer, known)
+    return [known[parsed.performer]]
 
 
-def _without_tags(program: ElaboratorProgram, query: WorldQuery, body: str) -> Refusal:
-    return Refusal(
+def _without_tags(program: ElaboratorProgram, query: WorldQuery, body: str) -> Refused:
+    refusal = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"{body} has no tags, by which a camera could find it",
         where=body,
@@ -87,17 +86,19 @@ def _without_tags(program: ElaboratorProgram, query: WorldQuery, body: str) -> R
         clears=_advice(program, "no_tags", body, []),
         detail={"cause": absence.Cause.NO_TAGS.value, "body": body},
     )
+    return Refused(refusal)
 
 
-def _unseen(program: ElaboratorProgram, body: str, known: list[str]) -> Refusal:
+def _unseen(program: ElaboratorProgram, body: str, known: list[str]) -> Refused:
     """No camera can see the body where it is believed; one that is named looks all the same."""
-    return Refusal(
+    refusal = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"no camera can see {body} where it is believed to be",
         where=body,
         clears=_advice(program, "out_of_view" if known else "no_cameras", body, known),
         detail={"cause": absence.Cause.OUT_OF_VIEW.value, "body": body},
     )
+    return Refused(refusal)
 
 
 def _advice(program: ElaboratorProgram, row: str, body: str, cameras: list[str]) -> str:

@@ -14,7 +14,7 @@ import msgspec
 
 from rtc.language.hands import hand_in_words
 from rtc.protocol.messages import Limits, WorldChange
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial.geometry import Floats
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning.motion.plan import find_joint_way
@@ -60,7 +60,11 @@ def _leaves(query: WorldQuery, arm: str) -> Iterator[tuple[str, str, Floats]]:
 def _can_go(query: WorldQuery, arm: str, joints: Floats) -> bool:
     scene = query.scene(arm, Limits(), seated=bool(query.holding(arm)))
     request = query.planning_request(arm, scene, Limits(), SpeedLimits(), _margin_rad(query))
-    return not isinstance(find_joint_way(request, joints), Refusal)
+    try:
+        find_joint_way(request, joints)
+    except Refused:
+        return False
+    return True
 
 
 def _margin_rad(query: WorldQuery) -> float:

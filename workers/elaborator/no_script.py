@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rtc.programs.schema import Branch, ElaboratorProgram
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from workers.elaborator import command_fields
 
 
-def refuse_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
+def refused_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refused:
     scripted = sorted(verbs(program))
     instead, cannot = program.instead.get(parsed.verb, ""), program.cannot.get(parsed.verb)
     load = "" if "rtc load" in instead or cannot else f"load a script for {parsed.verb}: rtc load FILE INTO elaborator"
-    return Refusal(
+    refusal = Refusal(
         reason=RefusalReason.NO_SCRIPT,
         message=f"{parsed.verb} cannot be performed: {cannot}"
         if cannot
@@ -23,9 +23,10 @@ def refuse_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
         expected=scripted,
         clears="; or ".join(filter(None, (instead, load))),
     )
+    return Refused(refusal)
 
 
-def refuse_form(parsed: ParsedCommand, branches: list[Branch], *, hinged: bool = False) -> Refusal:
+def refused_form(parsed: ParsedCommand, branches: list[Branch], *, hinged: bool = False) -> Refused:
     """The refusal of a sentence that no branch takes. It names no more changes than necessary, with the same hand
     and object if that is enough. `hinged`: the object of the sentence has a hinge."""
     begun = " ".join(filter(None, (parsed.verb, parsed.object or parsed.hand)))
@@ -33,12 +34,13 @@ def refuse_form(parsed: ParsedCommand, branches: list[Branch], *, hinged: bool =
     kept = [one for one in changes if not any(path in ("hand", "object") for path, _ in one)] or changes
     least = [one for one in kept if not any(set(other) < set(one) for other in kept)]
     wanted = [", ".join(words for _, words in one) or "with an object whose figures fit" for one in least]
-    return Refusal(
+    refusal = Refusal(
         reason=RefusalReason.NO_SCRIPT,
         message=f"{parsed.verb} has no script for this form of the sentence",
         where=parsed.verb,
         clears="; or ".join(dict.fromkeys(f"{begun if kept is not changes else parsed.verb} {one}" for one in wanted)),
     )
+    return Refused(refusal)
 
 
 def _changes(branch: Branch, parsed: ParsedCommand, amount: str) -> list[tuple[str, str]]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import shared_hold
@@ -153,11 +153,11 @@ NEEDS: dict[str, Callable[[TaskCandidate], UnmetPrecondition | None]] = {
 }
 
 
-def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
-    """The refusal for an unmet precondition; None if it is met."""
+def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
+    """Refuse an unmet precondition, with the sentence that establishes it."""
     lack = NEEDS[need](candidate)
     if lack is None:
-        return None
+        return
     rows = candidate.program.needs
     thing = lack.thing or lack.held
     clears = rows.get(lack.row or need, "").replace("{let_go}", let_go(rows, candidate.query, thing))
@@ -165,7 +165,7 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
     clears = candidate.fill_in(clears).replace("{held}", lack.held)
     doubt = candidate.query.distrusted(f"{candidate.thing.name}.held_by", {}) if candidate.thing is not None else None
     message = lack.message + (f", but {doubt.message}" if doubt else "")
-    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+    raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
 
 
 def let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
 from rtc.protocol.messages import Script, ScriptContext, Step
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
@@ -24,11 +24,9 @@ from workers.planning.world_query import WorldQuery
 Thing = parts.Object | parts.Seat
 
 
-def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery) -> Script | Refusal:
-    """The script for a SET command; its context holds the stated facts."""
-    misplaced = command_fields.refuse_unused_field(parsed, file.script, file.uses)
-    if misplaced is not None:
-        return misplaced
+def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery) -> Script:
+    """The script for a SET command; its context holds the stated facts. Raises Refused."""
+    command_fields.refuse_unused_field(parsed, file.script, file.uses)
     if teach.is_posture(parsed):
         return _script(file, parsed, parsed.object or "", teach.posture(parsed, query))
     if teach.is_world(parsed, query):
@@ -37,10 +35,8 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
     things |= {seat.name: seat for seat in query.cell.seats}
     thing = things.get(parsed.object or "")
     if thing is None:
-        return suggestions.unknown("object or seat", parsed.object or "", things)
+        raise suggestions.unknown("object or seat", parsed.object or "", things)
     facts = _facts(program, parsed, thing, query)
-    if isinstance(facts, Refusal):
-        return facts
     inside = [key.rpartition(".")[0] for key in facts]
     inside += _seated(thing.name, query) if isinstance(thing, parts.Seat) else []
     if f"{thing.name}.frame" in facts and (holder := query.held_by(thing.name)):
@@ -48,10 +44,8 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
     return _script(file, parsed, thing.name, (facts, [thing.name, *inside]))
 
 
-def _script(file: ScriptFile, parsed: ParsedCommand, name: str, stated: teach.Stated | Refusal) -> Script | Refusal:
-    """The script that states these facts, or the refusal of them."""
-    if isinstance(stated, Refusal):
-        return stated
+def _script(file: ScriptFile, parsed: ParsedCommand, name: str, stated: teach.Stated) -> Script:
+    """The script that states these facts."""
     facts, concerned = stated
     texts = {
         "object": name,
@@ -104,28 +98,25 @@ def _attribute(parsed: ParsedCommand) -> str:
     return (parsed.attribute or "").lower().replace("-", "_")
 
 
-def _facts(
-    program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, query: WorldQuery
-) -> dict[str, Any] | Refusal:
-    """The stated facts by key, in SI units; or the refusal with the correct form."""
+def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, query: WorldQuery) -> dict[str, Any]:
+    """The stated facts by key, in SI units. The refusal of a wrong form states the correct one."""
     attribute = _attribute(parsed)
     values: list[float | str] = parsed.value or []
     if isinstance(thing, parts.Seat) and attribute not in program.settable_of_seats:
         settable = [_word(name) for name in program.settable_of_seats]
-        return suggestions.unknown(
-            "attribute of a seat", parsed.attribute or "", settable, where=parsed.attribute or ""
-        )
+        raise suggestions.unknown("attribute of a seat", parsed.attribute or "", settable, where=parsed.attribute or "")
     if attribute in program.not_settable:
-        return Refusal(
+        determined = Refusal(
             reason=RefusalReason.NOT_ALLOWED,
             message=f"{parsed.attribute} of {thing.name} cannot be set; the cluster determines it",
             where=parsed.attribute or "",
             clears=program.not_settable[attribute].replace("{object}", thing.name),
         )
+        raise Refused(determined)
     if attribute in program.settable:
         row = program.settable[attribute]
         if not _fits(row, parsed):
-            return _misfit(row, parsed, thing)
+            raise _misfit(row, parsed, thing)
         make = FACTS.get(attribute)
         if make is not None:
             return make(program, values, thing, query)
@@ -133,7 +124,7 @@ def _facts(
         known = [_word(name) for name in (*program.settable, *program.not_settable, *_others(thing, query))]
         like = suggestions.nearest(parsed.attribute or "", known)
         if like and parsed.attribute not in known:
-            return suggestions.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
+            raise suggestions.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
     return {f"{thing.name}.{attribute}": values[0] if len(values) == 1 else values}
 
 
@@ -156,63 +147,63 @@ def _word(attribute: str) -> str:
     return attribute.upper().replace("_", "-")
 
 
-def _misfit(row: SettableAttribute, parsed: ParsedCommand, thing: Thing) -> Refusal:
+def _misfit(row: SettableAttribute, parsed: ParsedCommand, thing: Thing) -> Refused:
     values = parsed.value or []
     what = "a name" if any(isinstance(v, str) for v in values) else f"{len(values)} number{'s' * (len(values) != 1)}"
     unit = f"in {parsed.value_unit}" if parsed.value_unit else "without a unit"
     wanted = f"{' '.join(row.of)} in {row.unit}" if row.unit else "a name"
     wanted += f", and may go on with {' '.join(ANGLES)} in rad" if row.attitude else ""
-    return Refusal(
+    refusal = Refusal(
         reason=RefusalReason.SENTENCE,
         message=f"{parsed.attribute} of {thing.name} is {wanted}; the sentence has {what} {unit}",
         where=parsed.attribute or "",
         expected=[row.example],
         clears=f"for example: {parsed.verb} {thing.name} {parsed.attribute} {row.example}",
     )
+    return Refused(refusal)
 
 
 # --- poses -----------------------------------------------------------------------------------------------
 
 
-def _frame(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
+def _frame(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """A position, with the stated attitude or the current one."""
     angles = values[3:]
     attitude = geometry.from_rpy((0, 0, 0), angles)[3:] if angles else _current_pose(thing, query)[3:]
     return _pose(values[:3], attitude, thing)
 
 
-def _attitude(
-    program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery
-) -> dict[str, Any] | Refusal:
+def _attitude(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """An attitude, at the current position."""
     return _pose(_current_pose(thing, query)[:3], geometry.from_rpy((0, 0, 0), values)[3:], thing)
 
 
-def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
+def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """The pose of an object seated in the named seat."""
     seats = [seat.name for seat in query.cell.seats]
     if values[0] not in seats:
-        return suggestions.unknown("seat", values[0], seats, where=values[0])
+        raise suggestions.unknown("seat", values[0], seats, where=values[0])
     holder = query.held_by(thing.name)
     if holder:
         message = f"{thing.name} is held by {holder}"
         let_go = preconditions.let_go(program.needs, query, thing.name)
         clears = program.needs["object_free"].replace("{let_go}", let_go).replace("{object}", thing.name)
-        return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
     seated = query.seated_pose(values[0])
     return _pose(seated[:3], seated[3:], thing)
 
 
-def _angle(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
+def _angle(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """The pose of an object with a hinge at this angle."""
     hinge = thing.hinge if isinstance(thing, parts.Object) else None
     if hinge is None:
-        return Refusal(reason=RefusalReason.STATE, message=f"{thing.name} has no hinge", clears="an object with one")
+        message = f"{thing.name} has no hinge"
+        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears="an object with one"))
     if not hinge.range_rad[0] <= values[0] <= hinge.range_rad[1]:
         least, most = hinge.range_deg
         between = f"from {least:g} to {most:g} deg"
         message = f"{thing.name} turns {between}, not to {math.degrees(values[0]):g} deg"
-        return Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"an angle {between}")
+        raise Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"an angle {between}"))
     turned = hinges.turned(query.hinge_home(thing.name), hinge.axis, values[0])
     return _pose(turned[:3], turned[3:], thing)
 
@@ -221,14 +212,15 @@ def _current_pose(thing: Thing, query: WorldQuery) -> Array:
     return query.seat_frame(thing.name) if isinstance(thing, parts.Seat) else query.frame(thing.name)
 
 
-def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any] | Refusal:
+def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any]:
     if isinstance(thing, parts.Object) and thing.fixed:
-        return Refusal(reason=RefusalReason.STATE, message=f"{thing.name} is fixed", clears="another object")
+        message = f"{thing.name} is fixed"
+        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears="another object"))
     return {f"{thing.name}.frame": [float(n) for n in (*place, *attitude)]}
 
 
 ANGLES = ("roll", "pitch", "yaw")
-FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any] | Refusal]] = {
+FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]] = {
     "frame": _frame,
     "attitude": _attitude,
     "seat": _seat,

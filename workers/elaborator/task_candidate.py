@@ -15,7 +15,7 @@ import msgspec
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, TableRow
 from rtc.protocol.messages import Limits
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand, Quantity
 from rtc.protocol.units import in_words
 from rtc.world.spread import narrowest
@@ -135,13 +135,10 @@ def figures_of(
     thing: parts.Object | None,
     point: parts.GraspPoint | None,
     target: parts.Seat | None,
-) -> dict[str, float] | Refusal:
-    """All figures of a candidate, or the refusal if the command-object table has no row for it."""
+) -> dict[str, float]:
+    """All figures of a candidate. Raises Refused if the command-object table has no row for it."""
     figures: dict[str, float] = dict(msgspec.structs.asdict(query.cell.numbers))
-    row = _table(program, parsed.verb, thing, query)
-    if isinstance(row, Refusal):
-        return row
-    figures |= row
+    figures |= _table(program, parsed.verb, thing, query)
     if arm is not None:
         figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": query.hand_width(arm.name)}
         figures["max_grip_n"] = arm.gripper.max_force_n
@@ -184,33 +181,33 @@ def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:
     return {} if quantity is None else {name + SUFFIX.get(quantity.unit, f"_{quantity.unit}"): quantity.value}
 
 
-def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery) -> Refusal:
+def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery) -> Refused:
     """Refusal if the table has no row for this verb and object. A verb without any row is a program error."""
     rows = [row for row in program.command_object_table if row.verb == verb]
     fits = [one.name for one in query.cell.objects if any(_is_about(row, one) for row in rows)]
     if thing is None or not rows:
         what = f"{thing.name} ({thing.kind})" if thing else "no object"
-        return Refusal(
+        no_row = Refusal(
             reason=RefusalReason.PROGRAM,
             message=f"the command-object table has no row for {verb} and {what}",
             where="command_object_table",
             clears=f"load a row of command_object_table for verb {verb} (rtc docs scripts)",
         )
-    return Refusal(
+        return Refused(no_row)
+    refusal = Refusal(
         reason=RefusalReason.NO_SCRIPT,
         message=f"{verb} is not possible with {thing.name}: it is a {thing.kind}",
         where=thing.name,
         expected=fits,
         clears=f"{verb} one of {', '.join(fits)}" if fits else f"load a row of command_object_table for {thing.kind}",
     )
+    return Refused(refusal)
 
 
-def _table(
-    program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery
-) -> dict[str, Any] | Refusal:
+def _table(program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery) -> dict[str, Any]:
     rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
     if not rows:
-        return _not_for(program, verb, thing, query)
+        raise _not_for(program, verb, thing, query)
     rows.sort(key=lambda row: bool(row.name))  # rows for a name override rows for a kind
     return {name: value for row in rows for name, value in row.values.items()}
 

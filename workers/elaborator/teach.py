@@ -9,7 +9,7 @@ from typing import Any
 
 from rtc.model.cells import taught
 from rtc.programs.schema import ElaboratorProgram
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from workers.elaborator import preconditions
 from workers.planning import suggestions
@@ -23,28 +23,29 @@ def is_posture(parsed: ParsedCommand) -> bool:
     return bool(_arm(parsed))
 
 
-def posture(parsed: ParsedCommand, query: WorldQuery) -> Stated | Refusal:
-    """The posture of an arm at a place that has a name of its own."""
+def posture(parsed: ParsedCommand, query: WorldQuery) -> Stated:
+    """The posture of an arm at a place that has a name of its own. Raises Refused."""
     place, name, arms = parsed.object or "", _arm(parsed), {arm.name: arm for arm in query.cell.arms}
     if name not in arms:
-        return suggestions.unknown("arm", name, arms, where=parsed.attribute or "")
+        raise suggestions.unknown("arm", name, arms, where=parsed.attribute or "")
     if what := taught.taken(query.cell, place):
         message = f"{place} is {what}; a taught place needs a name of its own"
-        return Refusal(reason=RefusalReason.NAME, message=message, where=place, clears="choose another name")
+        raise Refused(Refusal(reason=RefusalReason.NAME, message=message, where=place, clears="choose another name"))
     key, values, arm = taught.key_of(place, name), parsed.value or [], arms[name]
     if values == [HERE]:
         return {key: {"now": f"{name}.joints"}}, [place, name]
     if values == [NONE]:
         if query.world.value(key) is None:
             known = [one.name for one in query.taught_places if name in one.joints_deg]
-            return suggestions.unknown(f"taught place of {name} with the name", place, known)
+            raise suggestions.unknown(f"taught place of {name} with the name", place, known)
         return {key: None}, [place]
     slides = any(isinstance(value, str) for value in arm.home_deg)
     if len(values) != len(arm.joints) or parsed.value_unit != "rad" or slides:
         wanted = "HERE or NONE" if slides else f"HERE, NONE, or {len(arm.joints)} angles in DEG"
         message = f"the posture of {name} is {wanted}"
         clears = f"{parsed.verb} {place} {parsed.attribute} {HERE}"
-        return Refusal(reason=RefusalReason.SENTENCE, message=message, where=parsed.attribute or "", clears=clears)
+        where = parsed.attribute or ""
+        raise Refused(Refusal(reason=RefusalReason.SENTENCE, message=message, where=where, clears=clears))
     return {key: values}, [place]
 
 
@@ -56,18 +57,17 @@ def is_world(parsed: ParsedCommand, query: WorldQuery) -> bool:
     return parsed.object == taught.WORLD and taught.WORLD not in query.cell.names()
 
 
-def world(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery) -> Stated | Refusal:
-    """All facts of objects and seats as in the cell. Arms keep theirs: they are measured."""
+def world(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery) -> Stated:
+    """All facts of objects and seats as in the cell. Arms keep theirs: they are measured. Raises Refused."""
     if (parsed.attribute, parsed.value) != ("FACTS", [INITIAL]):
         message = f"of {taught.WORLD} only FACTS {INITIAL} can be set"
-        return Refusal(
-            reason=RefusalReason.SENTENCE, message=message, clears=f"{parsed.verb} {taught.WORLD} FACTS {INITIAL}"
-        )
+        clears = f"{parsed.verb} {taught.WORLD} FACTS {INITIAL}"
+        raise Refused(Refusal(reason=RefusalReason.SENTENCE, message=message, clears=clears))
     for arm in query.cell.arms:
         if held := query.holding(arm.name):
             let_go = preconditions.let_go(program.needs, query, held)
             message = f"{arm.name} holds {held}; a reset of the facts would deny that, and moves nothing"
-            return Refusal(reason=RefusalReason.STATE, message=message, where=held, clears=f"first {let_go}")
+            raise Refused(Refusal(reason=RefusalReason.STATE, message=message, where=held, clears=f"first {let_go}"))
     cell = query.cell
     concerned = [part.name for group in (cell.arms, cell.objects, cell.seats) for part in group]
     return {f"{taught.WORLD}.facts": INITIAL.lower()}, [taught.WORLD, *concerned]

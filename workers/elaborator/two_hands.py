@@ -5,7 +5,7 @@ from __future__ import annotations
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from workers.conditions import sharing
 from workers.elaborator.task_candidate import TaskCandidate
@@ -13,23 +13,25 @@ from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery
 
 
-def both_arms(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery) -> list[parts.Arm] | Refusal:
-    """The leading arm of two that hold one object: the one that the facts of the object refer to."""
+def both_arms(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery) -> parts.Arm:
+    """The leading arm of two that hold one object: the one that the facts of the object refer to. Raises Refused."""
     rows = program.decision_tree
     able = [row.verb for row in rows if any(check.equals.get("hand") == BOTH_ARMS for check in row.when)]
     if parsed.verb not in able:
         message = f"{parsed.verb} has no script for two arms"
         clears = f"name one arm; {', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}"
-        return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears)
+        raise Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
     if any(reflex.action != "stop" for reflex in parsed.reflexes):
         message = f"{BOTH_ARMS} can only stop when an UNLESS becomes true: another reflex would pull at the object"
-        return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears="THEN STOP")
+        raise Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears="THEN STOP"))
     sharing = [arm for arm in query.cell.arms if query.sharers(arm.name)]
     leading = next((arm for arm in sharing if query.held_by(query.holding(arm.name)) == arm.name), None)
-    return [leading] if leading is not None else _refuse_unshared(program, query)
+    if leading is None:
+        raise _unshared(program, query)
+    return leading
 
 
-def _refuse_unshared(program: ElaboratorProgram, query: WorldQuery) -> Refusal:
+def _unshared(program: ElaboratorProgram, query: WorldQuery) -> Refused:
     """The refusal of BOTH-ARMS without a common object; it states the sentence that makes the second hand take it."""
     held = {arm.name: query.holding(arm.name) for arm in query.cell.arms}
     message = f"{BOTH_ARMS} must hold one object; " + ", ".join(
@@ -42,7 +44,7 @@ def _refuse_unshared(program: ElaboratorProgram, query: WorldQuery) -> Refusal:
     if free and empty is not None:
         clears = program.needs.get("second_hand", "").replace("{held}", first).replace("{free}", free[0])
         clears = clears.replace("{hand}", hand_in_words(empty.name))
-    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+    return Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
 
 
 def partner(query: WorldQuery, arm: parts.Arm) -> parts.Arm | None:
@@ -65,9 +67,9 @@ def lets_go_first(script: ScriptFile) -> bool:
     return next((step.op == "open" for step in script.steps if step.op or step.to), False)
 
 
-def refuse_moving_alone(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+def refuse_moving_alone(script: ScriptFile, candidate: TaskCandidate) -> None:
     """Refuse to move one arm whose object another arm holds too. An arm that lets go of it first may move."""
-    if lets_go_first(script) or not any(step.to for step in script.steps):
-        return None
+    if candidate.hand is None or lets_go_first(script) or not any(step.to for step in script.steps):
+        return
     second = candidate.partner.name if candidate.partner else ""
-    return sharing.refuse_alone(candidate.query, candidate.arm.name, second, candidate.program.clears)
+    sharing.refuse_alone(candidate.query, candidate.arm.name, second, candidate.program.clears)

@@ -29,10 +29,10 @@ def motion_time_s(query: WorldQuery, limits: Limits) -> float:
     return MOTION_S * max(1.0, free_m_s / speed_m_s)
 
 
-def refuse_if_uncertain(
+def why_uncertain(
     query: WorldQuery, arm: str, args: Args, clears: Mapping[str, str], ahead_s: float = 0.0
 ) -> Refusal | None:
-    """Refuse a step if the held object's grasp is too uncertain; None if it is not, or if the hand is empty.
+    """The refusal of a step for which the grasp of the held object is too uncertain; None: certain, or an empty hand.
 
     `ahead_s`: when the step begins, after the time of the query.
     """

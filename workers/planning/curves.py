@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array, Floats
@@ -24,31 +24,29 @@ PATTERN_RAD = 0.2  # maximum turn between two poses of a pattern
 Figures = Mapping[str, float]
 
 
-def curve(space: str, start: Floats, about: Floats, axis: str, figures: Figures) -> Array | Refusal:
-    """The curve of a step that begins at the tcp pose `start`, or the refusal of its figures.
+def curve(space: str, start: Floats, about: Floats, axis: str, figures: Figures) -> Array:
+    """The curve of a step that begins at the tcp pose `start`. Raises Refused for impossible figures.
 
     `axis` of a circle passes through the origin of the pose `about`; a TOOL axis is an axis of that pose. `axis` of a
     pattern is the normal of its plane; a TOOL axis is an axis of the hand. All poses are in world axes.
     """
     if axis not in AXES:
-        return suggestions.unknown("axis", axis, AXES)
+        raise suggestions.unknown("axis", axis, AXES)
     return CURVES[space](np.asarray(start, dtype=float), np.asarray(about, dtype=float), axis, figures)
 
 
-def _circle(start: Array, about: Array, axis: str, figures: Figures) -> Array | Refusal:
+def _circle(start: Array, about: Array, axis: str, figures: Figures) -> Array:
     """A turn by `by_rad` about the axis, with a rise of `by_m` along it. `hand_turn`: share of the turn that the hand
     makes with it: 1 (default) as if fixed to the hinge, 0 with its attitude kept."""
     by_rad, by_m, share = figures.get("by_rad", 0.0), figures.get("by_m", 0.0), figures.get("hand_turn", 1.0)
     if not abs(by_rad) > 1e-6 or not math.isfinite(by_rad + by_m):
-        return _refused(f"a circle by {by_rad:g} rad has no direction", "by_rad other than 0")
+        raise _refused(f"a circle by {by_rad:g} rad has no direction", "by_rad other than 0")
     if not 0.0 <= share <= 1.0:
-        return _refused(f"hand_turn {share:g} is not a share of the turn", "hand_turn of 0 to 1")
+        raise _refused(f"hand_turn {share:g} is not a share of the turn", "hand_turn of 0 to 1")
     along = np.array(axes.direction(about, axis))
     arm = start[:3] - about[:3]
     arm = arm - along * float(arm @ along)
     count = _count(abs(by_rad) * float(np.linalg.norm(arm)) / KNOT_M, abs(by_rad) / CIRCLE_RAD, abs(by_m) / KNOT_M)
-    if isinstance(count, Refusal):
-        return count
     poses = []
     for fraction in np.linspace(0.0, 1.0, count + 1).tolist():
         angle = fraction * by_rad
@@ -58,34 +56,24 @@ def _circle(start: Array, about: Array, axis: str, figures: Figures) -> Array | 
     return np.array(poses)
 
 
-def _spiral(start: Array, about: Array, axis: str, figures: Figures) -> Array | Refusal:
+def _spiral(start: Array, about: Array, axis: str, figures: Figures) -> Array:
     """From the hand outwards to `radius_m`, with `pitch_m` between turns, and `by_m` along the normal in all."""
-    size = _pattern(figures)
-    if isinstance(size, Refusal):
-        return size
-    radius, pitch = size
+    radius, pitch = _pattern(figures)
     turns = radius / pitch
     count = _count(2.0 * math.pi * turns / PATTERN_RAD)
-    if isinstance(count, Refusal):
-        return count
     angle = np.linspace(0.0, 2.0 * math.pi * turns, count + 1)
     plane = np.stack((np.cos(angle), np.sin(angle)), axis=1) * (pitch * angle / (2.0 * math.pi))[:, None]
     return _in_plane(start, axis, plane, figures.get("by_m", 0.0))
 
 
-def _raster(start: Array, about: Array, axis: str, figures: Figures) -> Array | Refusal:
+def _raster(start: Array, about: Array, axis: str, figures: Figures) -> Array:
     """Lines back and forth at a distance of `pitch_m`, joined by half circles, over a square of half side `radius_m`
     round the hand. The path begins in the middle and goes to a corner first."""
-    size = _pattern(figures)
-    if isinstance(size, Refusal):
-        return size
-    radius, pitch = size
+    radius, pitch = _pattern(figures)
     lines = 2 * math.ceil(radius / pitch) + 1
     half_turn = math.ceil(math.pi / PATTERN_RAD)
     per_line = max(8, math.ceil(2.0 * radius / KNOT_M))
-    count = _count((lines + 1) * (half_turn + per_line))
-    if isinstance(count, Refusal):
-        return count
+    _count((lines + 1) * (half_turn + per_line))
     corner = np.array((-radius, -0.5 * (lines - 1) * pitch))
     rows = [_bend((np.zeros(2), 0.5 * corner, corner - (pitch, 0.0), corner), half_turn)]
     side = -1.0
@@ -108,10 +96,10 @@ def _bend(corners: tuple[Array, Array, Array, Array], count: int) -> Array:
     return found
 
 
-def _pattern(figures: Figures) -> tuple[float, float] | Refusal:
+def _pattern(figures: Figures) -> tuple[float, float]:
     radius, pitch = figures.get("radius_m", 0.0), figures.get("pitch_m", 0.0)
     if not 0.0 < pitch <= radius < math.inf:  # false for nan too
-        return _refused(
+        raise _refused(
             f"a pattern with a radius of {radius:g} m and a pitch of {pitch:g} m covers nothing",
             "pitch_m above 0 and at most radius_m",
         )
@@ -138,20 +126,20 @@ def _turned(start: Array, along: Array, angle: float) -> list[float]:
     return attitude
 
 
-def _count(*wanted: float) -> int | Refusal:
+def _count(*wanted: float) -> int:
     count = max(4, *(math.ceil(n) for n in wanted))
     if count <= MAX_POSES:
         return count
     message = f"the curve would have {count} knots; {MAX_POSES} is the maximum"
-    return _refused(message, "a smaller one, or a wider pitch")
+    raise _refused(message, "a smaller one, or a wider pitch")
 
 
-def _refused(message: str, clears: str) -> Refusal:
-    return Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=clears, detail={"cause": "curve"})
+def _refused(message: str, clears: str) -> Refused:
+    return Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=clears, detail={"cause": "curve"}))
 
 
 #: space of a step -> its curve
-CURVES: dict[str, Callable[[Array, Array, str, Figures], Array | Refusal]] = {
+CURVES: dict[str, Callable[[Array, Array, str, Figures], Array]] = {
     "move_circle": _circle,
     "move_spiral": _spiral,
     "move_raster": _raster,

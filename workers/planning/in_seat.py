@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
 from workers.planning.world_query import WorldQuery
@@ -23,7 +23,7 @@ ASIDE_M, TURNED_RAD = 0.003, math.radians(1.0)  # maximum deviation of a line fr
 
 def refuse_other_way(
     query: WorldQuery, arm: str, space: str, tcp: Floats, goal: Floats | None, clears: Mapping[str, str]
-) -> Refusal | None:
+) -> None:
     """Refuse a motion that starts with the held object in a slot, and that does not follow the way out.
 
     `space`: of the motion; `goal`: the tcp pose at its end, if it is a line. Straight lines of one arm are left to the
@@ -33,8 +33,8 @@ def refuse_other_way(
     frame = query.in_hand(held, tcp) if held and space in ("move_joint", "move_both") else None
     seat = query.slot_at(frame) if frame is not None and query.hinge(held) is None else ""
     if not seat or (goal is not None and space == "move_both" and _follows(query, seat, tcp, goal)):
-        return None
-    return Refusal(
+        return
+    refusal = Refusal(
         reason=RefusalReason.STATE,
         message=f"{held} is in {seat}, and leaves it only in a straight line",
         where=held,
@@ -44,6 +44,7 @@ def refuse_other_way(
         .replace("{seat}", seat),
         detail={"cause": "seat", "arm": arm, "seat": seat},
     )
+    raise Refused(refusal)
 
 
 def way_out_in_words(query: WorldQuery, arm: str, seat: str, frame: Floats | None = None) -> str:

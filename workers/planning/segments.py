@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from rtc.protocol.messages import PlannedPath
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial.geometry import Array, Floats
 from workers.planning import curves
 from workers.planning.motion import ik, path_reuse
@@ -61,10 +61,8 @@ class Segment(NamedTuple):
         return path_reuse.to_message(path_reuse.request_digest(request, space, self.goal), self.found)
 
 
-def check_segment(
-    request: PlanningRequest, space: str, target: Target, detours: bool, first: bool
-) -> Segment | Refusal:
-    """The segment with the joint values (rad) at its end, or the refusal if it is blocked.
+def check_segment(request: PlanningRequest, space: str, target: Target, detours: bool, first: bool) -> Segment:
+    """The segment with the joint values (rad) at its end. Raises Refused if it is blocked.
 
     `detours`: also try paths with way-points if the direct path is blocked.
     `first`: the segment starts where the arm is now; find the way that `plan_segment` would take.
@@ -72,30 +70,27 @@ def check_segment(
     return _TESTS[space](request, target, detours, first)
 
 
-def plan_segment(
-    request: PlanningRequest, space: str, target: Target, known: PlannedPath | None = None
-) -> Motion | Refusal:
-    """The segment as a timed motion. `known`: a way found before; of another request it is tested again."""
+def plan_segment(request: PlanningRequest, space: str, target: Target, known: PlannedPath | None = None) -> Motion:
+    """The segment as a timed motion. `known`: a way found before; of another request it is tested again.
+
+    Raises Refused."""
     return SPACES[space](request, target, known)
 
 
 # --- joint space -----------------------------------------------------------------------------------------
 
 
-def _goal(request: PlanningRequest, target: Target) -> Array | Refusal:
+def _goal(request: PlanningRequest, target: Target) -> Array:
     if target.joints is not None:
         return np.asarray(target.joints, dtype=float)
     assert target.pose is not None
     return ik.choose(request.arm, target.pose, request.start, test=free_posture(request), margin_rad=request.margin_rad)
 
 
-def _timed_joint(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion | Refusal:
+def _timed_joint(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion:
     goal = _goal(request, target)
-    if isinstance(goal, Refusal):
-        return goal
     if target.via:
-        spline = _through(request, target, goal)
-        return spline if isinstance(spline, Refusal) else in_time(request, spline)
+        return in_time(request, _through(request, target, goal))
     if known is None:
         return plan_joint_motion(request, goal)
     before = path_reuse.from_message(known)
@@ -104,30 +99,27 @@ def _timed_joint(request: PlanningRequest, target: Target, known: PlannedPath | 
     return plan_joint_motion(request, goal, before.path)
 
 
-def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
-    goal = _goal(request, target)
-    if isinstance(goal, Refusal):
-        return goal
+def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment:
+    goal, found = _goal(request, target), None
     if target.via:
-        spline = _through(request, target, goal)
-        return spline if isinstance(spline, Refusal) else Segment(goal, goal)
-    if _is_there(request, goal):
-        return request.arm.why_not_within(goal, request.margin_rad) or Segment(goal, goal)
-    found = find_joint_way(request, goal) if detours else find_direct_way(request, goal, with_room=first)
-    if isinstance(found, Refusal):
-        return found
+        _through(request, target, goal)
+    elif _is_there(request, goal):
+        refuse_if(request.arm.why_not_within(goal, request.margin_rad))
+    else:
+        found = find_joint_way(request, goal) if detours else find_direct_way(request, goal, with_room=first)
     return Segment(goal, goal, found)
 
 
-def _through(request: PlanningRequest, target: Target, goal: Array) -> FreeWay | Refusal:
+def _through(request: PlanningRequest, target: Target, goal: Array) -> FreeWay:
     """The spline through the via points; each with the joint values nearest to those before it."""
     postures = [request.start]
     for n, via in enumerate(target.via, 1):
         now = replace(request, joints={**request.joints, request.arm.name: postures[-1]})
-        found = _goal(now, via)
-        if isinstance(found, Refusal):
-            return msgspec.structs.replace(found, message=f"{found.message} (via point {n})", where=f"via point {n}")
-        postures.append(found)
+        try:
+            postures.append(_goal(now, via))
+        except Refused as refused:
+            message = f"{refused} (via point {n})"
+            raise Refused(msgspec.structs.replace(refused.refusal, message=message, where=f"via point {n}")) from None
     return find_spline(request, [*postures, goal])
 
 
@@ -146,29 +138,27 @@ def _pose(request: PlanningRequest, target: Target) -> list[float]:
     return pose
 
 
-def _timed_task(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion | Refusal:
+def _timed_task(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion:
     pose = _pose(request, target)
-    motion: Motion | Refusal
     if target.via:
         motion = _timed_curve(request, _smooth(request, target, pose), known)
-        return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion
-    if known is not None and known.request_digest == path_reuse.request_digest(request, "move_task", pose):
+    elif known is not None and known.request_digest == path_reuse.request_digest(request, "move_task", pose):
         motion = in_time(request, path_reuse.from_message(known))
     else:
         motion = plan_task_motion(request, pose)
-    return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion
+    refuse_if(_other_end(request, target, motion.goal_joints))
+    return motion
 
 
-def _tested_task(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
+def _tested_task(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment:
     pose = _pose(request, target)
     if target.via:
         segment = _tested_curve(request, _smooth(request, target, pose), detours, first)
-        return segment if isinstance(segment, Refusal) else _other_end(request, target, segment.end) or segment
-    found = find_task_way(request, pose, request.margin_rad)
-    if isinstance(found, Refusal):
-        return found
-    end = found.path.knots[-1]
-    return _other_end(request, target, end) or Segment(end, pose, found)
+    else:
+        found = find_task_way(request, pose, request.margin_rad)
+        segment = Segment(found.path.knots[-1], pose, found)
+    refuse_if(_other_end(request, target, segment.end))
+    return segment
 
 
 def _smooth(request: PlanningRequest, target: Target, goal: list[float]) -> Target:
@@ -195,43 +185,42 @@ def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal 
 # --- curves ----------------------------------------------------------------------------------------------
 
 
-def _timed_curve(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion | Refusal:
+def _timed_curve(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion:
     assert target.poses is not None
-    found = find_curve(request, target.poses, request.way_margin_rad)
-    return found if isinstance(found, Refusal) else in_time(request, found)
+    return in_time(request, find_curve(request, target.poses, request.way_margin_rad))
 
 
-def _tested_curve(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
+def _tested_curve(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment:
     assert target.poses is not None
-    found = find_curve(request, target.poses, request.margin_rad)
-    return found if isinstance(found, Refusal) else Segment(found.path.knots[-1], target.poses[-1])
+    return Segment(find_curve(request, target.poses, request.margin_rad).path.knots[-1], target.poses[-1])
 
 
 # --- two arms --------------------------------------------------------------------------------------------
 
 
-def _timed_both(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion | Refusal:
+def _timed_both(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion:
     if request.partner is None:
         message = f"{request.arm.name} has no partner: no other arm holds the same object"
-        return Refusal(reason=RefusalReason.STATE, message=message, clears="a command for one arm")
+        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears="a command for one arm"))
     motion = plan_carry(request, _pose(request, target))
-    return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion
+    refuse_if(_other_end(request, target, motion.goal_joints))
+    return motion
 
 
-def _tested_both(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
+def _tested_both(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment:
     motion = _timed_both(request, target, None)
-    return motion if isinstance(motion, Refusal) else Segment(motion.goal_joints, motion.goal_pose)
+    return Segment(motion.goal_joints, motion.goal_pose)
 
 
 #: fourth column of a script -> planner of its segments
-SPACES: dict[str, Callable[[PlanningRequest, Target, PlannedPath | None], Motion | Refusal]] = {
+SPACES: dict[str, Callable[[PlanningRequest, Target, PlannedPath | None], Motion]] = {
     "move_joint": _timed_joint,
     "move_task": _timed_task,
     **dict.fromkeys(curves.CURVES, _timed_curve),
     "move_both": _timed_both,
 }
 STRAIGHT = frozenset(("move_task", *curves.CURVES))  # lines and curves of one hand
-_TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], Segment | Refusal]] = {
+_TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], Segment]] = {
     "move_joint": _tested_joint,
     "move_task": _tested_task,
     **dict.fromkeys(curves.CURVES, _tested_curve),

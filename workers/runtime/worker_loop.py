@@ -43,7 +43,7 @@ from rtc.protocol.messages import (
     WorkerGone,
     WorkerHello,
 )
-from rtc.protocol.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, WireError
+from rtc.protocol.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, Refused, WireError, refuse_if
 from rtc.runtime.link import Link
 from rtc.runtime.process import Every, Process, inbox, now_s, send, show_name
 from rtc.world.client import WorldClient
@@ -263,12 +263,16 @@ class WorkerLoop:
 
     def _do(self, job: Job, came_s: float) -> None:
         started_s = time.perf_counter()
+        result: JobDone | JobRefused
         try:
-            product = self._work(job, came_s)
+            result = JobDone(id=job.id, attempt=job.attempt, product=self._work(job, came_s))
         except StopRequested:
             return
+        except Refused as refused:
+            result = JobRefused(id=job.id, attempt=job.attempt, refusal=refused.refusal)
         except ClusterError as error:  # the world database is unavailable; the broker decides on a retry
-            product = Refusal(reason=RefusalReason.TIMEOUT, message=str(error))
+            lost = Refusal(reason=RefusalReason.TIMEOUT, message=str(error))
+            result = JobRefused(id=job.id, attempt=job.attempt, refusal=lost)
         except Exception:
             self._me.log.exception("job %s attempt %d crashed", job.id, job.attempt)
             evidence = traceback.format_exc()[-EVIDENCE_CHARS:]
@@ -276,38 +280,28 @@ class WorkerLoop:
             return
         took_s = time.perf_counter() - started_s
         self._slow_s = max(took_s, 0.9 * self._slow_s)
-        self._answer(
-            JobRefused(id=job.id, attempt=job.attempt, refusal=product, took_s=took_s)
-            if isinstance(product, Refusal)
-            else JobDone(id=job.id, attempt=job.attempt, product=product, took_s=took_s)
-        )
+        self._answer(msgspec.structs.replace(result, took_s=took_s))
 
-    def _work(self, job: Job, came_s: float) -> msgspec.Raw | Refusal:
-        """Run the function and commit the changes of its product; returns the encoded product."""
+    def _work(self, job: Job, came_s: float) -> msgspec.Raw:
+        """Run the function and commit the changes of its product; returns the encoded product. Raises Refused."""
         if job.doubt:
             if job.lease is not None:
                 self._view.make_suspect(job.lease, job.doubt)
             return wire.raw(None)  # the broker does not read it
         function = self._function
         program = self._made(self._programs, job.program)
-        if isinstance(program, Refusal):
-            return program
         cell = self._made(self._cells, job.cell) if function.NEEDS_CELL and job.cell else None
-        if isinstance(cell, Refusal):
-            return cell
         world = self._view.at(came_s) if function.NEEDS_WORLD else None
         data = self._read_input(job.input)
         with self._pulse:
             product = function.run(program, cell, world, data)
         if isinstance(product, Refusal):
-            return product
+            raise Refused(product)
         if isinstance(product, Assessment) and product.changes:
             if job.lease is None:
                 message = f"it wants to write {product.changes[0].key}, but its script names nothing that is written"
-                return Refusal(reason=RefusalReason.PROGRAM, message=message)
-            refusal = self._view.commit(job.lease, product, source=job.id)
-            if refusal is not None:
-                return refusal
+                raise Refused(Refusal(reason=RefusalReason.PROGRAM, message=message))
+            refuse_if(self._view.commit(job.lease, product, source=job.id))
         return wire.raw(product)
 
     def _answer(self, result: JobResult) -> None:
@@ -316,17 +310,19 @@ class WorkerLoop:
         self._results.append(result)
 
     def _made(self, kept: CompiledCache, digest: str) -> Any:
-        """The compiled program or cell of this digest, from the cache or the broker; or a Refusal with the cause."""
+        """The compiled program or cell of this digest, from the cache or the broker. Raises Refused."""
         if digest not in kept:
             self._flush(late=True)
-            body = self._body(digest)
-            if isinstance(body, Refusal):
-                return body
-            kept.make(digest, body)
-        return kept[digest]
+            kept.make(digest, self._body(digest))
+        made = kept[digest]
+        if isinstance(made, Refusal):
+            raise Refused(made)
+        return made
 
-    def _body(self, digest: str) -> bytes | Refusal:
-        """Fetch a body from the broker and wait for it; other messages are handled as usual meanwhile."""
+    def _body(self, digest: str) -> bytes:
+        """Fetch a body from the broker and wait for it; other messages are handled as usual meanwhile.
+
+        Raises Refused."""
         self._wanted, self._bodies = digest, []
         end_s, again = now_s() + PROGRAM_LIMIT_S, Every(ASK_AGAIN_S)
         while not self._bodies and now_s() < end_s:
@@ -339,10 +335,10 @@ class WorkerLoop:
         self._wanted = ""
         if not self._bodies:
             message = f"the broker did not send program or cell {digest} within {PROGRAM_LIMIT_S:g} s"
-            return Refusal(reason=RefusalReason.TIMEOUT, message=message, where=digest)
+            raise Refused(Refusal(reason=RefusalReason.TIMEOUT, message=message, where=digest))
         if (body := self._bodies[0]) is None:
             message = f"the broker has no program or cell {digest}"
-            return Refusal(reason=RefusalReason.PROGRAM, message=message, where=digest)
+            raise Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, where=digest))
         return body
 
 

@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
+from tests.workers.refusals import refusal_of
 from workers.analyzer.reported_facts import changes_from, seat_at
 from workers.planning.world_query import WorldQuery
 
@@ -41,17 +42,15 @@ def query(bench) -> WorldQuery:
     ],
 )
 def test_what_cannot_be_is_refused(query, facts):
-    refusal = changes_from(facts, query, VALUES)
+    refusal = refusal_of(changes_from, facts, query, VALUES)
 
-    assert isinstance(refusal, Refusal)
     assert refusal.reason is RefusalReason.INFEASIBLE
     assert refusal.where in facts
 
 
 def test_two_things_are_not_in_one_seat(query):
-    refusal = changes_from({"MACS-NEW.frame": [0.8, 0.8, 0.6, *UPRIGHT]}, query, VALUES)
+    refusal = refusal_of(changes_from, {"MACS-NEW.frame": [0.8, 0.8, 0.6, *UPRIGHT]}, query, VALUES)
 
-    assert isinstance(refusal, Refusal)
     assert "RACK-2, where MACS-OLD" in refusal.message
 
 
@@ -82,7 +81,9 @@ def test_what_is_seen_in_a_hand_tells_how_the_hand_holds_it(bench):
 def test_what_is_held_is_not_reported_to_be_far_from_the_hand(bench):
     bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
 
-    refusal = changes_from({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, WorldQuery(bench.model, bench.world), VALUES)
+    refusal = refusal_of(
+        changes_from, {"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, WorldQuery(bench.model, bench.world), VALUES
+    )
 
     assert "from its fingers" in refusal.message
     assert "open the hand" in refusal.clears

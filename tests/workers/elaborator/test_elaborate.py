@@ -300,7 +300,7 @@ def test_the_refusal_of_a_sentence_without_a_script_names_the_forms_with_one(ben
 def test_the_forms_are_those_of_the_same_hand_with_what_is_missing(sentence, clears):
     parsed = parse(default_grammar(), sentence)
     tree = decode(loader.default("elaborator"), ElaboratorProgram).decision_tree
-    assert no_script.refuse_form(parsed, [branch for branch in tree if branch.verb == "MOVE"]).clears == clears
+    assert no_script.refused_form(parsed, [branch for branch in tree if branch.verb == "MOVE"]).refusal.clears == clears
 
 
 @pytest.mark.parametrize(

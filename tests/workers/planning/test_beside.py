@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rtc.model.robot.collision_scene import Scene
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, StopReason
+from rtc.protocol.outcomes import IN_THE_WAY, StopReason
 from rtc.protocol.primitive import (
     MAX_S,
     Compliance,
@@ -19,6 +19,7 @@ from rtc.protocol.primitive import (
     TimeAbove,
 )
 from tests.workers.conftest import CELL, MODEL
+from tests.workers.refusals import refusal_of
 from workers.planning.motion.beside import SPACE_M, clear_from, course, start_conditions
 from workers.planning.motion.path import joint_line
 from workers.planning.motion.request import PlanningRequest
@@ -40,7 +41,6 @@ def at(arm: str, y_m: float, x_m: float = 0.48) -> np.ndarray:
 
 def motion(arm: str, start: np.ndarray, goal: np.ndarray, id: str = "C-1.1") -> Primitive:
     timed = time_path(MODEL.arms[arm], joint_line(start, goal))
-    assert not isinstance(timed, Refusal)
     return Primitive(id=id, performer=arm, trajectory=timed.trajectory(), stop_functions=F)
 
 
@@ -67,8 +67,7 @@ def test_a_motion_waits_until_the_other_arm_has_left_its_path():
 
 
 def test_a_motion_to_where_the_other_arm_goes_is_refused_and_names_that_arm():
-    refusal = conditions(MINE, INTO)
-    assert isinstance(refusal, Refusal)
+    refusal = refusal_of(conditions, MINE, INTO)
     assert (refusal.detail[IN_THE_WAY], refusal.owner) == (RIGHT, "C-1")
 
 

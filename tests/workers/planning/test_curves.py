@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
 from rtc.subsystems.motion.profiles import Follow
+from tests.workers.refusals import refusal_of
 from workers.planning.curves import curve
 from workers.planning.motion.path import task_curve
 from workers.planning.motion.timing import SpeedLimits, time_path
@@ -79,11 +80,11 @@ def test_a_pattern_leaves_nothing_within_its_radius_farther_than_a_pitch(start, 
     ],
 )
 def test_a_curve_without_a_shape_is_refused(start, space, figures) -> None:
-    assert isinstance(curve(space, start, start, "TOOL-Z", figures), Refusal)
+    assert refusal_of(curve, space, start, start, "TOOL-Z", figures).detail["cause"] == "curve"
 
 
 def test_an_unknown_axis_is_refused(start) -> None:
-    assert isinstance(curve("move_circle", start, start, "TOOL-W", {"by_rad": 1.0}), Refusal)
+    assert refusal_of(curve, "move_circle", start, start, "TOOL-W", {"by_rad": 1.0}).reason is RefusalReason.NAME
 
 
 def off_chords(corners, point) -> float:
@@ -115,6 +116,5 @@ def test_the_command_stays_on_the_curve_within_the_limits_of_the_arm(right, home
 
 def test_a_curve_out_of_reach_says_where_it_ends(right, home, start) -> None:
     far = curve("move_circle", start, hinge(start, x=0.5, y=0.0), "Z", {"by_rad": math.pi, "hand_turn": 0.0})
-    refused = task_curve(right, home["RIGHT-ARM"], far)
-    assert isinstance(refused, Refusal)
+    refused = refusal_of(task_curve, right, home["RIGHT-ARM"], far)
     assert 0.0 < refused.detail["fraction"] < 1.0

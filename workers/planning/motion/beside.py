@@ -20,7 +20,7 @@ import numpy as np
 from rtc.model.robot.collision_scene import in_hands
 from rtc.model.robot.separation import SeparationCheck
 from rtc.model.robot.swept import Boxes, Swept
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import MAX_S, JointTrajectory, Primitive, StartAfter
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial.geometry import Array
@@ -54,12 +54,10 @@ class Interval(NamedTuple):
         return self.last - self.first
 
 
-def start_conditions(
-    request: PlanningRequest, motion: Primitive, others: Sequence[Primitive]
-) -> list[StartAfter] | Refusal:
+def start_conditions(request: PlanningRequest, motion: Primitive, others: Sequence[Primitive]) -> list[StartAfter]:
     """The conditions for the start of this motion beside the motions of other arms.
 
-    Refused if the motion meets the place where another arm will come to rest.
+    Raises Refused if the motion meets the place where another arm will come to rest.
     """
     conditions = []
     for other in others:
@@ -70,7 +68,7 @@ def start_conditions(
         for arm, their in pairs:
             found = _clear_from(request, motion, arm, other, their)
             if found is None:
-                return _in_the_way(arm, other, their)
+                raise Refused(_in_the_way(arm, other, their))
             free_from_s = max(free_from_s, found)
         if free_from_s > 0.0:
             conditions.append(_condition(other, free_from_s))

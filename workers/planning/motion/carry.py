@@ -15,7 +15,7 @@ import numpy as np
 
 from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal, Refused, refuse_if
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion.path import task_line
@@ -26,20 +26,14 @@ from workers.planning.motion.timing import Timed, slower, time_path
 SLACK_M = 0.0003  # tolerance of the distance of bodies that are near at the start
 
 
-def plan_carry(request: PlanningRequest, goal_pose: Floats) -> Motion | Refusal:
-    """A straight line of the hand to `goal_pose` (world), with the partner of the request."""
+def plan_carry(request: PlanningRequest, goal_pose: Floats) -> Motion:
+    """A straight line of the hand to `goal_pose` (world), with the partner of the request. Raises Refused."""
     arm, partner = request.arm, request.partner
     assert partner is not None
     line = task_line(arm, request.start, goal_pose, request.way_margin_rad)
-    timed = line if isinstance(line, Refusal) else time_path(arm, line, request.pace, request.load)
-    if isinstance(line, Refusal) or isinstance(timed, Refusal):
-        return line if isinstance(line, Refusal) else timed  # type: ignore[return-value]
-    both = carry_along(arm, timed, partner, request.joints[partner.name], request.margin_rad)
-    if isinstance(both, Refusal):
-        return both
-    leads, follows = both
-    if (problem := _fault(request, partner, leads, follows)) is not None:
-        return problem
+    timed = time_path(arm, line, request.pace, request.load)
+    leads, follows = carry_along(arm, timed, partner, request.joints[partner.name], request.margin_rad)
+    refuse_if(_fault(request, partner, leads, follows))
     notes = [f"generated a straight line of the hand, and the way of {partner.name} with it; tested: free"]
     goal = line.knots[-1]
     return Motion(line, leads, goal, arm.fk(goal), notes, partner=follows)
@@ -72,16 +66,14 @@ def _fault(request: PlanningRequest, partner: ArmModel, leads: Timed, follows: T
 
 def carry_along(
     arm: ArmModel, timed: Timed, partner: ArmModel, start: Floats, margin_rad: float
-) -> tuple[Timed, Timed] | Refusal:
+) -> tuple[Timed, Timed]:
     """The motion of `arm`, and that of `partner` from `start` (rad); both are slowed if the partner needs it.
 
-    Refused if the partner cannot follow: reach, joint limits within `margin_rad`, or a leap near a singularity.
+    Raises Refused if the partner cannot follow: reach, joint limits within `margin_rad`, or a leap near a singularity.
     """
     hand = geometry.relative(arm.fk(timed.positions[0]), partner.fk(start))
     poses = [geometry.compose(arm.fk(q), hand) for q in timed.positions]
     positions = _follow(partner, poses, np.asarray(start, dtype=float), margin_rad)
-    if isinstance(positions, Refusal):
-        return positions
     velocities = np.array(
         [_rates(arm, q, qd, partner, p) for q, qd, p in zip(timed.positions, timed.velocities, positions, strict=True)]
     )
@@ -95,14 +87,15 @@ def carry_along(
     return slower(timed, by), slower(follows, by)
 
 
-def _follow(partner: ArmModel, poses: Sequence[Array], start: Array, margin_rad: float) -> Array | Refusal:
+def _follow(partner: ArmModel, poses: Sequence[Array], start: Array, margin_rad: float) -> Array:
     margin_rad = max(0.0, min(margin_rad, partner.limit_margin_rad(start)))
     rows = np.vstack((start, partner.ik_along(np.asarray(poses[1:]), start)))
     if len(rows) < len(poses):
-        return partner.why_no_ik(poses[len(rows)], margin_rad) or partner.why_not_within(rows[-1], math.pi)  # type: ignore[return-value]
+        why = partner.why_no_ik(poses[len(rows)], margin_rad) or partner.why_not_within(rows[-1], math.pi)
+        assert why is not None, "no solutions, and yet nothing is wrong"
+        raise Refused(why)
     for row in rows:
-        if (why := partner.why_not_within(row, margin_rad - 1e-9)) is not None:
-            return why
+        refuse_if(partner.why_not_within(row, margin_rad - 1e-9))
     return rows
 
 

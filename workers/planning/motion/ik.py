@@ -10,7 +10,7 @@ from collections.abc import Callable
 import msgspec
 
 from rtc.model.robot.kinematics import ArmModel
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial.geometry import Array, Floats
 
 Test = Callable[[Array], Refusal | None]
@@ -23,10 +23,10 @@ def choose(
     *,
     test: Test | None = None,
     margin_rad: float = 0.0,
-) -> Array | Refusal:
+) -> Array:
     """Joint values (rad) for the tcp pose `target` (world), nearest to `near` (rad).
 
-    `test`: further condition, such as no collision; returns the refusal if it fails.
+    `test`: further condition, such as no collision; returns the refusal if it fails. Raises Refused.
     """
     first: Refusal | None = None
     candidates = arm.ik(target, near, margin_rad)
@@ -38,5 +38,6 @@ def choose(
     if first is None:
         unreachable = arm.why_no_ik(target, margin_rad)
         assert unreachable is not None, "no solutions, and yet nothing is wrong"
-        return unreachable
-    return msgspec.structs.replace(first, detail={**first.detail, "branches_tried": float(len(candidates))})
+        raise Refused(unreachable)
+    tried = {**first.detail, "branches_tried": float(len(candidates))}
+    raise Refused(msgspec.structs.replace(first, detail=tried))

@@ -2,7 +2,7 @@
 
 A `Path` maps a parameter s from 0 to `length` to joint values. Along a task line s is in metres of the tcp, or
 `METRES_PER_RAD` per radian if rotation dominates. Along a joint path it has no unit. A line that cannot be followed is
-a Refusal with the place and the cause.
+refused with the place and the cause.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from rtc.model.robot.kinematics import ArmModel
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion import smooth
@@ -130,8 +130,10 @@ def poses_through(poses: Sequence[Floats]) -> Array:
     return np.array([geometry.normalise(row) for row in table])
 
 
-def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float = 0.0) -> Path | Refusal:
-    """Straight tcp line with uniform rotation from the pose of `start` (rad) to `goal_pose` (world), on one branch."""
+def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float = 0.0) -> Path:
+    """Straight tcp line with uniform rotation from the pose of `start` (rad) to `goal_pose` (world), on one branch.
+
+    Raises Refused."""
     start_pose = arm.fk(start)
     metres, turn = geometry.distance(start_pose, goal_pose), geometry.angle(start_pose, goal_pose)
     length = max(metres, METRES_PER_RAD * turn, 1e-9)
@@ -144,12 +146,14 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
         problem = _problem(arm, poses[n - 1], table[n] if n < len(table) else None, table[n - 1], margin_rad)
         assert problem is not None
         fraction = float(fractions[n])
-        return _at(problem, fraction, fraction * metres, metres)
+        raise _at(problem, fraction, fraction * metres, metres)
     return Path("task", fractions * length, table, Spline(fractions * length, table))
 
 
-def task_curve(arm: ArmModel, start: Floats, poses: Array, margin_rad: float = 0.0) -> Path | Refusal:
-    """The tcp through these poses (world, [poses][7], the first where `start` is), on one branch. At least four."""
+def task_curve(arm: ArmModel, start: Floats, poses: Array, margin_rad: float = 0.0) -> Path:
+    """The tcp through these poses (world, [poses][7], the first where `start` is), on one branch. At least four.
+
+    Raises Refused."""
     metres = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
     turns = np.array([geometry.angle(a, b) for a, b in pairwise(poses)])
     s = np.concatenate(((0.0,), np.cumsum(np.maximum(metres, METRES_PER_RAD * turns))))
@@ -158,7 +162,7 @@ def task_curve(arm: ArmModel, start: Floats, poses: Array, margin_rad: float = 0
     if n < len(poses):
         problem = _problem(arm, poses[n], table[n] if n < len(table) else None, table[n - 1], margin_rad)
         assert problem is not None
-        return _at(problem, float(s[n] / s[-1]), float(metres[:n].sum()), float(metres.sum()))
+        raise _at(problem, float(s[n] / s[-1]), float(metres[:n].sum()), float(metres.sum()))
     return Path("task", s, table, Spline(s, table))
 
 
@@ -200,11 +204,12 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
     return arm.why_not_within(q, margin_rad)
 
 
-def _at(problem: Refusal, fraction: float, metres: float, length_m: float) -> Refusal:
+def _at(problem: Refusal, fraction: float, metres: float, length_m: float) -> Refused:
     where = f"{fraction:.0%} along the line, after {metres * 1000:.0f} mm of {length_m * 1000:.0f} mm"
-    return msgspec.structs.replace(
+    placed = msgspec.structs.replace(
         problem,
         message=f"{problem.message} ({where})",
         where=where,
         detail={**problem.detail, "fraction": fraction, "along_m": metres},
     )
+    return Refused(placed)

@@ -1,4 +1,6 @@
-"""Motion planning: a timed, collision-free path that satisfies the constraints, or a refusal with the cause. Pure.
+"""Motion planning: a timed, collision-free path that satisfies the constraints. Pure.
+
+All `plan_…` and `find_…` raise Refused with the cause if there is none.
 
 `plan_task_motion` plans a straight line or refuses. `plan_joint_motion` may choose its path by the paper's "generate,
 test and modify" (R92). It tries a line in joint space, then a straight line of the hand, then a way found by sampling.
@@ -14,7 +16,7 @@ import msgspec
 import numpy as np
 
 from rtc.model.robot.collision_scene import in_hands
-from rtc.protocol.outcomes import LEAVING, Refusal, RefusalReason
+from rtc.protocol.outcomes import LEAVING, Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
@@ -38,74 +40,64 @@ class Motion:
     partner: Timed | None = None  # the motion of the second arm, if the request has one
 
 
-def plan_task_motion(request: PlanningRequest, goal_pose: Floats) -> Motion | Refusal:
+def plan_task_motion(request: PlanningRequest, goal_pose: Floats) -> Motion:
     """Plan a straight tcp line to `goal_pose` (world)."""
-    found = find_task_way(request, goal_pose, request.way_margin_rad)
-    return found if isinstance(found, Refusal) else in_time(request, found)
+    return in_time(request, find_task_way(request, goal_pose, request.way_margin_rad))
 
 
-def find_task_way(request: PlanningRequest, goal_pose: Floats, margin_rad: float) -> FreeWay | Refusal:
+def find_task_way(request: PlanningRequest, goal_pose: Floats, margin_rad: float) -> FreeWay:
     """A straight tcp line that keeps `margin_rad` from every joint limit, without its timing."""
     line = paths.task_line(request.arm, request.start, goal_pose, margin_rad)
-    if isinstance(line, Refusal):
-        return line
-    return fault(steered(request), line, least_room=True) or FreeWay(
-        line, ["generated a straight line of the hand; tested: free"]
-    )
+    refuse_if(fault(steered(request), line, least_room=True))
+    return FreeWay(line, ["generated a straight line of the hand; tested: free"])
 
 
-def find_curve(request: PlanningRequest, poses: Array, margin_rad: float) -> FreeWay | Refusal:
+def find_curve(request: PlanningRequest, poses: Array, margin_rad: float) -> FreeWay:
     """The tcp through these poses (world, [poses][7]) from the start, with `margin_rad` from every joint limit."""
     line = paths.task_curve(request.arm, request.start, poses, margin_rad)
-    if isinstance(line, Refusal):
-        return line
-    return fault(steered(request), line, least_room=True) or FreeWay(
-        line, ["generated a curve of the hand; tested: free"]
-    )
+    refuse_if(fault(steered(request), line, least_room=True))
+    return FreeWay(line, ["generated a curve of the hand; tested: free"])
 
 
-def find_spline(request: PlanningRequest, postures: Sequence[Floats]) -> FreeWay | Refusal:
+def find_spline(request: PlanningRequest, postures: Sequence[Floats]) -> FreeWay:
     """A smooth curve in joint space through these postures (rad), the first of which is the start."""
     for posture in postures[1:]:
-        if (problem := request.arm.why_not_within(posture, request.way_margin_rad)) is not None:
-            return problem
+        refuse_if(request.arm.why_not_within(posture, request.way_margin_rad))
     way = paths.spline_through(postures)
-    return fault(request, way, least_room=True) or FreeWay(way, ["generated a spline through the places; tested: free"])
+    refuse_if(fault(request, way, least_room=True))
+    return FreeWay(way, ["generated a spline through the places; tested: free"])
 
 
-def plan_joint_motion(request: PlanningRequest, goal: Floats, before: Path | None = None) -> Motion | Refusal:
+def plan_joint_motion(request: PlanningRequest, goal: Floats, before: Path | None = None) -> Motion:
     """Plan a motion to the joint values `goal` (rad) on any path, with more clearance than asked for where possible.
 
     `before`: a path that was free for a similar request. It is tested like any other."""
-    found = find_joint_way(request, goal, before)
-    return found if isinstance(found, Refusal) else in_time(request, found)
+    return in_time(request, find_joint_way(request, goal, before))
 
 
-def find_joint_way(request: PlanningRequest, goal: Floats, before: Path | None = None) -> FreeWay | Refusal:
+def find_joint_way(request: PlanningRequest, goal: Floats, before: Path | None = None) -> FreeWay:
     """The path of `plan_joint_motion`, without its timing."""
     goal = np.asarray(goal, dtype=float)
     request = before_contact(request, goal)
-    problem = request.arm.why_not_within(goal, request.margin_rad) or _occupied(request, goal)
-    return _generate_and_test(request, goal, before) if problem is None else problem
+    refuse_if(request.arm.why_not_within(goal, request.margin_rad) or _occupied(request, goal))
+    return _generate_and_test(request, goal, before)
 
 
-def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> FreeWay | Refusal | None:
-    """Test the line in joint space to `goal`. A Refusal: the line is not free.
+def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> FreeWay | None:
+    """Test the line in joint space to `goal`. Raises Refused if the line is not free.
 
     `with_room`: test also with `MORE_M` to spare, and return the line if `plan_joint_motion` would take it.
     None: the line is free, but `plan_joint_motion` would try other ways first, or that was not tested.
     """
     goal = np.asarray(goal, dtype=float)
-    problem = request.arm.why_not_within(goal, request.margin_rad)
-    if problem is not None:
-        return problem
+    refuse_if(request.arm.why_not_within(goal, request.margin_rad))
     line, request = paths.joint_line(request.start, goal), before_contact(request, goal)
     roomy = with_more_room(request, goal, MORE_M) if with_room else request
     if is_free(roomy, line):
         return FreeWay(line, [DIRECT]) if with_room else None
-    problem = fault(request, line)
-    # A goal that is taken tells more than the line to it.
-    return problem if problem is None else _occupied(request, goal) or _leaving(request, problem)
+    if (problem := fault(request, line)) is not None:  # a goal that is taken is a better reason than the line to it
+        raise Refused(_occupied(request, goal) or _leaving(request, problem))
+    return None
 
 
 def _occupied(request: PlanningRequest, goal: Array) -> Refusal | None:
@@ -196,7 +188,7 @@ def with_more_room(request: PlanningRequest, goal: Array, more_m: Sequence[float
     return request
 
 
-def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | None) -> FreeWay | Refusal:
+def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | None) -> FreeWay:
     """Ways with more room come first, as far as they cost little: those that need no search."""
     leaves = may_touch_at_start(request)
     roomy = request if leaves else with_more_room(request, goal, MORE_M)
@@ -207,29 +199,28 @@ def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | Non
     notes = [f"generated a line in joint space; tested: {first.message}"]
     if before is not None and not leaves and _leads_aside(before, request.start, goal) and is_free(roomy, before):
         return FreeWay(before, [*notes, "modified: the way found for the script; tested: free"])
-    straight = _straight(request, goal)
-    problem = straight if isinstance(straight, Refusal) else obstacle(roomy, straight)
-    notes.append(f"modified: a straight line of the hand; tested: {problem.message if problem else 'free'}")
-    if isinstance(straight, Path) and problem is None:
-        return FreeWay(straight, notes)
+    lines = [direct]
+    try:
+        lines.append(straight := _straight(request, goal))
+        refuse_if(obstacle(roomy, straight))
+        return FreeWay(straight, [*notes, "modified: a straight line of the hand; tested: free"])
+    except Refused as refused:
+        notes.append(f"modified: a straight line of the hand; tested: {refused}")
     if leaves:
-        return _leaving(request, fault(request, direct, least_room=True) or first)
+        raise Refused(_leaving(request, fault(request, direct, least_room=True) or first))
     aside = find_way_aside(roomy, goal)
     if aside is not None:
         return FreeWay(aside.path, [*notes, *aside.notes])
     if roomy is not request:
-        for way in (direct, straight):
-            if isinstance(way, Path) and is_free(request, way):
+        for way in lines:
+            if is_free(request, way):
                 return FreeWay(way, [*notes, "with less room: free"])
     sampled = find_sampled_way(request, roomy, [goal])
     if isinstance(sampled, FreeWay):
         return FreeWay(sampled.path, [*notes, *sampled.notes])
     first = fault(request, direct, least_room=True) or first
-    return msgspec.structs.replace(
-        first,
-        message=f"{first.message}; no way round it was found in {sampled} samples",
-        detail={**first.detail, "samples": float(sampled)},
-    )
+    words = f"{first.message}; no way round it was found in {sampled} samples"
+    raise Refused(msgspec.structs.replace(first, message=words, detail={**first.detail, "samples": float(sampled)}))
 
 
 def _leads_aside(way: Path, start: Array, goal: Array) -> bool:
@@ -238,33 +229,33 @@ def _leads_aside(way: Path, start: Array, goal: Array) -> bool:
     return ends and way.curve is not None
 
 
-def _straight(request: PlanningRequest, goal: Array) -> Path | Refusal:
-    """The straight line of the hand to the pose of `goal`, if it ends with these joint values."""
+def _straight(request: PlanningRequest, goal: Array) -> Path:
+    """The straight line of the hand to the pose of `goal`. Raises Refused if it ends with other joint values."""
     line = paths.task_line(request.arm, request.start, request.arm.fk(goal), request.way_margin_rad)
-    if isinstance(line, Refusal) or np.abs(line.knots[-1] - goal).max() < SAME_RAD:
+    if np.abs(line.knots[-1] - goal).max() < SAME_RAD:
         return line
-    return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{request.arm.name} would end with other joint values")
+    message = f"{request.arm.name} would end with other joint values"
+    raise Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message))
 
 
-def slowed_to(motion: Motion, takes_s: float) -> Motion | Refusal:
-    """The motion on the same path, made slower so that it lasts `takes_s`; refused if it cannot be that fast."""
+def slowed_to(motion: Motion, takes_s: float) -> Motion:
+    """The motion on the same path, made slower so that it lasts `takes_s`. Raises Refused if it cannot be that fast."""
     least_s = motion.timed.duration_s
     if takes_s < least_s:
-        return Refusal(
+        slow = Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=f"this motion shall take {takes_s:.3g} s; the arm needs {least_s:.3g} s for it",
             clears=f"takes_s of at least {least_s:.3g} s, or a higher speed",
             detail={"cause": "time", "limit_s": takes_s, "predicted_s": least_s},
         )
+        raise Refused(slow)
     by = takes_s / least_s
     partner = slower(motion.partner, by) if motion.partner is not None else None
     return replace(motion, timed=slower(motion.timed, by), partner=partner)
 
 
-def in_time(request: PlanningRequest, found: FreeWay) -> Motion | Refusal:
-    """The way as a motion, timed at the pace of the request; or the refusal of a load that is too heavy for it."""
+def in_time(request: PlanningRequest, found: FreeWay) -> Motion:
+    """The way as a motion, timed at the pace of the request. Raises Refused for a load that is too heavy for it."""
     timed = time_path(request.arm, found.path, request.pace, request.load)
-    if isinstance(timed, Refusal):
-        return timed
     goal = found.path.knots[-1]
     return Motion(found.path, timed, goal, request.arm.fk(goal), found.notes)

@@ -19,7 +19,6 @@ import toppra.constraint
 
 from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
-from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import JointTrajectory, Load
 from rtc.spatial.geometry import Array
 from workers.planning.motion.blended import Blended
@@ -77,12 +76,10 @@ class Timed:
         )
 
 
-def time_path(
-    arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, load: Load | None = None
-) -> Timed | Refusal:
+def time_path(arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, load: Load | None = None) -> Timed:
     """Time the path. A path of zero length becomes a hold of one knot spacing.
 
-    `load`: in the hand. Refused if the arm cannot hold it against gravity everywhere on the path.
+    `load`: in the hand. Raises Refused if the arm cannot hold it against gravity everywhere on the path.
     """
     if np.abs(path.knots - path.knots[0]).max() < 1e-9:
         return _zero_length(path)
@@ -90,12 +87,12 @@ def time_path(
     curved = isinstance(path.curve, Blended) or (path.space == "joint" and path.curve is not None)
     timed = _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
     excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
-    if isinstance(excess, Refusal) or excess <= 1.0:
-        return excess if isinstance(excess, Refusal) else timed
+    if excess <= 1.0:
+        return timed
     # Too heavy for this acceleration: plan it within the torques; what remains between the samples slows all of it.
     timed = _slowed(arm, _time_curve(arm, path, pace, torques) if curved else _time_line(arm, path, pace, 1 / excess))
     excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
-    return excess if isinstance(excess, Refusal) else slower(timed, math.sqrt(max(1.0, excess)))
+    return slower(timed, math.sqrt(max(1.0, excess)))
 
 
 def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0) -> Timed:

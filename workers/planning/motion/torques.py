@@ -10,7 +10,7 @@ import pinocchio as pin
 import toppra.constraint
 
 from rtc.model.robot.kinematics import ArmModel
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import Load
 from rtc.spatial.geometry import Array
 
@@ -44,10 +44,10 @@ class Torques:
         key = None if load is None else (load.mass_kg, tuple(load.com_m), tuple(load.inertia_kg_m2))
         return _worst_share(self.arm, key)
 
-    def excess(self, joints: Array, velocities: Array, accelerations: Array) -> float | Refusal:
+    def excess(self, joints: Array, velocities: Array, accelerations: Array) -> float:
         """The factor by which the accelerations and squared speeds are too great; 1 or less: all within the limits.
 
-        Refused if the weight alone is too great for a joint at one of these postures.
+        Raises Refused if the weight alone is too great for a joint at one of these postures.
         """
         if self.weightless and self.worst_share < FAR_FROM:
             return self.worst_share
@@ -57,7 +57,7 @@ class Torques:
             still = np.zeros_like(joints)
             weight = self.arm.torques(joints, still, still, self.laden)
             if (np.abs(weight) >= self.limits).any():
-                return self._overload(weight)
+                raise Refused(self._overload(weight))
         inertial = moving - weight
         room = np.where(inertial > 0, self.limits - weight, self.limits + weight)
         return float((np.abs(inertial) / room).max())

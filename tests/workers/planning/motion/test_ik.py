@@ -6,6 +6,7 @@ import numpy as np
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
+from tests.workers.refusals import refusal_of
 from workers.planning.motion.ik import choose
 
 
@@ -34,12 +35,12 @@ def test_a_branch_that_fails_the_test_is_passed_over(right, home):
 
 def test_when_none_passes_the_nearest_tells_why(right, home):
     no = Refusal(reason=RefusalReason.INFEASIBLE, message="never", detail={"cause": "test"})
-    refusal = choose(right, level(0.65, -0.885, 0.6), home["RIGHT-ARM"], test=lambda _: no)
+    refusal = refusal_of(choose, right, level(0.65, -0.885, 0.6), home["RIGHT-ARM"], test=lambda _: no)
     assert refusal.message == "never"
     assert refusal.detail == {"cause": "test", "branches_tried": 6.0}
 
 
 def test_out_of_reach_is_reported_in_figures(right, home):
-    refusal = choose(right, level(0.65, 0.885, 0.6), home["RIGHT-ARM"])
+    refusal = refusal_of(choose, right, level(0.65, 0.885, 0.6), home["RIGHT-ARM"])
     assert refusal.detail["cause"] == "reach"
     assert refusal.detail["distance_m"] > 0.5

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from rtc.protocol.outcomes import Refusal
 from rtc.spatial import geometry
+from tests.workers.refusals import refusal_of
 from workers.planning.motion.path import joint_line, task_line, through
 
 
@@ -93,8 +93,7 @@ def test_a_rounded_corner_bends_without_a_leap(right, home):
 
 
 def test_out_of_reach_on_the_way_tells_where(right, home):
-    refusal = task_line(right, at(right, home, 0.65, -0.885, 0.6), level(1.25, -0.885, 0.6))
-    assert isinstance(refusal, Refusal)
+    refusal = refusal_of(task_line, right, at(right, home, 0.65, -0.885, 0.6), level(1.25, -0.885, 0.6))
     assert refusal.detail["cause"] == "reach"
     assert 0.1 < refusal.detail["fraction"] < 0.6
     assert refusal.detail["along_m"] == pytest.approx(0.6 * refusal.detail["fraction"])
@@ -103,8 +102,7 @@ def test_out_of_reach_on_the_way_tells_where(right, home):
 
 def test_a_joint_limit_on_the_way_names_the_joint(right, home):
     """Drawn back towards its own shoulder the hand comes to the elbow's limit."""
-    refusal = task_line(right, at(right, home, 0.65, -0.70, 0.6), level(0.25, -0.70, 0.6))
-    assert isinstance(refusal, Refusal)
+    refusal = refusal_of(task_line, right, at(right, home, 0.65, -0.70, 0.6), level(0.25, -0.70, 0.6))
     assert refusal.detail["cause"] == "joint_limit"
     assert refusal.detail["joint"] == "joint_3"
     assert 0 < refusal.detail["fraction"] < 1
@@ -114,8 +112,7 @@ def test_a_singularity_on_the_way_is_reported_as_such(right):
     """Nodding past a straight wrist, and a little aside of it: joints 4 and 6 would have to turn about at once."""
     before, after = [0.2, 0.9, -2.4, 0.0, 0.3, 0.0], [0.2, 0.9, -2.4, 0.0, -0.3, 0.0]
     goal = geometry.compose(right.fk(after), geometry.from_rpy((0, 0, 0), (0.02, 0, 0)))
-    refusal = task_line(right, before, goal)
-    assert isinstance(refusal, Refusal)
+    refusal = refusal_of(task_line, right, before, goal)
     assert refusal.detail["cause"] == "singularity"
     assert refusal.detail["joint"] in ("joint_4", "joint_6")
     assert refusal.detail["sigma_min"] < 0.05

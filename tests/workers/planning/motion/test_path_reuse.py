@@ -11,6 +11,7 @@ import pytest
 from rtc.model.robot.collision_scene import Scene
 from rtc.protocol.messages import PlannedPath
 from rtc.spatial import geometry
+from tests.workers.refusals import refusal_of
 from workers.planning import segments
 from workers.planning.motion import path_reuse, plan
 from workers.planning.motion.constraints import PathConstraints
@@ -168,5 +169,5 @@ def test_a_way_to_the_pose_is_not_used_for_joints_of_another_turn(asked):
     way = msgspec.structs.replace(
         way, request_digest=path_reuse.request_digest(asked, "move_task", asked.arm.fk(turned).tolist())
     )
-    refusal = segments.plan_segment(asked, "move_task", Target(joints=turned.tolist()), way)
+    refusal = refusal_of(segments.plan_segment, asked, "move_task", Target(joints=turned.tolist()), way)
     assert refusal.detail["cause"] == "branch"

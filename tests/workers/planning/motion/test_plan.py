@@ -13,8 +13,8 @@ import pytest
 from rtc.model.cells.parts import Box, Frame, Object
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import Held, Scene
-from rtc.protocol.outcomes import Refusal
 from rtc.spatial import geometry
+from tests.workers.refusals import refusal_of
 from workers.planning.motion import sampled_way
 from workers.planning.motion.constraints import PathConstraints
 from workers.planning.motion.ik import choose
@@ -101,11 +101,11 @@ def test_where_there_is_no_room_at_the_goal_the_refusal_states_how_much_there_is
     scene = Scene(openings_m={"RIGHT-ARM": 0.08}, clearance_m=0.005)
     at = PlanningRequest(right, world, with_joints(setting, 0.55, -0.085, 0.90), scene)
     goal = right.ik(level(0.732, -0.085, 0.90), at.start)[0]
-    refusal = plan_joint_motion(at, goal)
-    assert isinstance(refusal, Refusal)
+    refusal = refusal_of(plan_joint_motion, at, goal)
     assert 0.0 < refusal.detail["distance_m"] < refusal.detail["margin_m"] == 0.005
     assert f"within {1e3 * refusal.detail['distance_m']:.3g} mm of" in refusal.message
-    assert not isinstance(plan_joint_motion(replace(at, scene=replace(scene, clearance_m=0.001)), goal), Refusal)
+    nearer = replace(at, scene=replace(scene, clearance_m=0.001))
+    assert np.array_equal(plan_joint_motion(nearer, goal).goal_joints, goal)
 
 
 def test_a_body_that_a_later_step_touches_is_an_obstacle_on_the_way_before(setting, right, world):
@@ -119,7 +119,7 @@ def test_a_body_that_a_later_step_touches_is_an_obstacle_on_the_way_before(setti
     assert not asked.scene.near
     (least_m,) = set(asked.scene.close.values())
     assert 0.005 < least_m < 0.12
-    assert not isinstance(plan_joint_motion(at, goal), Refusal)
+    assert np.array_equal(plan_joint_motion(at, goal).goal_joints, goal)
 
 
 def behind_a_wall(cell, right, setting):
@@ -133,8 +133,7 @@ def behind_a_wall(cell, right, setting):
 
 def test_no_way_round_tells_the_first_obstacle_and_how_many_samples(right, cell, setting, monkeypatch):
     monkeypatch.setattr(sampled_way, "SAMPLES", 3)
-    refusal = plan_joint_motion(*behind_a_wall(cell, right, setting))
-    assert isinstance(refusal, Refusal)
+    refusal = refusal_of(plan_joint_motion, *behind_a_wall(cell, right, setting))
     assert refusal.detail["cause"] == "collision"
     assert refusal.detail["body_b"] == "WALL slab"
     assert 0 < refusal.detail["fraction"] < 1
@@ -161,8 +160,7 @@ def test_the_seed_decides_the_way(right, cell, setting):
 
 def test_a_straight_line_into_something_is_refused_with_the_pair_and_the_place(setting, right, world):
     at = PlanningRequest(right, world, with_joints(setting, 0.48, -0.085, 0.90))
-    refusal = plan_task_motion(at, level(0.78, -0.085, 0.90))
-    assert isinstance(refusal, Refusal)
+    refusal = refusal_of(plan_task_motion, at, level(0.78, -0.085, 0.90))
     assert refusal.detail["cause"] == "collision"
     assert refusal.detail["body_a"].startswith("RIGHT-ARM finger_")
     assert refusal.detail["body_b"] == "SATELLITE upper-panel"
@@ -172,15 +170,14 @@ def test_a_straight_line_into_something_is_refused_with_the_pair_and_the_place(s
 
 
 def test_a_goal_inside_something_is_refused_before_any_way(setting):
-    refusal = plan_joint_motion(setting, setting.arm.ik(level(0.80, -0.085, 0.90), setting.start)[0])
-    assert isinstance(refusal, Refusal)
+    refusal = refusal_of(plan_joint_motion, setting, setting.arm.ik(level(0.80, -0.085, 0.90), setting.start)[0])
     assert refusal.detail["body_b"] == "SATELLITE upper-panel"
 
 
 def test_a_goal_beyond_a_limit_names_the_joint(setting):
     goal = setting.start.copy()
     goal[2] = math.radians(-226)
-    refusal = plan_joint_motion(setting, goal)
+    refusal = refusal_of(plan_joint_motion, setting, goal)
     assert refusal.detail["joint"] == "joint_3"
     assert refusal.detail["excess_rad"] == pytest.approx(math.radians(1))
 
@@ -188,7 +185,7 @@ def test_a_goal_beyond_a_limit_names_the_joint(setting):
 def test_work_range_and_attitude_are_maintained(setting, cell, right, world, home):
     inside = PathConstraints(work_range=cell.region("BAY-2-RANGE"))
     goal = goal_at(setting, *FRONT)
-    refusal = plan_joint_motion(PlanningRequest(right, world, home, path_constraints=inside), goal)
+    refusal = refusal_of(plan_joint_motion, PlanningRequest(right, world, home, path_constraints=inside), goal)
     assert refusal.detail["cause"] == "work_range"
     upright = PathConstraints(attitude=cell.attitudes["LEVEL"], attitude_name="LEVEL")
     motion = plan_joint_motion(PlanningRequest(right, world, home, path_constraints=upright), goal)
@@ -212,7 +209,6 @@ def test_an_arm_too_near_a_limit_may_leave_from_there(setting, right, world, hom
     near_limit = np.array(home["RIGHT-ARM"])
     near_limit[4] = right.limits.upper[4] - math.radians(1)
     at = PlanningRequest(right, world, {**home, "RIGHT-ARM": near_limit}, margin_rad=math.radians(5))
-    motion = plan_joint_motion(at, home["RIGHT-ARM"])
-    assert not isinstance(motion, Refusal)
-    back = plan_joint_motion(PlanningRequest(right, world, home, margin_rad=math.radians(5)), near_limit)
+    assert np.array_equal(plan_joint_motion(at, home["RIGHT-ARM"]).goal_joints, home["RIGHT-ARM"])
+    back = refusal_of(plan_joint_motion, PlanningRequest(right, world, home, margin_rad=math.radians(5)), near_limit)
     assert back.detail["joint"] == "joint_5"

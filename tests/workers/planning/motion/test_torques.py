@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rtc.model.robot.kinematics import ArmModel
-from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import Load
+from tests.workers.refusals import refusal_of
 from workers.planning.motion.path import joint_line, task_line, through
 from workers.planning.motion.timing import SpeedLimits, time_path
 from workers.planning.motion.torques import SHARE
@@ -60,8 +60,7 @@ def weighed(cell):
 
 def test_a_load_whose_weight_a_joint_cannot_hold_is_refused_with_the_joint(weighed, home):
     path = paths(weighed, home)["line of the hand"]
-    refusal = time_path(weighed, path, load=load(60.0))
-    assert isinstance(refusal, Refusal)
+    refusal = refusal_of(time_path, weighed, path, load=load(60.0))
     assert refusal.detail["cause"] == "torque"
     assert refusal.detail["joint"] in weighed.joints
     assert abs(refusal.detail["torque_nm"]) > refusal.detail["limit_nm"]
