@@ -14,14 +14,15 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from rtc.programs import expressions, extension_names
-from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
-from rtc.protocol.messages import Binding, PlannedPath
+from rtc.programs.schema import PlanLine, ScriptFile
+from rtc.protocol.messages import Binding, PlannedPath, Step
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
@@ -30,10 +31,11 @@ from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.elaborator import anchors, two_hands
 from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import advice, axes, curves, in_seat, segments, shared_hold, suggestions
+from workers.planning import advice, axes, in_seat, segments, shared_hold, suggestions
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
+from workers.planning.step_target import target_of
 
 MAX_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
 FRAME, GRASP = "frame", "grasp"  # attributes that cameras sense
@@ -53,10 +55,10 @@ class Planned:
         return Planned({}, [], [], False, {}, [])
 
 
-def plan(script: ScriptFile, candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned:
+def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned:
     """The tested bindings of the script for this candidate. Raises Refused with the obstacle.
 
-    `sensed`: held objects that a camera looks for before the script begins.
+    `steps`: of the script, for this candidate. `sensed`: held objects that a camera looks for before the script begins.
     """
     lines = _lines(script, candidate)
     relies_on = list(dict.fromkeys(key for anchor in lines.values() for key in anchor.relies_on))
@@ -67,7 +69,7 @@ def plan(script: ScriptFile, candidate: TaskCandidate, sensed: Sequence[str] = (
             raise Refused(distrusted)
         if distrusted is not None:
             doubtful.append(location(key))
-    joints, notes, ways = _search(script, candidate, lines, {*sensed, *doubtful})
+    joints, notes, ways = _search(script, steps, candidate, lines, {*sensed, *doubtful})
     chosen = any(line.solve and lines[line.name].joints is None for line in script.plan)
     return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways, doubtful)
 
@@ -145,7 +147,9 @@ def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[
 Solved = tuple[dict[str, list[float]], list[str], dict[int, PlannedPath]]
 
 
-def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], sensed: set[str]) -> Solved:
+def _search(
+    script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, lines: dict[str, Anchor], sensed: set[str]
+) -> Solved:
     """`sensed`: bodies whose poses are measured before the script begins, so that their spread does not count."""
     request = _request(script, candidate, sensed)
     ways = list(_ways(script, candidate, lines, request))
@@ -159,7 +163,7 @@ def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Ancho
             break
         what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
         try:
-            found = _try(script, candidate, lines, joints, request, detours)
+            found = _try(script, steps, candidate, lines, joints, request, detours)
             return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], found
         except Refused as refused:
             tried = refused.refusal
@@ -269,6 +273,7 @@ def _unreachable(
 
 def _try(
     script: ScriptFile,
+    steps: Sequence[Step],
     candidate: TaskCandidate,
     lines: dict[str, Anchor],
     joints: dict[str, list[float]],
@@ -281,16 +286,18 @@ def _try(
     straight = _straight(script, candidate, request)
     ways: dict[int, PlannedPath] = {}
     last: _Test | None = None
-    for n, step in enumerate(script.steps, 1):
+    bound = partial(_bound, candidate, lines, joints)
+    thing = candidate.thing.name if candidate.thing else ""
+    for n, step in enumerate(steps, 1):
         if not step.to:
             continue
         asked = request if step.space == "move_joint" else straight
         now = replace(asked, joints={**request.joints, candidate.arm.name: here})
+        tcp, clears = now.arm.fk(here), candidate.program.clears
         with _at_place(f"step {n} ({step.to})"):
-            target = _target(step, candidate, lines, joints, now)
+            target = target_of(step, candidate.query, candidate.arm.name, thing, tcp, bound)
         if step.space not in segments.SPACES:
             raise _program(f"step {n}: no space {step.space}; there are {', '.join(segments.SPACES)}")
-        tcp, clears = now.arm.fk(here), candidate.program.clears
         in_seat.refuse_other_way(candidate.query, candidate.arm.name, step.space, tcp, target.pose, clears)
         test = _Test(n, step, now, target, detours, first=here is start)
         if detours and test.first and step.space == "move_joint" and target.joints is not None:
@@ -322,7 +329,7 @@ class _Test(NamedTuple):
     """The test of one segment."""
 
     n: int  # of its step, from 1
-    step: ScriptStep
+    step: Step
     request: PlanningRequest
     target: Target
     detours: bool
@@ -338,57 +345,17 @@ class _Test(NamedTuple):
         return segment
 
 
-def _target(
-    step: ScriptStep,
-    candidate: TaskCandidate,
-    lines: dict[str, Anchor],
-    joints: dict[str, list[float]],
-    now: PlanningRequest,
-) -> Target:
-    if step.to in joints or step.to in lines:
-        goal = Target(joints=joints[step.to]) if step.to in joints else _at(candidate, lines[step.to])
-        names = candidate.fill_in(step.words.get("through", "")).split()
-        return replace(goal, via=tuple(_at(candidate, lines[name]) for name in names))
-    if step.to != "HERE":
-        raise _program(f"nothing binds {step.to}")
-    axis = candidate.fill_in(step.words.get("axis", "TOOL-Z"))
-    if axis not in extension_names.PLAN_AXES:
-        raise suggestions.unknown("axis", axis, extension_names.PLAN_AXES)
-    if step.space in curves.CURVES:
-        return _curve(step, candidate, lines, now, axis)
-    try:
-        by_m, by_rad = (expressions.number(step.args.get(name, 0.0), candidate.figures) for name in ("by_m", "by_rad"))
-    except expressions.ExpressionError as error:
-        raise _program(str(error)) from error
-    if axis == extension_names.WAY_OUT:
-        out = candidate.query.leaves_along(candidate.thing.name if candidate.thing else "")
-        return Target(pose=geometry.translate(now.arm.fk(now.start), by_m * out).tolist())
-    pose = axes.shifted(now.arm.fk(now.start), axis, by_m)
-    return Target(pose=axes.turned(pose, axis, by_rad).tolist())
+def _bound(candidate: TaskCandidate, lines: dict[str, Anchor], joints: dict[str, list[float]], name: str) -> Target:
+    """The target that a line of the plan stands for."""
+    if name in joints:
+        return Target(joints=joints[name])
+    if name not in lines:
+        raise _program(f"nothing binds {name}")
+    return _at(candidate, lines[name])
 
 
 def _at(candidate: TaskCandidate, anchor: Anchor) -> Target:
     return Target(joints=anchor.joints) if anchor.joints is not None else Target(pose=_world(candidate, anchor))
-
-
-def _curve(
-    step: ScriptStep, candidate: TaskCandidate, lines: dict[str, Anchor], now: PlanningRequest, axis: str
-) -> Target:
-    here = about = now.arm.fk(now.start)
-    if (name := step.words.get("about", "HERE")) != "HERE":
-        if name not in lines or lines[name].pose is None:
-            raise _program(f"{name} is not a pose of the plan")
-        about = np.array(_world(candidate, lines[name]))
-    try:
-        figures = {
-            name: expressions.number(step.args[name], candidate.figures)
-            for name in extension_names.SPACE_ARGS[step.space]
-            if name in step.args
-        }
-    except expressions.ExpressionError as error:
-        raise _program(str(error)) from error
-    about = candidate.query.hinge_of_tcp(candidate.arm.name, here, about, figures.get("hand_turn", 1.0))
-    return Target(poses=curves.curve(step.space, here, about, axis, figures))
 
 
 @contextmanager

@@ -255,7 +255,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     if lacks is not None and not can_be_seen(lacks.where, candidate):
         raise Refused(lacks)
     in_hand = [held] if lacks is not None or _why_unsure_grasp(script, candidate) is not None else []
-    planned = plan(script, candidate, in_hand) if candidate.hand else Planned.nothing()
+    planned = plan(script, nominal, candidate, in_hand) if candidate.hand else Planned.nothing()
     for index, way in planned.ways.items():
         nominal[index] = msgspec.structs.replace(nominal[index], way=way)
     looked_for = [candidate.body] if _why_unsure_place(script, candidate) is not None else []
