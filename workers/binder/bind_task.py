@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
-from rtc.protocol.primitive import MAX_S
+from workers.conditions import stop_conditions
+from workers.conditions.stop_conditions import Values
 from workers.planning.world_query import WorldQuery
 
 
@@ -24,25 +25,33 @@ class BindTask:
         """The arm that performs the step: that of the command, or another one whose joints it reads first."""
         return str(self.data.step.args.get("arm", "")) or self.data.context.arm
 
-    def stop_class(self, name: str) -> StopClass:
+    @property
+    def held(self) -> str:
+        """The object in the hand; empty: none."""
+        return self.query.holding(self.arm)
+
+    @property
+    def time_left_s(self) -> float | None:
+        """The time that the motions of the command have left of its TIME-LIMIT; None without one."""
+        most_s = self.data.context.limits.time_s
+        return None if most_s is None else most_s - self.data.moved_s
+
+    def under(self, name: str) -> RuledTask:
+        """The step under this stop class. Raises Refused, and ExpressionError for a figure that is not defined."""
         known = self.program.stop_classes
         if name not in known:
             raise refused_program(f"no stop class {name}", f"there are {', '.join(known)}")
-        return known[name]
+        values = stop_conditions.figures_in_force(self.program, known[name], self.query, self.data, self.arm)
+        return RuledTask(self.program, self.query, self.data, known[name], values)
+
+
+@dataclass(frozen=True)
+class RuledTask(BindTask):
+    """One step with its stop class, and the figures in force."""
+
+    stop_class: StopClass
+    values: Values
 
 
 def refused_program(message: str, clears: str) -> Refused:
     return Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears))
-
-
-def refuse_if_endless(limit_s: float) -> None:
-    """Refuse a step whose time limit (s) no primitive can have: a speed near zero, or a time of years."""
-    if limit_s <= MAX_S:
-        return
-    endless = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"this step would need a time limit of {limit_s:.3g} s; {MAX_S:g} s is the longest possible",
-        clears="more speed or a greater force, if the sentence limits them; a shorter way or time",
-        detail={"cause": "time", "limit_s": MAX_S, "value_s": limit_s},
-    )
-    raise Refused(endless)

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-from rtc.programs.schema import StopClass
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import Compliance, ControlLaw, ForceProfile, HandMotion, Load, Trajectory
 from rtc.spatial.axis_names import AXES
-from workers.binder.bind_task import BindTask, refused_program
+from workers.binder.bind_task import BindTask, RuledTask, refused_program
 from workers.conditions.stop_conditions import Values
 from workers.planning import axes, suggestions
 
 
-def control_law(
-    task: BindTask, stop_class: StopClass, values: Values, trajectory: Trajectory, load: Load | None
-) -> ControlLaw:
+def control_law(task: RuledTask, trajectory: Trajectory, load: Load | None) -> ControlLaw:
     """M: the law of the stop class, or impedance if the command or the step names a stiffness. While only the hand
     moves, its arm complies if the step names one.
 
@@ -25,8 +22,9 @@ def control_law(
     Its spring pulls with a share of the force and torque limits, so a blocked arm leans on the obstacle within them.
     Raises Refused for impossible figures, and for those that would have no effect.
     """
-    _refuse_press(task, stop_class, values)
-    _refuse_spring(stop_class, values, load)
+    _refuse_press(task)
+    _refuse_spring(task, load)
+    stop_class, values = task.stop_class, task.values
     gains = {"wn": values["laden_wn_rad_s"]} if load else {}
     step, stiffness_n_m = task.data.step, values.get("stiffness_n_m")
     axis = str(step.args.get("axis", "TOOL-Z"))
@@ -66,8 +64,9 @@ def _press_profile(values: Values, most_n: float) -> ForceProfile | None:
     return ForceProfile(time_s=[0.0, values["press_s"]], share=shares)
 
 
-def _refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> None:
+def _refuse_press(task: RuledTask) -> None:
     """Refuse a force set-point that would have no effect, or would trip the step's own force limit."""
+    values = task.values
     if "press_n" not in values:
         alone = [name for name in ("press_s", "press_from_n") if name in values]
         if alone:
@@ -76,7 +75,7 @@ def _refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> None
     axis = str(task.data.step.args.get("axis", "TOOL-Z"))
     if axis not in AXES:
         raise suggestions.unknown("axis", axis, AXES)
-    if "stiffness_n_m" not in values or stop_class.rigid:
+    if "stiffness_n_m" not in values or task.stop_class.rigid:
         raise refused_program("press_n needs a compliant step", "stiffness_n_m of the step, and another stop class")
     if "press_from_n" in values and "press_s" not in values:
         raise refused_program("press_from_n needs press_s", "the time in which the press changes")
@@ -93,13 +92,14 @@ def _refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> None
             raise Refused(refusal)
 
 
-def _refuse_spring(stop_class: StopClass, values: Values, load: Load | None) -> None:
+def _refuse_spring(task: RuledTask, load: Load | None) -> None:
     """Refuse figures of a spring that would have no effect."""
+    values = task.values
     share = values.get("centre_share", 0.0)
     named = [name for name in ("centre_share", "spin_m") if name in values]
     if not named:
         return
-    if "stiffness_n_m" not in values or stop_class.rigid:
+    if "stiffness_n_m" not in values or task.stop_class.rigid:
         raise refused_program(f"{named[0]} needs a compliant step", "stiffness_n_m, and another stop class")
     if "spin_m" in values and "press_n" in values:
         raise refused_program("spin_m and press_n both act along the axis of the step", "one of them")

@@ -16,7 +16,7 @@ from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial.geometry import Array, Floats
-from workers.binder.bind_task import BindTask
+from workers.binder.bind_task import BindTask, RuledTask
 from workers.conditions.stop_conditions import Values
 from workers.planning.motion.plan import Motion
 from workers.planning.motion.timing import Timed, slower
@@ -91,17 +91,18 @@ def impact(
     return Impact(limit_n, force_per_speed * speed_m_s, limit_n / force_per_speed)
 
 
-def keeping(task: BindTask, target: Target, values: Values, held: str, *, touches: bool) -> Keeping:
+def keeping(task: RuledTask, target: Target, *, touches: bool) -> Keeping:
     """The speed at which this motion keeps what the command promises: the lower one of it and of the speed in force.
 
     A path without expected contact (not `touches`) is not slowed: there a force limit is a collision stop. Raises
     Refused if the slowest motion does not keep it.
     """
+    values = task.values
     speed_m_s, promise = values["speed_m_s"], promise_of(task.data.context, values)
     if promise is None:
         return Keeping(speed_m_s)
     limit_n = promise.limit_n
-    load = task.query.load(task.arm) if held else None
+    load = task.query.load(task.arm) if task.held else None
     carried_kg = load.mass_kg if load else 0.0
     arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
     way = _way_m(task, arm, target)
@@ -119,15 +120,15 @@ def keeping(task: BindTask, target: Target, values: Values, held: str, *, touche
     return Keeping(slow_m_s, limit_n, carried_kg, f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; {most}")
 
 
-def kept(task: BindTask, motion: Motion, values: Values, keep: Keeping) -> Motion:
+def kept(task: RuledTask, motion: Motion, keep: Keeping) -> Motion:
     """The motion, slowed further if the effective mass grows along it."""
     if keep.limit_n == math.inf:
         return motion
-    arms, least_kg = task.query.model.arms, values["least_kg"]
+    arms, least_kg = task.query.model.arms, task.values["least_kg"]
     momenta = _momenta(arms[task.arm], motion.timed, keep.carried_kg, least_kg)
     if motion.partner is not None:
         momenta = momenta + _momenta(arms[task.data.context.partner], motion.partner, 0.0, least_kg)
-    excess = float(momenta.max()) / values["impact_s"] / keep.limit_n
+    excess = float(momenta.max()) / task.values["impact_s"] / keep.limit_n
     if excess <= 1.0:
         return motion
     partner = slower(motion.partner, excess) if motion.partner is not None else None

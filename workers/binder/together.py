@@ -8,38 +8,28 @@ from __future__ import annotations
 
 import msgspec
 
-from rtc.programs.schema import BinderProgram, StopClass
-from rtc.protocol.messages import BinderInput, BoundStep
-from rtc.protocol.primitive import Compliance, ControlLaw, Load, Partner, StopFunction, TcpTurned, TimeAbove
+from rtc.protocol.messages import BoundStep
+from rtc.protocol.primitive import Compliance, ControlLaw, Load, Partner, TcpTurned, TimeAbove
+from workers.binder import targets
+from workers.binder.bind_task import RuledTask
 from workers.conditions import stop_conditions
-from workers.conditions.stop_conditions import Line, Values
 from workers.planning.motion.timing import Timed
-from workers.planning.world_query import WorldQuery
 
 
-def with_partner(
-    program: BinderProgram,
-    query: WorldQuery,
-    data: BinderInput,
-    bound: BoundStep,
-    motion: Timed,
-    stop_class: StopClass,
-    values: Values,
-    line: Line,
-    kept: list[StopFunction],
-) -> BoundStep:
-    """The bound step of the leading arm, with the part of the second one. `values`: in force for the leading arm.
-    `line`: about which the step turns. `kept`: of MAINTAIN; an attitude is that of the first hand. The reflexes of the
-    command are those of both arms."""
+def with_partner(task: RuledTask, bound: BoundStep, motion: Timed) -> BoundStep:
+    """The bound step of the leading arm, with the part of the second one.
+
+    Only the first hand keeps an attitude of MAINTAIN. The reflexes of the command are those of both arms."""
+    query, data, values = task.query, task.data, task.values
     made, context = bound.primitive, data.context
     assert made is not None
     own = {**values, "held_width_m": query.hand_width(context.partner)}
     limit_s = next(stop.when.limit_s for stop in made.stop_functions if isinstance(stop.when, TimeAbove))
-    rows = [*stop_class.stops, *program.holding]
+    rows = [*task.stop_class.stops, *task.program.holding]
     own["time_limit_s"] = limit_s
     requested = stop_conditions.from_command(data, query, own, rows, context.partner)
-    stops = stop_conditions.stop_functions(rows, own, None, requested, line)
-    stops += [stop for stop in kept if not isinstance(stop.when, TcpTurned)]
+    stops = stop_conditions.stop_functions(rows, own, None, requested, targets.turn_line(task))
+    stops += [stop for stop in stop_conditions.maintained(data, query, values) if not isinstance(stop.when, TcpTurned)]
     stiffness_n_m = values.get("stiffness_n_m", values["partner_n_m"])
     compliance = Compliance(
         stiffness=[stiffness_n_m] * 3 + [values["turn_m"] ** 2 * stiffness_n_m] * 3,

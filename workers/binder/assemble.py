@@ -1,0 +1,154 @@
+"""The primitive of a bound step, T = (P, M, F, R): from its trajectory, and from what is expected of it. Pure."""
+
+from __future__ import annotations
+
+from rtc.protocol.messages import BoundStep, EvaluationContext
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.primitive import (
+    MAX_S,
+    HandMotion,
+    HoldStill,
+    JointTrajectory,
+    Load,
+    Look,
+    Primitive,
+    Reporting,
+    Trajectory,
+    Vector,
+)
+from rtc.protocol.primitive_id import command_of
+from workers.binder import compliance, targets
+from workers.binder.bind_task import BindTask, RuledTask
+from workers.conditions import stop_conditions
+from workers.conditions.stop_conditions import Values
+
+SUBSYSTEM_OF_ARMS, SUBSYSTEM_OF_CAMERAS = "MCM", "S&P"
+
+
+def of_arm(
+    task: RuledTask,
+    trajectory: Trajectory,
+    evaluation: EvaluationContext,
+    against: Vector | None = None,
+    note: str = "",
+) -> BoundStep:
+    """The bound step of an arm or its hand. `against`: unit vector (tool frame) of a force that opposes the motion.
+
+    Raises Refused.
+    """
+    left_s = None if isinstance(trajectory, HoldStill) else task.time_left_s  # a rest has been shortened to it
+    if left_s is not None and evaluation.predicted_s > left_s:
+        raise refused_time(task, evaluation.predicted_s)
+    values = _with_time_limit(task.values, evaluation.predicted_s, left_s)
+    rows = [*task.stop_class.stops, *(task.program.holding if _keeps(task, trajectory) else [])]
+    requested = stop_conditions.from_command(task.data, task.query, values, rows)
+    stops = stop_conditions.stop_functions(rows, values, against, requested, targets.turn_line(task))
+    if isinstance(trajectory, JointTrajectory):
+        stops += stop_conditions.maintained(task.data, task.query, values)
+    if task.held:  # a hand that closes on something off its middle presses more with one finger
+        stops += stop_conditions.squeezed(task.data, values)
+    lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
+    load = None if lets_go else task.query.load(task.arm)
+    control_law = compliance.control_law(task, trajectory, load)
+    _refuse_weight(task, load)
+    made = Primitive(
+        id=task.data.primitive_id,
+        performer=task.arm,
+        trajectory=trajectory,
+        stop_functions=stops,
+        control_law=control_law,
+        reporting=Reporting(
+            every_s=_report_interval_s(task),
+            when=stop_conditions.reported(task.data, task.query, values, rows),
+        ),
+    )
+    return _bound(SUBSYSTEM_OF_ARMS, made, evaluation, values, note)
+
+
+def of_camera(task: RuledTask, look: Look, camera: str, evaluation: EvaluationContext) -> BoundStep:
+    """The bound step of the camera that reports. Raises Refused."""
+    values = _with_time_limit(task.values, evaluation.predicted_s, task.data.context.limits.time_s)
+    made = Primitive(
+        id=task.data.primitive_id,
+        performer=camera,
+        trajectory=look,
+        stop_functions=stop_conditions.stop_functions(
+            task.stop_class.stops, values, None, [], stop_conditions.Line(None, None)
+        ),
+        reporting=Reporting(every_s=_report_interval_s(task)),
+    )
+    return _bound(SUBSYSTEM_OF_CAMERAS, made, evaluation, values)
+
+
+def _bound(subsystem: str, made: Primitive, evaluation: EvaluationContext, values: Values, note: str = "") -> BoundStep:
+    return BoundStep(
+        subsystem=subsystem,
+        primitive=made,
+        evaluation=evaluation,
+        predicted_s=evaluation.predicted_s,
+        limit_s=values["report_factor"] * values["time_limit_s"] + values["report_margin_s"],
+        note=note,
+    )
+
+
+def _report_interval_s(task: RuledTask) -> float | None:
+    every_s = task.data.step.args.get("report_every_s")
+    return float(every_s) if every_s is not None else None
+
+
+def _keeps(task: RuledTask, trajectory: Trajectory) -> bool:
+    """Whether a held object is monitored: while the arm moves, if it is known how it is held.
+
+    An arm that may have lost what it held backs off nevertheless.
+    """
+    if not task.held or isinstance(trajectory, HandMotion):
+        return False
+    own = command_of(task.data.primitive_id)
+    return task.query.distrusted(f"{task.held}.grasp", {}, own) is None
+
+
+def _with_time_limit(values: Values, predicted_s: float, most_s: float | None) -> Values:
+    """The figures with the time limit of the primitive (s), at most `most_s`."""
+    limit_s = values["time_factor"] * predicted_s + values["time_margin_s"]
+    limit_s = limit_s if most_s is None else min(limit_s, most_s)
+    _refuse_endless(limit_s)
+    return {**values, "time_limit_s": limit_s}
+
+
+def _refuse_endless(limit_s: float) -> None:
+    """Refuse a step whose time limit (s) no primitive can have: a speed near zero, or a time of years."""
+    if limit_s <= MAX_S:
+        return
+    endless = Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"this step would need a time limit of {limit_s:.3g} s; {MAX_S:g} s is the longest possible",
+        clears="more speed or a greater force, if the sentence limits them; a shorter way or time",
+        detail={"cause": "time", "limit_s": MAX_S, "value_s": limit_s},
+    )
+    raise Refused(endless)
+
+
+def _refuse_weight(task: RuledTask, load: Load | None) -> None:
+    payload_kg = task.query.cell.arm(task.arm).payload_kg
+    if load is None or load.mass_kg <= payload_kg:
+        return
+    refusal = Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{task.held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
+        clears=f"let go of {task.held}; if it is lighter, correct its mass",
+        detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": task.arm},
+    )
+    raise Refused(refusal)
+
+
+def refused_time(task: BindTask, predicted_s: float) -> Refused:
+    left_s = task.time_left_s or 0.0
+    most_s, moved_s = task.data.context.limits.time_s or 0.0, task.data.moved_s
+    left = f", of which {max(left_s, 0.0):.3g} s are left" if moved_s else ""
+    refusal = Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"this step takes {predicted_s:.3g} s; the time limit is {most_s:g} s{left}",
+        clears="more time, or more speed",
+        detail={"cause": "time", "predicted_s": predicted_s, "limit_s": most_s, "moved_s": moved_s},
+    )
+    return Refused(refusal)

@@ -1,0 +1,146 @@
+"""A motion of the arm in the current world: checked, planned, assembled, and set beside other motions. Pure."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import msgspec
+
+from rtc.protocol.messages import BoundStep, EvaluationContext, Limits
+from rtc.protocol.outcomes import Refused, StopReason, refuse_if
+from rtc.protocol.primitive_id import command_of
+from rtc.protocol.units import in_words
+from workers.binder import assemble, impact, targets, together
+from workers.binder.bind_task import BindTask, RuledTask, refused_program
+from workers.binder.impact import Keeping
+from workers.conditions import sharing
+from workers.conditions.stop_conditions import Values
+from workers.planning import advice, certainty, in_seat, segments
+from workers.planning.motion import beside
+from workers.planning.motion import plan as plans
+from workers.planning.motion.plan import Motion
+from workers.planning.motion.request import PlanningRequest
+from workers.planning.motion.timing import SpeedLimits
+from workers.planning.segments import Target
+
+DETOUR = 3.0  # a relative step in joint space is reported if the hand travels this many times its distance
+DETOUR_KNOTS = 20  # at which the way of the hand is measured
+
+
+def bind_motion(task: BindTask) -> BoundStep:
+    """The step as a motion of the arm. Raises Refused."""
+    ruled = task.under(task.data.step.stop)
+    target = _target(ruled)
+    expected = task.data.step.space != "move_joint" or ruled.stop_class.touches
+    keep = impact.keeping(ruled, target, touches=expected)
+    request = planning_request(ruled, keep.speed_m_s)
+    motion = _planned(ruled, request, target, keep)
+    bound = _assembled(ruled, motion, keep)
+    return _beside_others(task, request, bound)
+
+
+def _target(task: RuledTask) -> Target:
+    """Where the step goes, if the arm may go there."""
+    step, query, clears = task.data.step, task.query, task.program.clears
+    if step.space not in segments.SPACES:
+        raise refused_program(f"no space {step.space}", f"there are {', '.join(segments.SPACES)}")
+    refuse_if(certainty.why_uncertain(query, task.arm, step.args, clears))
+    sharing.refuse_alone(query, task.arm, task.data.context.partner, clears)
+    target = targets.target_of(task)
+    in_seat.refuse_other_way(query, task.arm, step.space, query.tcp(task.arm), target.pose, clears)
+    return target
+
+
+def planning_request(task: RuledTask, speed_m_s: float) -> PlanningRequest:
+    """The planning problem of this motion, except its target."""
+    query, context, stop_class, values = task.query, task.data.context, task.stop_class, task.values
+    touches = stop_class.touches or bool(context.object or context.target)
+    scene = query.scene(
+        task.arm,
+        context.limits,
+        touching=context.object if stop_class.touches and task.held != context.object else "",
+        seated=stop_class.seated,
+        ignore_suspect=stop_class.away,
+        exempt=[name for name in (context.object, context.target) if name],
+        unsure=task.data.step.space not in segments.STRAIGHT or not touches,
+    )
+    pace = SpeedLimits(speed_m_s, values["laden_acceleration_m_s2" if task.held else "acceleration_m_s2"])
+    request = query.planning_request(task.arm, scene, context.limits, pace, math.radians(values["joint_margin_deg"]))
+    return replace(request, partner=query.model.arms[context.partner]) if context.partner else request
+
+
+def _planned(task: RuledTask, request: PlanningRequest, target: Target, keep: Keeping) -> Motion:
+    """The timed motion, as slow as its force and its duration demand. A refusal states what would clear the way."""
+    step = task.data.step
+    try:
+        motion = segments.plan_segment(request, step.space, target, step.way)
+    except Refused as refused:
+        leaves_seat, limits = step.args.get("leaves") == "seat", task.data.context.limits
+        advised = advice.advise_on_collision(
+            refused.refusal, task.query, task.arm, task.program.clears, limits, leaves_seat=leaves_seat
+        )
+        raise Refused(advised) from None
+    motion = impact.kept(task, motion, keep)
+    return plans.slowed_to(motion, float(step.args["takes_s"])) if "takes_s" in step.args else motion
+
+
+def _assembled(task: RuledTask, motion: Motion, keep: Keeping) -> BoundStep:
+    """The bound step of a planned motion, with the part of a second arm."""
+    step, context, query = task.data.step, task.data.context, task.query
+    remarks = [*filter(None, (keep.remark, _speed_not_kept(context.limits, task.values), _detour(task, motion)))]
+    evaluation = EvaluationContext(
+        context=context,
+        step=msgspec.structs.replace(step, way=None),
+        arm=task.arm,
+        goal_pose=motion.goal_pose.tolist(),
+        remark="; ".join(remarks),
+        held=task.held,
+        predicted_s=motion.timed.duration_s,
+        no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
+        start_joints=[float(q) for q in query.joints(task.arm)],
+    )
+    against = targets.against_motion(query.tcp(task.arm).tolist(), motion) if step.space == "move_task" else None
+    note = "; ".join((*remarks, *motion.notes))
+    bound = assemble.of_arm(task, motion.timed.trajectory(), evaluation, against, note)
+    bound = msgspec.structs.replace(bound, remark="; ".join(remark.partition(": ")[0] for remark in remarks))
+    return bound if motion.partner is None else together.with_partner(task, bound, motion.partner)
+
+
+def _speed_not_kept(limits: Limits, values: Values) -> str:
+    """The remark that the SPEED of the sentence is looser than that of the step, which is not changed; else empty."""
+    if limits.speed_m_s is None or limits.speed_m_s <= values["speed_m_s"]:
+        return ""
+    asked, own = in_words(limits.speed_m_s, "m/s"), in_words(values["speed_m_s"], "m/s")
+    return f"SPEED {asked} changes nothing: this step moves at {own} at most"
+
+
+def _detour(task: BindTask, motion: Motion) -> str:
+    """The remark that a relative step takes the hand a much longer way through joint space; else empty."""
+    step = task.data.step
+    if step.space != "move_joint" or "by_m" not in step.args:
+        return ""
+    knots = motion.timed.positions[:: max(1, len(motion.timed.positions) // DETOUR_KNOTS)]
+    places = [task.query.model.arms[task.arm].fk(joints)[:3] for joints in (*knots, motion.goal_joints)]
+    way_m = sum(math.dist(here, there) for here, there in itertools.pairwise(places))
+    step_m = math.dist(places[0], places[-1])
+    if way_m <= DETOUR * step_m:
+        return ""
+    return f"the hand travels {way_m:.2f} m to be {in_words(round(step_m, 3), 'm')} away"
+
+
+def _beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep:
+    """The step with the conditions of its start beside the motions of other arms."""
+    if not task.query.moving or bound.primitive is None:
+        return bound
+    conditions = beside.start_conditions(request, bound.primitive, task.query.moving)
+    if not conditions:
+        return bound
+    awaited = ", ".join(command_of(condition.primitive) for condition in conditions)
+    return msgspec.structs.replace(
+        bound,
+        primitive=msgspec.structs.replace(bound.primitive, start_after=conditions),
+        limit_s=bound.limit_s + max(condition.within_s for condition in conditions),
+        note=f"{bound.note}; starts when {awaited} has left the space that it needs",
+    )
