@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 # For tests that judge no time; the last ones are divided anew. A worker or a cluster needs 0.4 GB.
 FAST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
-.PHONY: demo setup test test-ray fast check bench campaigns help clean
+.PHONY: demo setup test test-ray fast check wheel coverage bench campaigns help clean
 .DEFAULT_GOAL := help
 
 demo: $(VENV)/.ready ## set up, then show two arms at work, a halt, a door and an insertion; pictures and a film in out/
@@ -38,6 +38,18 @@ check: $(VENV)/.ready ## lint, format, types, and the import rules of the archit
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_architecture.py
 
+wheel: $(VENV)/.ready ## build the wheel in dist/, install it outside the checkout, and run `rtc demo grasp` from it
+	rm -rf build dist
+	$(BIN)/python -m pip wheel -q --disable-pip-version-check --no-deps -w dist .
+	dir=$$(mktemp -d) && trap 'rm -rf "$$dir"' EXIT && $(PYTHON) -m venv "$$dir/env" && \
+	"$$dir/env/bin/python" -m pip install -q --disable-pip-version-check --no-compile -c constraints.txt dist/*.whl && \
+	cd "$$dir" && env/bin/rtc demo grasp --speed max
+
+coverage: $(VENV)/.ready ## branch coverage of the tests without processes; fails below the floor of a package
+	$(FAST) -m "not slow" $(foreach package,rtc broker workers sim_mcm deploy,--cov=$(package)) --cov-branch \
+		--cov-report= --cov-report=json:out/coverage.json
+	$(BIN)/python -m tests.coverage_floors out/coverage.json
+
 bench: $(VENV)/.ready ## run all benchmarks; results in benchmarks/results/
 	@for file in benchmarks/[a-z]*.py; do \
 		name=$$(basename $$file .py); \
@@ -55,7 +67,7 @@ help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
 
 clean: ## remove everything that was built, .venv too
-	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/.ready: pyproject.toml constraints.txt
