@@ -11,6 +11,7 @@ from hypothesis import settings
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.kinematics import ArmModel
+from tests.plugins.toy_packages import install  # noqa: F401
 
 # Under `nohup` children would inherit an ignored SIGHUP, and tests of its handling would fail.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -24,9 +24,6 @@ NIL = msgspec.Raw(b"\xc0")  # MessagePack nil: the value is absent
 class ReportHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """The REPORT clause of a ParsedCommand."""
 
-    joints: bool = False
-    forces: bool = False
-    pose: bool = False
     every_s: float | None = None
     when: list[Condition] = []
 

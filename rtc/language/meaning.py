@@ -313,18 +313,19 @@ def report(parts: Parts) -> Fields:
 
 
 def report_items(parts: Parts) -> Fields:
-    """The fields of an item and of the items after it; conditions are collected in their order."""
+    """The fields of an item and of the items after it, in their order."""
     fields: Fields = {}
     for part in parts:
         if isinstance(part, dict):
             if "every_s" in part and "every_s" in fields:
                 raise SentenceError(parts[0].start_pos or 0, "EVERY is given twice.")
-            fields = {**fields, **part, "when": [*fields.get("when", []), *part.get("when", [])]}
+            lists = {name: [*fields.get(name, []), *part.get(name, [])] for name in ("items", "when")}
+            fields = {**fields, **part, **lists}
     return fields
 
 
 def reported(parts: Parts) -> Fields:
-    return {parts[0].value.lower(): True}
+    return {"items": [parts[0].value if hasattr(parts[0], "value") else parts[0]]}
 
 
 def reported_every(parts: Parts) -> Fields:

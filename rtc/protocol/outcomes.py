@@ -209,6 +209,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc
     peak_torque_nm: float | None = None
     sighting: Sighting | None = None  # of a camera
     partner: Measured | None = None  # of the second arm of the same primitive; the peaks above are then those of both
+    others: dict[str, object] = {}  # items of installed packages, by name
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):

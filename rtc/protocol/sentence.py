@@ -82,9 +82,7 @@ class Constraint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The REPORT clause: contents of the report in addition to the standard ones."""
 
-    joints: bool = False
-    forces: bool = False
-    pose: bool = False
+    items: list[str] = []  # JOINTS, FORCES, POSE, or the name of an installed item
     every_s: float | None = None  # period of event reports
     when: list[Condition] = []  # one report at the first moment of each step in which it is true
 

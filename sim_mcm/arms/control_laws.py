@@ -13,20 +13,19 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import entry_points
 from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
 
 from rtc.model.robot.kinematics import ArmModel
+from rtc.plugins import registry
 from rtc.protocol.primitive import ControlLaw
 from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import Motion
 from sim_mcm.arms import unrolled
 from sim_mcm.arms.impedance import Impedance
 
-GROUP = "rtc.control_laws"
 # Share of the load in the model. With 0 the wrist swings after a halt with two kilograms (1.1 s until rest); with this
 # share it rests in 0.45 s. With 0.25 the wrist chatters: it is twenty times lighter than the load, held by friction.
 LOAD_SHARE = 0.10
@@ -73,10 +72,7 @@ IMPEDANCE = "impedance"
 
 def known() -> dict[str, Factory]:
     """All installed laws that need no compliance, by name."""
-    laws: dict[str, Factory] = {"position": ComputedTorque}
-    for entry in entry_points(group=GROUP):
-        laws[entry.name] = entry.load()
-    return laws
+    return {"position": ComputedTorque, **registry.installed(registry.CONTROL_LAWS)}
 
 
 def make(law: ControlLaw, arm: ArmModel, laws: Mapping[str, Factory]) -> Law:

@@ -90,7 +90,7 @@ WRONG = [
     ("STOW LEFT-ARM ¦AFTR C-3", [w for w in AFTER_OBJECT if w != "WITH"], ["AFTER"], "AFTR cannot stand"),
     ("GRASP MACS-OLD NOW ¦REPORT POSE", [END], [], "after NOW"),
     ("STOW LEFT-ARM ¦REPORT EVERY 1 SEC AND EVERY 2 SEC", [], [], "EVERY is given twice"),
-    ("GRASP MACS-OLD REPORT ¦SPEED", ["EVERY", "FORCES", "JOINTS", "POSE", "WHEN"], [], "after REPORT"),
+    ("GRASP MACS-OLD REPORT ¦SPEED", ["a name", "EVERY", "FORCES", "JOINTS", "POSE", "WHEN"], [], "after REPORT"),
     ("TRACK SATELLITE ¦MAINTAIN SPEED", ["AFTER", "FOR", *AFTER_TASK[1:]], [], "after SATELLITE"),
     ("GIVE RIGHT-ARM ¦OPERATOR", ["TO"], [], "after RIGHT-ARM"),
     ("MOVE LEFT-ARM TO P UNLESS SLIP THEN ¦HALT", ["BACK-OFF", "COMPLY", "RELEASE", "STOP"], [], "after THEN"),

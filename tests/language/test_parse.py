@@ -179,13 +179,13 @@ RECORDS = {
     "S28": task("HANDOFF", hand=RIGHT, to_hand=LEFT, object="MACS-OLD", guarded=True),
     "S29": task("STOW", hand=LEFT),
     "S30": task("HOLD", hand=LEFT, duration_s=30, constraints=[slot("STIFFNESS", 800, "N/m")]),
-    "S31": task("LOCATE", object="MACS-OLD", performer="CAMERA-1", report=Report(pose=True)),
+    "S31": task("LOCATE", object="MACS-OLD", performer="CAMERA-1", report=Report(items=["POSE"])),
     "S32": task(
         "TRACK",
         object="SATELLITE",
         duration_s=60,
         performer="CAMERA-2",
-        report=Report(pose=True, every_s=0.5),
+        report=Report(items=["POSE"], every_s=0.5),
     ),
     "S33": task("VERIFY", object="MACS-OLD", hand=RIGHT),
     "S34": task(
@@ -193,7 +193,7 @@ RECORDS = {
         hand=RIGHT,
         place=Destination(name="BAY-2-FRONT"),
         constraints=[slot("SHARED", of="WRIST")],
-        report=Report(joints=True, forces=True),
+        report=Report(items=["JOINTS", "FORCES"]),
     ),
     "S35": task(
         "MOVE",

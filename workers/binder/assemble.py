@@ -57,10 +57,7 @@ def of_arm(
         trajectory=trajectory,
         stop_functions=stops,
         control_law=control_law,
-        reporting=Reporting(
-            every_s=_report_interval_s(task),
-            when=stop_conditions.reported(task.data, task.query, values, rows),
-        ),
+        reporting=stop_conditions.reporting(task.data, task.query, values, rows),
     )
     return _bound(SUBSYSTEM_OF_ARMS, made, evaluation, values, note)
 
@@ -68,6 +65,7 @@ def of_arm(
 def of_camera(task: RuledTask, look: Look, camera: str, evaluation: EvaluationContext) -> BoundStep:
     """The bound step of the camera that reports. Raises Refused."""
     values = _with_time_limit(task.values, evaluation.predicted_s, task.data.context.limits.time_s)
+    asked = task.data.context.report
     made = Primitive(
         id=task.data.primitive_id,
         performer=camera,
@@ -75,7 +73,7 @@ def of_camera(task: RuledTask, look: Look, camera: str, evaluation: EvaluationCo
         stop_functions=stop_conditions.stop_functions(
             task.stop_class.stops, values, None, [], stop_conditions.Line(None, None)
         ),
-        reporting=Reporting(every_s=_report_interval_s(task)),
+        reporting=Reporting(items=asked.items, every_s=asked.every_s) if asked else Reporting(),
     )
     return _bound(SUBSYSTEM_OF_CAMERAS, made, evaluation, values)
 
@@ -89,11 +87,6 @@ def _bound(subsystem: str, made: Primitive, evaluation: EvaluationContext, value
         limit_s=values["report_factor"] * values["time_limit_s"] + values["report_margin_s"],
         note=note,
     )
-
-
-def _report_interval_s(task: RuledTask) -> float | None:
-    every_s = task.data.step.args.get("report_every_s")
-    return float(every_s) if every_s is not None else None
 
 
 def _keeps(task: RuledTask, trajectory: Trajectory) -> bool:

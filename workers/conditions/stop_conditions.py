@@ -29,7 +29,7 @@ from rtc.protocol.primitive import (
     JointMarginBelow,
     NoProgress,
     Predicate,
-    ReportCondition,
+    Reporting,
     SpeedAbove,
     StopFunction,
     TcpInside,
@@ -167,9 +167,13 @@ def from_command(
     return reflexes.stop_functions(data.context.reflexes, _state(data, query, values, rows, arm))
 
 
-def reported(data: BinderInput, query: WorldQuery, values: Values, rows: list[StopRow]) -> list[ReportCondition]:
-    """Conditions of the command's REPORT WHEN for this step."""
-    return reflexes.report_conditions(data.context.report_when, _state(data, query, values, rows))
+def reporting(data: BinderInput, query: WorldQuery, values: Values, rows: list[StopRow]) -> Reporting:
+    """R: the command's REPORT for this step."""
+    asked = data.context.report
+    if asked is None:
+        return Reporting()
+    when = reflexes.report_conditions(asked.when, _state(data, query, values, rows))
+    return Reporting(items=asked.items, every_s=asked.every_s, when=when)
 
 
 def _state(

@@ -16,6 +16,7 @@ from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import Constraint, ParsedCommand, Quantity
 from rtc.protocol.units import KINDS, such_as
+from rtc.subsystems.base import report_items
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
 
@@ -166,6 +167,14 @@ def refuse_report_interval(parsed: ParsedCommand) -> None:
         return
     message = f"REPORT EVERY {every_s:g} s is too often; {MIN_REPORT_S:g} s is the shortest interval"
     raise _refused(message, "EVERY", f"REPORT EVERY {MIN_REPORT_S:g} SEC, or rarer; `telemetry` has every sample")
+
+
+def refuse_report_items(parsed: ParsedCommand) -> None:
+    """Refuse REPORT of an item that no installed package measures."""
+    known = report_items.known()
+    for item in parsed.report.items if parsed.report else ():
+        if item not in known:
+            raise suggestions.unknown("report item", item, known, where="REPORT")
 
 
 def refuse_longer_than_limit(parsed: ParsedCommand, limits: Limits) -> None:

@@ -94,6 +94,7 @@ def _elaborated(compiled: Compiled, query: WorldQuery, parsed: ParsedCommand) ->
     cameras = any("camera" in scripts[branch.script].resources for branch in branches)
     command_fields.refuse_unsupported(program, parsed, cameras=cameras)
     command_fields.refuse_report_interval(parsed)
+    command_fields.refuse_report_items(parsed)
     limits = command_fields.limits(program, parsed, query.cell)
     command_fields.refuse_longer_than_limit(parsed, limits)
     _refuse_unmeasured(parsed, query)
@@ -321,7 +322,7 @@ def _context(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]
         limits=candidate.limits,
         guarded=candidate.parsed.guarded,
         reflexes=candidate.parsed.reflexes,
-        report_when=candidate.parsed.report.when if candidate.parsed.report else [],
+        report=candidate.parsed.report,
         fits={entry.n: entry.fits for entry in entries if entry.fits},
     )
 
@@ -356,9 +357,6 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
     asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
     own = [entry.n for entry in entries if nominal and entry.n > MAX_ENTRIES]
     figures: dict[str, float | str] = {n: expressions.number(e, candidate.figures) for n, e in step.args.items()}
-    report = candidate.parsed.report
-    if report is not None and report.every_s is not None:
-        figures["report_every_s"] = report.every_s
     words = {name: candidate.fill_in(word) for name, word in step.words.items()}
     camera, body = look.camera_for(step, candidate, body), body or candidate.body
     further = look.further_cameras(step, candidate, body, camera) if camera is not None else []

@@ -30,7 +30,7 @@ def candidates(
     Raises Refused."""
     cell, name = query.cell, parsed.object or ""
     report = parsed.report
-    if report is not None and (report.joints or report.forces or report.when):
+    if report is not None and (set(report.items) - {"POSE"} or report.when):
         message = f"a camera reports the pose of {name}; it has neither joints nor forces, nor conditions of an arm"
         raise Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="REPORT", clears="REPORT POSE"))
     thing = next((one for one in cell.objects if one.name == name), None)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import msgspec
 
-from broker.decisions import action_stack, reporting
+from broker.decisions import action_stack
 from broker.decisions.command.claims import claim_or_wait
 from broker.decisions.command.closing import close, read_assessment
 from broker.decisions.command.limits import await_report
@@ -171,7 +171,7 @@ def on_reported(context: DecisionContext, command: Command, report: EndReport) -
     acknowledge(context, command)
     if command.actions is not None:
         command.actions.moved_s += report.duration_s
-    command.measured = reporting.at_end(command, report)
+    command.measured = report.reading or command.measured
     note = f"ended: {report.reason}" + (f" ({report.message})" if report.message else "")
     if report.reason is StopReason.HALT:
         command.pending_outcome = PendingOutcome(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from broker.decisions import reporting
 from broker.decisions.command.closing import AGAIN, WHEN_BACK, close, stop_after_analysis
 from broker.decisions.command.limits import await_rest, rest_limit_s
 from broker.decisions.command.termination import stop
@@ -48,7 +47,7 @@ def stop_overdue(context: DecisionContext, command: Command, _: Any) -> None:
 def on_rested(context: DecisionContext, command: Command, report: EndReport) -> None:
     """Close after the end report. It proves rest whatever its reason: the motion may have ended by itself."""
     context.stop_timer(command)
-    command.measured = reporting.at_end(command, report)
+    command.measured = report.reading or command.measured
     context.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
     command.primitive_body = NIL
     command.at_rest = True

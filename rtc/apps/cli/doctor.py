@@ -20,6 +20,7 @@ from rtc.apps.cli.log import from_cluster
 from rtc.apps.cli.output import AsJson, RunDir, console, emit_json, seconds
 from rtc.client.client import Client
 from rtc.client.past_runs import PREVIOUS, runs
+from rtc.plugins import registry
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.runtime.extras import EXTRAS, missing
@@ -129,6 +130,12 @@ def installation() -> Iterator[Finding]:
     yield Finding("libraries", words, f"pip install {' '.join(absent)}" if absent else "")
     for extra in EXTRAS:
         yield Finding(f"extra for {extra}", missing(extra) or "installed")  # optional: no warning
+    for group in registry.GROUPS:
+        found, failed = registry.loaded(group)
+        if found:
+            yield Finding(group, ", ".join(found))
+        for name, why in failed.items():
+            yield Finding(group, f"{name} cannot be loaded: {why}", "correct or uninstall its package")
 
 
 def _requirements() -> list[str]:

@@ -41,6 +41,7 @@ def in_words(measured: Measured) -> list[str]:
         lines += _sighting(measured.arm, measured.sighting)
     if measured.joints is not None:
         lines.append(f"{measured.arm} joints: {_joints(measured.joints, measured.slides)}")
+    lines += [f"{measured.arm} {name.lower()}: {value}" for name, value in measured.others.items()]
     return lines + (in_words(measured.partner) if measured.partner else [])
 
 

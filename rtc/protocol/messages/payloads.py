@@ -11,7 +11,7 @@ from rtc.protocol.messages.subsystem import EndReport
 from rtc.protocol.messages.world import WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import Primitive
-from rtc.protocol.sentence import Condition, ParsedCommand, ReflexItem
+from rtc.protocol.sentence import ParsedCommand, ReflexItem, Report
 
 
 class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -97,7 +97,7 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     limits: Limits = Limits()
     guarded: bool = False
     reflexes: list[ReflexItem] = []
-    report_when: list[Condition] = []
+    report: Report | None = None  # the REPORT clause
     fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
     # Facts stated by the sentence itself, by key, SI.
     stated: dict[str, Any] = msgspec.field(default_factory=dict)

@@ -8,7 +8,7 @@ import msgspec
 
 from rtc.protocol.messages.client import Declined
 from rtc.protocol.messages.shared import Heartbeat, Message, Name, UnreadableMessages
-from rtc.protocol.outcomes import Reflex, Sighting, StopReason
+from rtc.protocol.outcomes import Measured, Reflex, Sighting, StopReason
 from rtc.protocol.primitive import Primitive
 
 
@@ -94,20 +94,14 @@ class PauseChanged(Message, frozen=True, kw_only=True):
 
 
 class ProgressReport(Message, frozen=True, kw_only=True):
-    """A report during a motion or a look: at the period requested in R, or because a condition of R is true.
-
-    Only an arm has joints, wrench and tcp pose."""
+    """A report during a motion or a look: at the period requested in R, or because a condition of R is true."""
 
     primitive: str
     at_s: float
-    joints: list[float] = []
-    slides: list[int] = []  # as in EndReport
-    wrench: list[float] = []
-    tcp_pose: list[float] = []
+    reading: Measured  # the items of R
     condition: int | None = None  # number of the condition; None: a periodic report
     measured: float | None = None  # what the condition compares
     limit: float | None = None
-    sighting: Sighting | None = None  # of a camera: the latest pose of the body
 
 
 class EndReport(Message, frozen=True, kw_only=True):
@@ -138,6 +132,7 @@ class EndReport(Message, frozen=True, kw_only=True):
     facts: dict[str, Any] = {}  # stated, by key (MACS-OLD.frame), SI; an analyzer writes them
     partner: EndReport | None = None  # of the second arm, if the primitive has one
     sighting: Sighting | None = None  # of a camera; None: the body was not seen
+    reading: Measured | None = None  # the items of R; None: the sentence requests none
 
 
 class HaltStarted(Message, frozen=True, kw_only=True):

@@ -21,5 +21,6 @@ class ReportCondition(msgspec.Struct, frozen=True, kw_only=True):
 class Reporting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """R: additions to the standard end report, which always has joints, wrench and reason (R65)."""
 
+    items: list[str] = []  # measured at the end; none: during the motion all standard ones
     every_s: float | None = None  # progress reports at this period
     when: list[ReportCondition] = []  # at most one report for each `n`

@@ -20,6 +20,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.spatial.geometry import Array
+from rtc.subsystems.base.report_items import STANDARD, reading
 from rtc.subsystems.motion import acceptance, profiles, stop_functions
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
 from rtc.subsystems.motion.bounds import Bounds
@@ -654,17 +655,16 @@ class Executor:
         return self._profile_ticks * TICK_S + self._shift_s
 
     def _progress(self, now_s: float) -> m.ProgressReport:
+        assert self.primitive is not None
         return m.ProgressReport(
             primitive=self.primitive_id,
             at_s=now_s,
-            joints=self.sample.joints,
-            slides=self._seen.slides,
-            wrench=self._seen.wrench,
-            tcp_pose=self._seen.tcp().tolist(),
+            reading=reading(self.primitive.reporting.items or STANDARD, self.name, self._seen, ended=False),
         )
 
     def _end_report(self, now_s: float) -> m.EndReport:
         assert self.trip is not None
+        assert self.primitive is not None
         return end_report(
             self.primitive_id,
             self.name,
@@ -672,6 +672,7 @@ class Executor:
             at_s=now_s,
             duration_s=self._ticks * TICK_S,
             seen=self._seen,
+            items=self.primitive.reporting.items,
             turned_rad=None if self._spindle is None else self._spindle.turned_rad,
         )
 

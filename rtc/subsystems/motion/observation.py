@@ -44,6 +44,11 @@ class Observation:
         self.stands_at = self.sample.joints  # without a primitive
 
     @property
+    def joints(self) -> list[float]:
+        """Rad; m for those of `slides`."""
+        return self.sample.joints
+
+    @property
     def slides(self) -> list[int]:
         """Numbers of the joints that slide."""
         return [n for n, sliding in enumerate(self.arm.traits.slides) if sliding]

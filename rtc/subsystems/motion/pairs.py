@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import PRIORITY, StopReason
+from rtc.protocol.outcomes import PRIORITY, Measured, StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.subsystems.motion.executor import Executor, Reports
 from rtc.subsystems.motion.reports import not_begun
@@ -82,4 +82,17 @@ class Pairs:
             peak_force_n=max(leading.peak_force_n, complying.peak_force_n),
             peak_torque_nm=max(leading.peak_torque_nm, complying.peak_torque_nm),
             partner=complying,
+            reading=_of_both(leading.reading, complying.reading),
         )
+
+
+def _of_both(leading: Measured | None, complying: Measured | None) -> Measured | None:
+    """The reading of the leading arm, with that of the other one and the peaks of both."""
+    if leading is None or complying is None:
+        return leading
+    peaks = {
+        name: max(getattr(leading, name), getattr(complying, name))
+        for name in ("peak_force_n", "peak_torque_nm")
+        if getattr(leading, name) is not None
+    }
+    return msgspec.structs.replace(leading, partner=complying, **peaks)

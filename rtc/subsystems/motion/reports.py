@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.spatial.geometry import Array
+from rtc.subsystems.base.report_items import reading
 from rtc.subsystems.motion.arm import Sample
 from rtc.subsystems.motion.observation import Observation
 
@@ -33,6 +36,7 @@ def end_report(
     at_s: float,
     duration_s: float,
     seen: Observation,
+    items: Sequence[str] = (),
     turned_rad: float | None = None,
 ) -> m.EndReport:
     sample = seen.sample
@@ -57,6 +61,7 @@ def end_report(
         message=trip.message,
         reflex=trip.reflex,
         turned_rad=turned_rad,
+        reading=reading(items, performer, seen, ended=True) if items else None,
     )
 
 

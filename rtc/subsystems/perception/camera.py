@@ -134,4 +134,5 @@ class Camera:
             limit=limit,
             message=task.trouble,
             sighting=task.sighting(now_s),
+            reading=task.reading(now_s),
         )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
-from rtc.protocol.outcomes import Sighting
+from rtc.protocol.outcomes import Measured, Sighting
 from rtc.sensing import absence
 from rtc.sensing.detector import Mark
 from rtc.sensing.locate import Seen, locate
@@ -133,7 +133,15 @@ class LookTask:
             return None
         self._report_s = max(self._report_s, seen_s - 0.5 * every_s) + every_s
         self._reported_s = seen_s
-        return m.ProgressReport(primitive=self.primitive.id, at_s=now_s, sighting=self.sighting(now_s))
+        return m.ProgressReport(primitive=self.primitive.id, at_s=now_s, reading=self._measured(now_s))
+
+    def reading(self, now_s: float) -> Measured | None:
+        """For the end report: the pose, if the sentence requests it and the body was seen."""
+        measured = self._measured(now_s)
+        return measured if self.primitive.reporting.items and measured.sighting is not None else None
+
+    def _measured(self, now_s: float) -> Measured:
+        return Measured(arm=self.primitive.performer, sighting=self.sighting(now_s))
 
     def sighting(self, now_s: float) -> Sighting | None:
         seen_s = self._seen_s()

@@ -7,42 +7,40 @@ import msgspec
 from broker.decisions import effects as do
 from broker.decisions.events import PrimitiveEnded
 from rtc.apps.cli.measured import in_words
-from rtc.protocol.outcomes import StopReason
+from rtc.protocol.outcomes import Measured, StopReason
 from rtc.protocol.sentence import Report
 from tests.broker.harness import Harness, bound, go_on, record, report
 
+READING = Measured(arm="RIGHT-ARM", tcp_pose=[0, 0, 0, 0, 0, 0, 1], others={"TEMPERATURE": {"motor_c": [41.5]}})
 
-def test_what_was_measured_is_in_the_outcome_and_in_the_note_as_far_as_it_was_asked_for():
+
+def test_a_reading_is_in_the_outcome_and_in_the_note_as_it_was_sent():
     s = Harness()
-    s.executing(report=Report(pose=True, forces=True))
-    s.reports("C-1")
+    s.executing(report=Report(items=["POSE", "TEMPERATURE"]))
+    s.handle(PrimitiveEnded, subsystem="MCM", report=msgspec.structs.replace(report("C-1.1"), reading=READING))
     s.answers("C-1", go_on())
 
-    measured = s.outcome("C-1").measured
-    assert (measured.arm, measured.tcp_pose, measured.wrench) == ("RIGHT-ARM", [0, 0, 0, 0, 0, 0, 1], [0.0] * 6)
-    assert measured.joints is None
-    assert [e.note.measured for e in s.log if isinstance(e, do.PublishNote) and e.note.measured] == [measured]
+    assert s.outcome("C-1").measured == READING
+    assert [e.note.measured for e in s.log if isinstance(e, do.PublishNote) and e.note.measured] == [READING]
 
 
 def test_a_halted_command_reports_what_was_measured_too():
     s = Harness()
-    s.executing(report=Report(joints=True))
+    s.executing(report=Report(items=["POSE"]))
     s.halts("C-1")
-    s.reports("C-1", StopReason.HALT)
+    ended = report("C-1.1", StopReason.HALT)
+    s.handle(PrimitiveEnded, subsystem="MCM", report=msgspec.structs.replace(ended, reading=READING))
     s.answers("C-1", go_on())
-    assert s.outcome("C-1").measured.joints == [0.0] * 6
+    assert s.outcome("C-1").measured == READING
 
 
-def test_of_two_arms_both_are_reported():
-    s = Harness()
-    s.executing(report=Report(joints=True, pose=True))
-    both = msgspec.structs.replace(report("C-1.1"), partner=report("C-1.1", performer="LEFT-ARM"))
-    s.handle(PrimitiveEnded, subsystem="MCM", report=both)
-    s.answers("C-1", go_on())
-
-    second = s.outcome("C-1").measured.partner
-    assert (second.arm, second.joints, second.tcp_pose) == ("LEFT-ARM", [0.0] * 6, [0, 0, 0, 0, 0, 0, 1])
-    assert [line.split()[0] for line in in_words(s.outcome("C-1").measured)] == ["RIGHT-ARM"] * 2 + ["LEFT-ARM"] * 2
+def test_a_reading_in_words_has_a_line_for_each_item_of_each_arm():
+    both = msgspec.structs.replace(READING, partner=Measured(arm="LEFT-ARM", joints=[0.0] * 6))
+    assert [line.split()[:2] for line in in_words(both)] == [
+        ["RIGHT-ARM", "pose:"],
+        ["RIGHT-ARM", "temperature:"],
+        ["LEFT-ARM", "joints:"],
+    ]
 
 
 def test_without_report_nothing_is_added():

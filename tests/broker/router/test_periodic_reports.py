@@ -9,22 +9,23 @@ from broker.decisions.reporting import MAX_PER_S
 from broker.decisions.state import ParsedHead, ReportHead
 from broker.router.recent_reports import COMMANDS, REPORTS, RecentReports
 from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Measured
 from rtc.protocol.sentence import Condition, Quantity
 from tests.broker.router.bench import Bench, forwarded
 
 
 @pytest.fixture
 def reporting(working: Bench) -> Bench:
-    """Ann's command is being executed, and its sentence asks for periodic reports of joints."""
+    """Ann's command is being executed, and its sentence asks for periodic reports."""
     command = working.state.commands["C-1"]
-    command.head = ParsedHead(kind="task", verb="STOW", report=ReportHead(joints=True, every_s=0.5))
+    command.head = ParsedHead(kind="task", verb="STOW", report=ReportHead(every_s=0.5))
     command.primitive, command.subsystem, command.performers = "C-1.1", "MCM", ["LEFT-ARM"]
     working.sockets["front"].sent.clear()
     return working
 
 
 def progress(primitive: str = "C-1.1") -> m.ProgressReport:
-    return m.ProgressReport(primitive=primitive, at_s=1.0, joints=[0.5], wrench=[0.0] * 6, tcp_pose=[0.0] * 7)
+    return m.ProgressReport(primitive=primitive, at_s=1.0, reading=Measured(arm="LEFT-ARM", joints=[0.5]))
 
 
 def test_a_periodic_report_goes_to_the_client_and_past_the_journal(reporting: Bench) -> None:
@@ -39,7 +40,7 @@ def test_a_periodic_report_goes_to_the_client_and_past_the_journal(reporting: Be
 
 def test_a_report_that_was_not_requested_is_dropped(reporting: Bench) -> None:
     reporting.send("subsystems", b"MCM", progress("C-1.0"), progress("C-9.1"))
-    reporting.state.commands["C-1"].head = ParsedHead(kind="task", verb="STOW", report=ReportHead(joints=True))
+    reporting.state.commands["C-1"].head = ParsedHead(kind="task", verb="STOW", report=ReportHead())
     reporting.send("subsystems", b"MCM", progress())
     assert forwarded(reporting) == []
 
@@ -52,7 +53,7 @@ def test_periodic_reports_are_bounded(reporting: Bench) -> None:
 
 def test_a_condition_goes_to_the_client_in_the_words_of_its_sentence(reporting: Bench) -> None:
     force = Condition(measure="FORCE", bound="above", quantity=Quantity(5.0, "N"))
-    head = ReportHead(joints=True, when=[Condition(event="CONTACT"), force])
+    head = ReportHead(when=[Condition(event="CONTACT"), force])
     reporting.state.commands["C-1"].head = ParsedHead(kind="task", verb="STOW", report=head)
 
     met = {"measured": 6.0, "limit": 5.0}

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from rtc.model.robot.kinematics import ArmModel
+from rtc.plugins import registry
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import ControlLaw
 from rtc.subsystems.motion.arm import TICK_S
@@ -62,31 +60,19 @@ def test_a_law_that_will_not_do_is_refused_in_words_and_the_old_one_stays(cell, 
     assert servo.torque(home, [0.0] * 6) == pytest.approx([0.0] * 6, abs=1e-9)
 
 
-def install(folder: Path, monkeypatch: pytest.MonkeyPatch, module: str, entry: str) -> None:
-    """Make the metadata of a package with this entry point, beside its module in the folder, and put it on the path."""
-    info = folder / f"{module}-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{control_laws.GROUP}]\n{entry}\n")
-    monkeypatch.syspath_prepend(str(folder))
+SLACK = """
+class Slack:
+    def __init__(self, model, gains):
+        self.n = model.nq
+    def torque(self, wanted, q, v):
+        return [0.0] * self.n
+"""
 
 
-def test_a_law_is_added_by_installing_a_package_that_names_it(tmp_path, monkeypatch, model) -> None:
-    # Given a package on the path: a module and an entry point of our group, no change to ours
-    (tmp_path / "slack_law.py").write_text(
-        "class Slack:\n"
-        "    def __init__(self, model, gains):\n"
-        "        self.n = model.nq\n"
-        "    def torque(self, wanted, q, v):\n"
-        "        return [0.0] * self.n\n"
-    )
-    install(tmp_path, monkeypatch, "slack_law", "slack = slack_law:Slack")
-    try:
-        laws = control_laws.known()
-        law = control_laws.make(ControlLaw(name="slack"), model, laws)
-        assert law.torque(([1.0] * 6, [0.0] * 6, [0.0] * 6), [0.0] * 6, [0.0] * 6) == [0.0] * 6
-    finally:
-        sys.modules.pop("slack_law", None)
+def test_a_law_is_added_by_installing_a_package_that_names_it(install, model) -> None:
+    install(registry.CONTROL_LAWS, "slack", "Slack", SLACK)
+    law = control_laws.make(ControlLaw(name="slack"), model, control_laws.known())
+    assert law.torque(([1.0] * 6, [0.0] * 6, [0.0] * 6), [0.0] * 6, [0.0] * 6) == [0.0] * 6
 
 
 SPRINGS = """
@@ -104,9 +90,8 @@ class Springs:
 
 
 @pytest.mark.physics
-def test_a_primitive_is_executed_under_an_added_law_in_physics(tmp_path, monkeypatch, cell, make) -> None:
-    (tmp_path / "springs_law.py").write_text(SPRINGS)
-    install(tmp_path, monkeypatch, "springs_law", "springs = springs_law:Springs")
+def test_a_primitive_is_executed_under_an_added_law_in_physics(install, cell, make) -> None:
+    install(registry.CONTROL_LAWS, "springs", "Springs", SPRINGS)
     world = BulletCell(cell)
     try:
         bench = make.Bench(world)
@@ -118,7 +103,6 @@ def test_a_primitive_is_executed_under_an_added_law_in_physics(tmp_path, monkeyp
         )
     finally:
         world.close()
-        sys.modules.pop("springs_law", None)
     assert refused.reason is StopReason.REFUSED
     assert "wn" in refused.message
     assert report.reason is StopReason.GOAL

@@ -99,7 +99,7 @@ def test_a_condition_is_reported_once_and_stops_nothing(rig) -> None:
 
     reports = [sent for sent in rig.sent if isinstance(sent, m.ProgressReport)]
     assert [(one.condition, one.limit) for one in reports] == [(0, 5.0), (1, 0.4)]
-    assert (reports[0].measured, reports[0].wrench[0]) == (6.0, 6.0)
+    assert (reports[0].measured, reports[0].reading.wrench[0]) == (6.0, 6.0)
 
 
 def test_a_condition_of_two_predicates_is_reported_once(rig) -> None:

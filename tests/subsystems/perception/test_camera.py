@@ -144,7 +144,7 @@ def test_a_slowly_turning_body_is_followed_ten_times_a_second(cell, eyes, look) 
     assert end.duration_s == pytest.approx(3.0, abs=0.05)
     assert len(progress) == pytest.approx(30, abs=2)
     assert end.sighting.velocity == pytest.approx([0, speed, 0, rate, 0, 0], abs=1e-4)
-    turned = [geometry.angle(one.sighting.pose, cell.object_pose(FACE)) for one in progress]
+    turned = [geometry.angle(one.reading.sighting.pose, cell.object_pose(FACE)) for one in progress]
     assert np.all(np.diff(turned) > 0.0)
 
 
