@@ -19,7 +19,9 @@ Three kinds of failure are kept apart:
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
+from types import MappingProxyType
 
 import msgspec
 
@@ -175,6 +177,33 @@ class Refused(Exception):
     def __init__(self, refusal: Refusal) -> None:
         super().__init__(refusal.message)
         self.refusal = refusal
+
+    @classmethod
+    def because(
+        cls,
+        reason: RefusalReason,
+        message: str,
+        *,
+        where: str = "",
+        expected: Iterable[str] = (),
+        nearest: Iterable[str] = (),
+        owner: str = "",
+        clears: str = "",
+        detail: Mapping[str, float | str] = MappingProxyType({}),
+    ) -> Refused:
+        """With a new refusal; the fields are those of `Refusal`."""
+        return cls(
+            Refusal(
+                reason=reason,
+                message=message,
+                where=where,
+                expected=list(expected),
+                nearest=list(nearest),
+                owner=owner,
+                clears=clears,
+                detail=dict(detail),
+            )
+        )
 
 
 def refuse_if(problem: Refusal | None) -> None:

@@ -107,8 +107,7 @@ def _assessed(compiled: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput)
     if row not in compiled.outcomes:
         known = ", ".join(compiled.outcomes)
         message = f"the analyzer has no row {row}; there are {known}"
-        no_row = Refusal(reason=RefusalReason.PROGRAM, message=message, where=row, clears="LOAD a program that has it")
-        raise Refused(no_row)
+        raise Refused.because(RefusalReason.PROGRAM, message, where=row, clears="LOAD a program that has it")
     wrong = _wrong(compiled, data) or ("dropped" if _dropped(query, data) else "")
     reason = compiled.derived.get(row, {}).get(wrong, data.report.reason)
     if not wrong and data.report.reason in evaluation.step.expect:
@@ -208,7 +207,7 @@ def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -
     if isinstance(effect, str) and effect:
         if effect not in EFFECTS:
             message = f"unknown effect {effect}; there are {', '.join(EFFECTS)}"
-            raise Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, where=step.label))
+            raise Refused.because(RefusalReason.PROGRAM, message, where=step.label)
         changes += EFFECTS[effect](query, data, Validity.VALID)
     changes += _held_object_changes(program, query, data, changes, suspect=False)
     changes += _pressed_on(program, query, data)

@@ -42,7 +42,7 @@ def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) ->
 
 
 def _refused(message: str, where: str, clears: str) -> Refused:
-    return Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, where=where, clears=clears))
+    return Refused.because(RefusalReason.INFEASIBLE, message, where=where, clears=clears)
 
 
 # --- plausibility ----------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rtc.protocol.messages import BoundStep, EvaluationContext
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import (
     MAX_S,
     HandMotion,
@@ -112,36 +112,33 @@ def _refuse_endless(limit_s: float) -> None:
     """Refuse a step whose time limit (s) no primitive can have: a speed near zero, or a time of years."""
     if limit_s <= MAX_S:
         return
-    endless = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"this step would need a time limit of {limit_s:.3g} s; {MAX_S:g} s is the longest possible",
+    raise Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"this step would need a time limit of {limit_s:.3g} s; {MAX_S:g} s is the longest possible",
         clears="more speed or a greater force, if the sentence limits them; a shorter way or time",
         detail={"cause": "time", "limit_s": MAX_S, "value_s": limit_s},
     )
-    raise Refused(endless)
 
 
 def _refuse_weight(task: RuledTask, load: Load | None) -> None:
     payload_kg = task.query.cell.arm(task.arm).payload_kg
     if load is None or load.mass_kg <= payload_kg:
         return
-    refusal = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"{task.held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
+    raise Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"{task.held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
         clears=f"let go of {task.held}; if it is lighter, correct its mass",
         detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": task.arm},
     )
-    raise Refused(refusal)
 
 
 def refused_time(task: BindTask, predicted_s: float) -> Refused:
     left_s = task.time_left_s or 0.0
     most_s, moved_s = task.data.context.limits.time_s or 0.0, task.data.moved_s
     left = f", of which {max(left_s, 0.0):.3g} s are left" if moved_s else ""
-    refusal = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"this step takes {predicted_s:.3g} s; the time limit is {most_s:g} s{left}",
+    return Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"this step takes {predicted_s:.3g} s; the time limit is {most_s:g} s{left}",
         clears="more time, or more speed",
         detail={"cause": "time", "predicted_s": predicted_s, "limit_s": most_s, "moved_s": moved_s},
     )
-    return Refused(refusal)

@@ -102,13 +102,12 @@ def hand_motion(task: BindTask, op: str) -> BoundStep:
 def _refused_hand_figure(task: BindTask, name: str, value: float, most: float, unit: str) -> Refused:
     hand = task.query.cell.arm(task.arm).end_effector
     now = f"; it is open {in_words(task.query.hand_width(task.arm), 'm')} now" if unit == "m" else ""
-    refusal = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"{name} of {hand}: {in_words(value, unit)} is asked for; it can have 0 to {in_words(most, unit)}{now}",
+    return Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"{name} of {hand}: {in_words(value, unit)} is asked for; it can have 0 to {in_words(most, unit)}{now}",
         clears=f"{name} of 0 to {in_words(most, unit)}",
         detail={"cause": name, f"value_{unit.lower()}": value, f"limit_{unit.lower()}": most, "arm": task.arm},
     )
-    return Refused(refusal)
 
 
 def bind_still(task: BindTask) -> BoundStep:
@@ -148,8 +147,7 @@ def bind_assignment(task: BindTask) -> BoundStep:
         value = expressions.evaluate(step.value, given)
     except expressions.ExpressionError as error:
         message = f"{step.name} = {step.value}: {error}"
-        apart = Refusal(reason=RefusalReason.INFEASIBLE, message=message, where=step.name, clears="measure again")
-        raise Refused(apart) from error
+        raise Refused.because(RefusalReason.INFEASIBLE, message, where=step.name, clears="measure again") from error
     binding = Binding(pose=value) if isinstance(value, list) else Binding(number=value)
     return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
 
@@ -162,13 +160,12 @@ def _now(task: BindTask, stated: Any) -> Any:
     if fact is not None and fact.validity is Validity.VALID:
         return fact.value
     arm = stated["now"].partition(".")[0]
-    unsure = Refusal(
-        reason=RefusalReason.SUSPECT,
-        message=f"{stated['now']} is {fact.validity.value if fact else 'unknown'}: where {arm} stands is not sure",
+    raise Refused.because(
+        RefusalReason.SUSPECT,
+        f"{stated['now']} is {fact.validity.value if fact else 'unknown'}: where {arm} stands is not sure",
         where=stated["now"],
         clears=f"the next motion reads the joints first, such as HOLD {hand_in_words(arm)} FOR 1 SEC",
     )
-    raise Refused(unsure)
 
 
 def bind_stated_facts(task: BindTask) -> BoundStep:
@@ -201,7 +198,7 @@ def open_hand(task: BindTask) -> BoundStep:
     held = task.query.holding(task.arm)
     if held:
         message = f"{task.arm} already holds {held}"
-        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=f"let go of {held}"))
+        raise Refused.because(RefusalReason.STATE, message, clears=f"let go of {held}")
     return hand_motion(task, "open")
 
 

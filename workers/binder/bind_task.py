@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.conditions import stop_conditions
 from workers.conditions.stop_conditions import Values
 from workers.planning.world_query import WorldQuery
@@ -54,4 +54,4 @@ class RuledTask(BindTask):
 
 
 def refused_program(message: str, clears: str) -> Refused:
-    return Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears))
+    return Refused.because(RefusalReason.PROGRAM, message, clears=clears)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import Compliance, ControlLaw, ForceProfile, HandMotion, Load, Trajectory
 from rtc.spatial.axis_names import AXES
 from workers.binder.bind_task import BindTask, RuledTask, refused_program
@@ -83,13 +83,12 @@ def _refuse_press(task: RuledTask) -> None:
         raise refused_program(f"a press cannot change in {values['press_s']:g} s", "press_s above 0")
     for press_n, least_n in ((values["press_n"], 1e-9), (values.get("press_from_n", 0.0), 0.0)):
         if not least_n <= press_n < values["force_n"]:
-            refusal = Refusal(
-                reason=RefusalReason.INFEASIBLE,
-                message=f"a press with {press_n:g} N is asked for; the force limit is {values['force_n']:g} N",
+            raise Refused.because(
+                RefusalReason.INFEASIBLE,
+                f"a press with {press_n:g} N is asked for; the force limit is {values['force_n']:g} N",
                 clears=f"a press with less than {values['force_n']:g} N",
                 detail={"cause": "force", "value_n": press_n, "limit_n": values["force_n"], "arm": task.arm},
             )
-            raise Refused(refusal)
 
 
 def _refuse_spring(task: RuledTask, load: Load | None) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.messages import ScriptContext
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial.geometry import Array, Floats
 from workers.binder.bind_task import BindTask, RuledTask
 from workers.conditions.stop_conditions import Values
@@ -156,10 +156,9 @@ def _momenta(arm: ArmModel, timed: Timed, carried_kg: float, least_kg: float) ->
 
 def _refused(task: BindTask, limit_n: float, slowest_m_s: float, felt_n: float) -> Refused:
     least_n = math.ceil(felt_n)
-    refusal = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"{limit_n:g} N cannot be kept: a rigid body is felt with {felt_n:.2g} N at {1e3 * slowest_m_s:g} mm/s",
+    return Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"{limit_n:g} N cannot be kept: a rigid body is felt with {felt_n:.2g} N at {1e3 * slowest_m_s:g} mm/s",
         clears=f"a force of at least {least_n} N",
         detail={"cause": "force", "limit_n": limit_n, "value_n": felt_n, "arm": task.arm},
     )
-    return Refused(refusal)

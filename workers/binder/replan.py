@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from rtc.protocol.messages import Binding
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.binding_names import POSE_OF_JOINTS
@@ -27,7 +27,7 @@ def current_pose(query: WorldQuery, arm: str, binding: Binding) -> Array:
     grasp = query.grasp(held) if held else None
     if grasp is None:
         message = f"{arm} does not hold the object any more"
-        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears="take it again"))
+        raise Refused.because(RefusalReason.STATE, message, clears="take it again")
     if geometry.distance(grasp, binding.grasp) < MOVED_M and geometry.angle(grasp, binding.grasp) < MOVED_RAD:
         return pose
     return geometry.compose(geometry.compose(pose, binding.grasp), geometry.inverse(grasp))

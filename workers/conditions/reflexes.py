@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import msgspec
 
 from rtc.protocol.messages import EndReport
-from rtc.protocol.outcomes import Reflex, Refusal, RefusalReason, Refused, StopReason
+from rtc.protocol.outcomes import Reflex, RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import (
     BodyTouch,
     ClearanceBelow,
@@ -305,7 +305,7 @@ def _refused(
     message: str, expected: list[str], clears: str = "leave it out, or use one of those expected", word: str = "UNLESS"
 ) -> Refused:
     reason = RefusalReason.NO_SCRIPT
-    return Refused(Refusal(reason=reason, message=message, where=word, expected=expected, clears=clears))
+    return Refused.because(reason, message, where=word, expected=expected, clears=clears)
 
 
 # --- evaluation of a report ------------------------------------------------------------------------------

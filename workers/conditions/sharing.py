@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.planning.world_query import WorldQuery
 
 
@@ -17,4 +17,4 @@ def refuse_alone(query: WorldQuery, arm: str, partner: str, clears: Mapping[str,
     held = query.holding(arm)
     message = f"{arm} cannot move alone: {sharing[0]} holds {held} too"
     advice = clears.get("shared", "").replace("{held}", held).replace("{other}", hand_in_words(sharing[0]))
-    raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=advice))
+    raise Refused.because(RefusalReason.STATE, message, clears=advice)

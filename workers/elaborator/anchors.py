@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rtc.model.cells import parts
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
@@ -120,8 +120,7 @@ def place(query: WorldQuery, name: str) -> parts.Place:
         return known[name]
     if any(thing.name == name for thing in query.cell.objects):
         message = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
-        refusal = Refusal(reason=RefusalReason.NAME, message=message, nearest=[name], clears="use one of the two forms")
-        raise Refused(refusal)
+        raise Refused.because(RefusalReason.NAME, message, nearest=[name], clears="use one of the two forms")
     raise suggestions.unknown("place", name, known)
 
 
@@ -135,15 +134,14 @@ def named(candidate: TaskCandidate, name: str) -> Anchor:
     if frame is not None:
         return Anchor(pose=frame.pose.tolist())
     able = sorted({*there.poses, *there.joints_deg})
-    refusal = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"{candidate.arm.name} has no posture for {name}; {', '.join(able)} can",
+    raise Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"{candidate.arm.name} has no posture for {name}; {', '.join(able)} can",
         where=name,
         expected=able,
         clears=f"another arm, or a place that {candidate.arm.name} can go to",
         detail={"cause": "place", "arm": candidate.arm.name, "place": name},
     )
-    raise Refused(refusal)
 
 
 def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor:
@@ -164,17 +162,16 @@ def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor:
 
 
 def _no_grasp_point(thing: str) -> Refused:
-    refusal = Refusal(
-        reason=RefusalReason.NAME,
-        message=f"{thing} has no grasp point",
+    return Refused.because(
+        RefusalReason.NAME,
+        f"{thing} has no grasp point",
         where=thing,
         clears="an object that has grasp points, or a grasp point for it in the cell",
     )
-    return Refused(refusal)
 
 
 def _state(message: str, clears: str) -> Refused:
-    return Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
+    return Refused.because(RefusalReason.STATE, message, clears=clears)
 
 
 ANCHORS: dict[str, Callable[[TaskCandidate], Anchor]] = {

@@ -268,7 +268,7 @@ def _unreachable(
             if why is not None:
                 return Refused(_where(why, line.name))
     message = f"{candidate.arm.name} cannot reach the postures of the plan in one chain"
-    return Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message))
+    return Refused.because(RefusalReason.INFEASIBLE, message)
 
 
 def _try(
@@ -377,4 +377,4 @@ def _where(refusal: Refusal, where: str) -> Refusal:
 
 
 def _program(message: str) -> Refused:
-    return Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, clears="LOAD a corrected script"))
+    return Refused.because(RefusalReason.PROGRAM, message, clears="LOAD a corrected script")

@@ -13,7 +13,7 @@ import msgspec
 from rtc.model.cells.cell import Cell
 from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import Constraint, ParsedCommand, Quantity
 from rtc.protocol.units import KINDS, such_as
 from rtc.subsystems.base import report_items
@@ -213,4 +213,4 @@ def _known(limit: str, cell: Cell) -> list[str]:
 
 
 def _refused(message: str, where: str, clears: str) -> Refused:
-    return Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=where, clears=clears))
+    return Refused.because(RefusalReason.NO_SCRIPT, message, where=where, clears=clears)

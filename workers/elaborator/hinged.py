@@ -7,7 +7,7 @@ import math
 from rtc.model.cells import parts
 from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile, ScriptStep
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.conditions import reflexes
 from workers.elaborator.task_candidate import TaskCandidate
 
@@ -25,7 +25,7 @@ def refuse_other_motion(script: ScriptFile, candidate: TaskCandidate) -> None:
         return
     clears = candidate.program.needs.get("hinge_held", "").replace("{held}", held)
     message = f"{candidate.arm.name} holds {held}, which only turns about its hinge"
-    raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
+    raise Refused.because(RefusalReason.STATE, message, clears=clears)
 
 
 def refuse_turn_of_hand(script: ScriptFile, candidate: TaskCandidate) -> None:
@@ -41,13 +41,12 @@ def refuse_turn_of_hand(script: ScriptFile, candidate: TaskCandidate) -> None:
     turn = next((c for c in asked if c.measure == "TURN" and not (c.along or "").startswith(reflexes.JOINT)), None)
     if turn is None:
         return
-    refusal = Refusal(
-        reason=RefusalReason.NO_SCRIPT,
-        message=f"{turn.words}: TURN is the turn of the hand, which keeps its attitude on this path",
+    raise Refused.because(
+        RefusalReason.NO_SCRIPT,
+        f"{turn.words}: TURN is the turn of the hand, which keeps its attitude on this path",
         where="TURN",
         clears=f"{parsed.verb} {candidate.body} BY the angle at which it should stop; or leave out {turn.words}",
     )
-    raise Refused(refusal)
 
 
 def refuse_beyond_stops(script: ScriptFile, candidate: TaskCandidate) -> None:
@@ -77,24 +76,25 @@ def _turn(step: ScriptStep, candidate: TaskCandidate, thing: str) -> tuple[float
     except expressions.ExpressionError:
         message = f"{candidate.parsed.verb} {thing}: an angle is wanted"
         clears = "an amount in DEG or RAD"
-        raise Refused(Refusal(reason=RefusalReason.SENTENCE, message=message, clears=clears)) from None
+        raise Refused.because(RefusalReason.SENTENCE, message, clears=clears) from None
 
 
 def _there(candidate: TaskCandidate, thing: str, angle: float) -> Refused:
     at = f"{math.degrees(angle):g} deg"
     clears = candidate.program.needs.get("hinge_there", "").replace("{at}", at).replace("{held}", thing)
     message = f"{thing} is at {at}: nothing to turn"
-    return Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
+    return Refused.because(RefusalReason.STATE, message, clears=clears)
 
 
 def _beyond(thing: str, hinge: parts.Hinge, wanted: float, now: float) -> Refused:
     """The refusal to turn an object to `wanted` (rad), beyond a stop."""
     least, most = hinge.range_rad
-    refusal = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"{thing} turns from {math.degrees(least):g} deg to {math.degrees(most):g} deg, "
-        f"and not to {math.degrees(wanted):.4g} deg; it is at {math.degrees(now):.4g} deg",
+    return Refused.because(
+        RefusalReason.INFEASIBLE,
+        (
+            f"{thing} turns from {math.degrees(least):g} deg to {math.degrees(most):g} deg, "
+            f"and not to {math.degrees(wanted):.4g} deg; it is at {math.degrees(now):.4g} deg"
+        ),
         clears=f"an angle from {math.degrees(least):g} to {math.degrees(most):g} deg",
         detail={"cause": "stop", "value_rad": wanted, "least_rad": least, "most_rad": most},
     )
-    return Refused(refusal)

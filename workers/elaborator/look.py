@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.sensing import absence
 from workers.conditions.looking import CAMERA
@@ -32,7 +32,7 @@ def candidates(
     report = parsed.report
     if report is not None and (set(report.items) - {"POSE"} or report.when):
         message = f"a camera reports the pose of {name}; it has neither joints nor forces, nor conditions of an arm"
-        raise Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="REPORT", clears="REPORT POSE"))
+        raise Refused.because(RefusalReason.NO_SCRIPT, message, where="REPORT", clears="REPORT POSE")
     thing = next((one for one in cell.objects if one.name == name), None)
     seat = next((one for one in cell.seats if one.name == name), None)
     if thing is None and seat is None:
@@ -78,27 +78,25 @@ def _cameras(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuer
 
 
 def _without_tags(program: ElaboratorProgram, query: WorldQuery, body: str) -> Refused:
-    refusal = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"{body} has no tags, by which a camera could find it",
+    return Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"{body} has no tags, by which a camera could find it",
         where=body,
         expected=sight.bodies(query.cell),
         clears=_advice(program, "no_tags", body, []),
         detail={"cause": absence.Cause.NO_TAGS.value, "body": body},
     )
-    return Refused(refusal)
 
 
 def _unseen(program: ElaboratorProgram, body: str, known: list[str]) -> Refused:
     """No camera can see the body where it is believed; one that is named looks all the same."""
-    refusal = Refusal(
-        reason=RefusalReason.INFEASIBLE,
-        message=f"no camera can see {body} where it is believed to be",
+    return Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"no camera can see {body} where it is believed to be",
         where=body,
         clears=_advice(program, "out_of_view" if known else "no_cameras", body, known),
         detail={"cause": absence.Cause.OUT_OF_VIEW.value, "body": body},
     )
-    return Refused(refusal)
 
 
 def _advice(program: ElaboratorProgram, row: str, body: str, cameras: list[str]) -> str:

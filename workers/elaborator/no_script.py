@@ -1,11 +1,11 @@
-"""Refusals of a sentence that no script takes: what to change in it, or which script to load."""
+"""Refusals of a sentence that no script takes, or a wrong one: what to change in it, or which script to load."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from rtc.programs.schema import Branch, ElaboratorProgram
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from workers.elaborator import command_fields
 
@@ -14,16 +14,13 @@ def refused_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refused:
     scripted = sorted(verbs(program))
     instead, cannot = program.instead.get(parsed.verb, ""), program.cannot.get(parsed.verb)
     load = "" if "rtc load" in instead or cannot else f"load a script for {parsed.verb}: rtc load FILE INTO elaborator"
-    refusal = Refusal(
-        reason=RefusalReason.NO_SCRIPT,
-        message=f"{parsed.verb} cannot be performed: {cannot}"
-        if cannot
-        else f"there is no script for {parsed.verb} yet",
+    return Refused.because(
+        RefusalReason.NO_SCRIPT,
+        (f"{parsed.verb} cannot be performed: {cannot}" if cannot else f"there is no script for {parsed.verb} yet"),
         where=parsed.verb,
         expected=scripted,
         clears="; or ".join(filter(None, (instead, load))),
     )
-    return Refused(refusal)
 
 
 def refused_form(parsed: ParsedCommand, branches: list[Branch], *, hinged: bool = False) -> Refused:
@@ -34,13 +31,12 @@ def refused_form(parsed: ParsedCommand, branches: list[Branch], *, hinged: bool 
     kept = [one for one in changes if not any(path in ("hand", "object") for path, _ in one)] or changes
     least = [one for one in kept if not any(set(other) < set(one) for other in kept)]
     wanted = [", ".join(words for _, words in one) or "with an object whose figures fit" for one in least]
-    refusal = Refusal(
-        reason=RefusalReason.NO_SCRIPT,
-        message=f"{parsed.verb} has no script for this form of the sentence",
+    return Refused.because(
+        RefusalReason.NO_SCRIPT,
+        f"{parsed.verb} has no script for this form of the sentence",
         where=parsed.verb,
         clears="; or ".join(dict.fromkeys(f"{begun if kept is not changes else parsed.verb} {one}" for one in wanted)),
     )
-    return Refused(refusal)
 
 
 def _changes(branch: Branch, parsed: ParsedCommand, amount: str) -> list[tuple[str, str]]:
@@ -70,6 +66,10 @@ def _with(words: str) -> str:
 
 def _written(value: str) -> str:
     return "JOINT-MOTION" if value == "joint" else value.upper().replace("_", "-")
+
+
+def wrong_program(message: str, where: str, clears: str = "") -> Refused:
+    return Refused.because(RefusalReason.PROGRAM, message, where=where, clears=clears)
 
 
 def verbs(program: ElaboratorProgram) -> Iterator[str]:

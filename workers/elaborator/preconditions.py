@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import shared_hold
@@ -165,7 +165,7 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
     clears = candidate.fill_in(clears).replace("{held}", lack.held)
     doubt = candidate.query.distrusted(f"{candidate.thing.name}.held_by", {}) if candidate.thing is not None else None
     message = lack.message + (f", but {doubt.message}" if doubt else "")
-    raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
+    raise Refused.because(RefusalReason.STATE, message, clears=clears)
 
 
 def let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:

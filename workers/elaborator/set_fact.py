@@ -13,7 +13,7 @@ from typing import Any
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
 from rtc.protocol.messages import Script, ScriptContext, Step
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
@@ -106,13 +106,12 @@ def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, quer
         settable = [_word(name) for name in program.settable_of_seats]
         raise suggestions.unknown("attribute of a seat", parsed.attribute or "", settable, where=parsed.attribute or "")
     if attribute in program.not_settable:
-        determined = Refusal(
-            reason=RefusalReason.NOT_ALLOWED,
-            message=f"{parsed.attribute} of {thing.name} cannot be set; the cluster determines it",
+        raise Refused.because(
+            RefusalReason.NOT_ALLOWED,
+            f"{parsed.attribute} of {thing.name} cannot be set; the cluster determines it",
             where=parsed.attribute or "",
             clears=program.not_settable[attribute].replace("{object}", thing.name),
         )
-        raise Refused(determined)
     if attribute in program.settable:
         row = program.settable[attribute]
         if not _fits(row, parsed):
@@ -153,14 +152,13 @@ def _misfit(row: SettableAttribute, parsed: ParsedCommand, thing: Thing) -> Refu
     unit = f"in {parsed.value_unit}" if parsed.value_unit else "without a unit"
     wanted = f"{' '.join(row.of)} in {row.unit}" if row.unit else "a name"
     wanted += f", and may go on with {' '.join(ANGLES)} in rad" if row.attitude else ""
-    refusal = Refusal(
-        reason=RefusalReason.SENTENCE,
-        message=f"{parsed.attribute} of {thing.name} is {wanted}; the sentence has {what} {unit}",
+    return Refused.because(
+        RefusalReason.SENTENCE,
+        f"{parsed.attribute} of {thing.name} is {wanted}; the sentence has {what} {unit}",
         where=parsed.attribute or "",
         expected=[row.example],
         clears=f"for example: {parsed.verb} {thing.name} {parsed.attribute} {row.example}",
     )
-    return Refused(refusal)
 
 
 # --- poses -----------------------------------------------------------------------------------------------
@@ -188,7 +186,7 @@ def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: Wo
         message = f"{thing.name} is held by {holder}"
         let_go = preconditions.let_go(program.needs, query, thing.name)
         clears = program.needs["object_free"].replace("{let_go}", let_go).replace("{object}", thing.name)
-        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
+        raise Refused.because(RefusalReason.STATE, message, clears=clears)
     seated = query.seated_pose(values[0])
     return _pose(seated[:3], seated[3:], thing)
 
@@ -198,12 +196,12 @@ def _angle(program: ElaboratorProgram, values: list[Any], thing: Thing, query: W
     hinge = thing.hinge if isinstance(thing, parts.Object) else None
     if hinge is None:
         message = f"{thing.name} has no hinge"
-        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears="an object with one"))
+        raise Refused.because(RefusalReason.STATE, message, clears="an object with one")
     if not hinge.range_rad[0] <= values[0] <= hinge.range_rad[1]:
         least, most = hinge.range_deg
         between = f"from {least:g} to {most:g} deg"
         message = f"{thing.name} turns {between}, not to {math.degrees(values[0]):g} deg"
-        raise Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"an angle {between}"))
+        raise Refused.because(RefusalReason.INFEASIBLE, message, clears=f"an angle {between}")
     turned = hinges.turned(query.hinge_home(thing.name), hinge.axis, values[0])
     return _pose(turned[:3], turned[3:], thing)
 
@@ -215,7 +213,7 @@ def _current_pose(thing: Thing, query: WorldQuery) -> Array:
 def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any]:
     if isinstance(thing, parts.Object) and thing.fixed:
         message = f"{thing.name} is fixed"
-        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears="another object"))
+        raise Refused.because(RefusalReason.STATE, message, clears="another object")
     return {f"{thing.name}.frame": [float(n) for n in (*place, *attitude)]}
 
 

@@ -15,7 +15,7 @@ import msgspec
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, TableRow
 from rtc.protocol.messages import Limits
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand, Quantity
 from rtc.protocol.units import in_words
 from rtc.world.spread import narrowest
@@ -187,21 +187,19 @@ def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, 
     fits = [one.name for one in query.cell.objects if any(_is_about(row, one) for row in rows)]
     if thing is None or not rows:
         what = f"{thing.name} ({thing.kind})" if thing else "no object"
-        no_row = Refusal(
-            reason=RefusalReason.PROGRAM,
-            message=f"the command-object table has no row for {verb} and {what}",
+        return Refused.because(
+            RefusalReason.PROGRAM,
+            f"the command-object table has no row for {verb} and {what}",
             where="command_object_table",
             clears=f"load a row of command_object_table for verb {verb} (rtc docs scripts)",
         )
-        return Refused(no_row)
-    refusal = Refusal(
-        reason=RefusalReason.NO_SCRIPT,
-        message=f"{verb} is not possible with {thing.name}: it is a {thing.kind}",
+    return Refused.because(
+        RefusalReason.NO_SCRIPT,
+        f"{verb} is not possible with {thing.name}: it is a {thing.kind}",
         where=thing.name,
         expected=fits,
         clears=f"{verb} one of {', '.join(fits)}" if fits else f"load a row of command_object_table for {thing.kind}",
     )
-    return Refused(refusal)
 
 
 def _table(program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery) -> dict[str, Any]:

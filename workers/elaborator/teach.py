@@ -9,7 +9,7 @@ from typing import Any
 
 from rtc.model.cells import taught
 from rtc.programs.schema import ElaboratorProgram
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from workers.elaborator import preconditions
 from workers.planning import suggestions
@@ -30,7 +30,7 @@ def posture(parsed: ParsedCommand, query: WorldQuery) -> Stated:
         raise suggestions.unknown("arm", name, arms, where=parsed.attribute or "")
     if what := taught.taken(query.cell, place):
         message = f"{place} is {what}; a taught place needs a name of its own"
-        raise Refused(Refusal(reason=RefusalReason.NAME, message=message, where=place, clears="choose another name"))
+        raise Refused.because(RefusalReason.NAME, message, where=place, clears="choose another name")
     key, values, arm = taught.key_of(place, name), parsed.value or [], arms[name]
     if values == [HERE]:
         return {key: {"now": f"{name}.joints"}}, [place, name]
@@ -45,7 +45,7 @@ def posture(parsed: ParsedCommand, query: WorldQuery) -> Stated:
         message = f"the posture of {name} is {wanted}"
         clears = f"{parsed.verb} {place} {parsed.attribute} {HERE}"
         where = parsed.attribute or ""
-        raise Refused(Refusal(reason=RefusalReason.SENTENCE, message=message, where=where, clears=clears))
+        raise Refused.because(RefusalReason.SENTENCE, message, where=where, clears=clears)
     return {key: values}, [place]
 
 
@@ -62,12 +62,12 @@ def world(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery) 
     if (parsed.attribute, parsed.value) != ("FACTS", [INITIAL]):
         message = f"of {taught.WORLD} only FACTS {INITIAL} can be set"
         clears = f"{parsed.verb} {taught.WORLD} FACTS {INITIAL}"
-        raise Refused(Refusal(reason=RefusalReason.SENTENCE, message=message, clears=clears))
+        raise Refused.because(RefusalReason.SENTENCE, message, clears=clears)
     for arm in query.cell.arms:
         if held := query.holding(arm.name):
             let_go = preconditions.let_go(program.needs, query, held)
             message = f"{arm.name} holds {held}; a reset of the facts would deny that, and moves nothing"
-            raise Refused(Refusal(reason=RefusalReason.STATE, message=message, where=held, clears=f"first {let_go}"))
+            raise Refused.because(RefusalReason.STATE, message, where=held, clears=f"first {let_go}")
     cell = query.cell
     concerned = [part.name for group in (cell.arms, cell.objects, cell.seats) for part in group]
     return {f"{taught.WORLD}.facts": INITIAL.lower()}, [taught.WORLD, *concerned]

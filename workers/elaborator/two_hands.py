@@ -5,7 +5,7 @@ from __future__ import annotations
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from workers.conditions import sharing
 from workers.elaborator.task_candidate import TaskCandidate
@@ -20,10 +20,10 @@ def both_arms(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQue
     if parsed.verb not in able:
         message = f"{parsed.verb} has no script for two arms"
         clears = f"name one arm; {', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}"
-        raise Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
+        raise Refused.because(RefusalReason.NO_SCRIPT, message, clears=clears)
     if any(reflex.action != "stop" for reflex in parsed.reflexes):
         message = f"{BOTH_ARMS} can only stop when an UNLESS becomes true: another reflex would pull at the object"
-        raise Refused(Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears="THEN STOP"))
+        raise Refused.because(RefusalReason.NO_SCRIPT, message, clears="THEN STOP")
     sharing = [arm for arm in query.cell.arms if query.sharers(arm.name)]
     leading = next((arm for arm in sharing if query.held_by(query.holding(arm.name)) == arm.name), None)
     if leading is None:
@@ -44,7 +44,7 @@ def _unshared(program: ElaboratorProgram, query: WorldQuery) -> Refused:
     if free and empty is not None:
         clears = program.needs.get("second_hand", "").replace("{held}", first).replace("{free}", free[0])
         clears = clears.replace("{hand}", hand_in_words(empty.name))
-    return Refused(Refusal(reason=RefusalReason.STATE, message=message, clears=clears))
+    return Refused.because(RefusalReason.STATE, message, clears=clears)
 
 
 def partner(query: WorldQuery, arm: parts.Arm) -> parts.Arm | None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array, Floats
@@ -135,7 +135,7 @@ def _count(*wanted: float) -> int:
 
 
 def _refused(message: str, clears: str) -> Refused:
-    return Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=clears, detail={"cause": "curve"}))
+    return Refused.because(RefusalReason.INFEASIBLE, message, clears=clears, detail={"cause": "curve"})
 
 
 #: space of a step -> its curve

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
 from workers.planning.world_query import WorldQuery
@@ -34,9 +34,9 @@ def refuse_other_way(
     seat = query.slot_at(frame) if frame is not None and query.hinge(held) is None else ""
     if not seat or (goal is not None and space == "move_both" and _follows(query, seat, tcp, goal)):
         return
-    refusal = Refusal(
-        reason=RefusalReason.STATE,
-        message=f"{held} is in {seat}, and leaves it only in a straight line",
+    raise Refused.because(
+        RefusalReason.STATE,
+        f"{held} is in {seat}, and leaves it only in a straight line",
         where=held,
         clears=clears.get("way_seated", "{lift} first: {held} is in {seat}")
         .replace("{lift}", way_out_in_words(query, arm, seat, frame))
@@ -44,7 +44,6 @@ def refuse_other_way(
         .replace("{seat}", seat),
         detail={"cause": "seat", "arm": arm, "seat": seat},
     )
-    raise Refused(refusal)
 
 
 def way_out_in_words(query: WorldQuery, arm: str, seat: str, frame: Floats | None = None) -> str:

@@ -201,7 +201,7 @@ def _tested_curve(request: PlanningRequest, target: Target, detours: bool, first
 def _timed_both(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion:
     if request.partner is None:
         message = f"{request.arm.name} has no partner: no other arm holds the same object"
-        raise Refused(Refusal(reason=RefusalReason.STATE, message=message, clears="a command for one arm"))
+        raise Refused.because(RefusalReason.STATE, message, clears="a command for one arm")
     motion = plan_carry(request, _pose(request, target))
     refuse_if(_other_end(request, target, motion.goal_joints))
     return motion

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rtc.programs.extension_names import PLAN_AXES, SPACE_ARGS, WAY_OUT
 from rtc.protocol.messages import Step
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning import axes, curves, suggestions
@@ -58,5 +58,5 @@ def hinge_of(step: Step, query: WorldQuery, arm: str, here: Array, bound: Bound)
     about = bound(name).pose
     if about is None:
         message = f"{name} is not a pose: nothing turns about joint values"
-        raise Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, clears=f"bind a pose to {name}"))
+        raise Refused.because(RefusalReason.PROGRAM, message, clears=f"bind a pose to {name}")
     return query.hinge_of_tcp(arm, here, about, float(step.args.get("hand_turn", 1.0)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rtc.language.alike import MAX_NEAREST, nearest_words
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 
 
 def nearest(name: str, known: Iterable[str]) -> list[str]:
@@ -20,7 +20,4 @@ def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> Refu
     near = nearest(name, names)
     message = f"there is no {what} {name}" + ("" if names else "; there are none at all")
     clears = f"did you mean {' or '.join(near)}?" if near else "use one of the names expected" if names else ""
-    refusal = Refusal(
-        reason=RefusalReason.NAME, message=message, where=where, nearest=near, expected=names, clears=clears
-    )
-    return Refused(refusal)
+    return Refused.because(RefusalReason.NAME, message, where=where, nearest=near, expected=names, clears=clears)

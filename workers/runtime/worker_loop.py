@@ -300,7 +300,7 @@ class WorkerLoop:
         if isinstance(product, Assessment) and product.changes:
             if job.lease is None:
                 message = f"it wants to write {product.changes[0].key}, but its script names nothing that is written"
-                raise Refused(Refusal(reason=RefusalReason.PROGRAM, message=message))
+                raise Refused.because(RefusalReason.PROGRAM, message)
             refuse_if(self._view.commit(job.lease, product, source=job.id))
         return wire.raw(product)
 
@@ -335,10 +335,10 @@ class WorkerLoop:
         self._wanted = ""
         if not self._bodies:
             message = f"the broker did not send program or cell {digest} within {PROGRAM_LIMIT_S:g} s"
-            raise Refused(Refusal(reason=RefusalReason.TIMEOUT, message=message, where=digest))
+            raise Refused.because(RefusalReason.TIMEOUT, message, where=digest)
         if (body := self._bodies[0]) is None:
             message = f"the broker has no program or cell {digest}"
-            raise Refused(Refusal(reason=RefusalReason.PROGRAM, message=message, where=digest))
+            raise Refused.because(RefusalReason.PROGRAM, message, where=digest)
         return body
 
 

@@ -235,20 +235,19 @@ def _straight(request: PlanningRequest, goal: Array) -> Path:
     if np.abs(line.knots[-1] - goal).max() < SAME_RAD:
         return line
     message = f"{request.arm.name} would end with other joint values"
-    raise Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message))
+    raise Refused.because(RefusalReason.INFEASIBLE, message)
 
 
 def slowed_to(motion: Motion, takes_s: float) -> Motion:
     """The motion on the same path, made slower so that it lasts `takes_s`. Raises Refused if it cannot be that fast."""
     least_s = motion.timed.duration_s
     if takes_s < least_s:
-        slow = Refusal(
-            reason=RefusalReason.INFEASIBLE,
-            message=f"this motion shall take {takes_s:.3g} s; the arm needs {least_s:.3g} s for it",
+        raise Refused.because(
+            RefusalReason.INFEASIBLE,
+            f"this motion shall take {takes_s:.3g} s; the arm needs {least_s:.3g} s for it",
             clears=f"takes_s of at least {least_s:.3g} s, or a higher speed",
             detail={"cause": "time", "limit_s": takes_s, "predicted_s": least_s},
         )
-        raise Refused(slow)
     by = takes_s / least_s
     partner = slower(motion.partner, by) if motion.partner is not None else None
     return replace(motion, timed=slower(motion.timed, by), partner=partner)

@@ -1,0 +1,71 @@
+"""Options of a command: pairs of a branch of the decision tree and a candidate whose conditions hold. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rtc.programs import expressions
+from rtc.programs.schema import Branch, BranchCondition, ScriptFile
+from rtc.protocol.sentence import ParsedCommand
+from workers.elaborator import command_fields, no_script
+from workers.elaborator.task_candidate import TaskCandidate
+
+
+@dataclass(frozen=True)
+class ScriptOption:
+    branch: Branch
+    candidate: TaskCandidate
+
+    @property
+    def name(self) -> str:
+        point = self.candidate.point.name if self.candidate.point else ""
+        return " ".join(filter(None, (self.branch.script, *self.candidate.roles.values(), point)))
+
+
+def ranked(
+    branches: list[Branch], candidates: list[TaskCandidate], scripts: Mapping[str, ScriptFile]
+) -> list[ScriptOption]:
+    """All pairs of branch and candidate whose conditions hold: the likeliest first, then the nearest."""
+    options = []
+    for branch in branches:
+        by_camera = only_looks(scripts[branch.script])
+        for candidate in (one for one in candidates if (one.hand is None) == by_camera):
+            try:
+                if all(holds(check, candidate) for check in branch.when):
+                    options.append(ScriptOption(branch, candidate))
+            except expressions.ExpressionError as error:
+                message = f"the decision tree for {branch.verb} ({branch.script}): {error}"
+                clears = "LOAD a row of command_object_table that has that figure"
+                raise no_script.wrong_program(message, "decision_tree", clears) from error
+    return sorted(options, key=lambda c: -c.branch.likelihood)
+
+
+def only_looks(script: ScriptFile) -> bool:
+    """Whether only a camera works for this script."""
+    return "camera" in script.resources and "active_arm" not in script.resources
+
+
+def fits_sentence(branch: Branch, parsed: ParsedCommand) -> bool:
+    """Whether the conditions on the sentence alone hold."""
+    return all(_holds_for(check, parsed) for check in branch.when)
+
+
+def _holds_for(check: BranchCondition, parsed: ParsedCommand) -> bool:
+    if check.given and command_fields.field(parsed, check.given) is None:
+        return False
+    if check.missing and command_fields.field(parsed, check.missing) is not None:
+        return False
+    if any(command_fields.field(parsed, path) != value for path, value in check.equals.items()):
+        return False
+    return not any(command_fields.field(parsed, path) == value for path, value in check.differs.items())
+
+
+def holds(check: BranchCondition, candidate: TaskCandidate) -> bool:
+    if not _holds_for(check, candidate.parsed):
+        return False
+    if check.of is None:
+        return True
+    value = expressions.number(check.of, candidate.figures)
+    least = check.at_least is None or value >= expressions.number(check.at_least, candidate.figures) - 1e-9
+    return least and (check.at_most is None or value <= expressions.number(check.at_most, candidate.figures) + 1e-9)

@@ -1,0 +1,172 @@
+"""The parts of a script for one candidate: steps with their figures, trims, context, names of resources. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import msgspec
+
+from rtc.programs import expressions
+from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
+from rtc.protocol.messages import ScriptContext, Step, Trim
+from rtc.protocol.outcomes import RefusalReason, Refused
+from workers.conditions import reflexes
+from workers.conditions.looking import CAMERA, FURTHER
+from workers.elaborator import look
+from workers.elaborator.backtrack import FRAME, GRASP
+from workers.elaborator.script_options import ScriptOption
+from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning import suggestions
+
+
+@dataclass(frozen=True)
+class Compiled:
+    program: ElaboratorProgram
+    scripts: dict[str, ScriptFile]
+    pieces: dict[str, ScriptPiece]
+
+
+FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
+MAX_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
+
+
+def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nominal: bool, body: str = "") -> Step:
+    """The step for this candidate, with evaluated figures and filled-in words. `body`: what a camera looks for; empty:
+    the object."""
+    known = {entry.n for entry in entries}
+    index, count = step.trim
+    asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
+    own = [entry.n for entry in entries if nominal and entry.n > MAX_ENTRIES]
+    figures: dict[str, float | str] = {n: expressions.number(e, candidate.figures) for n, e in step.args.items()}
+    words = {name: candidate.fill_in(word) for name, word in step.words.items()}
+    camera, body = look.camera_for(step, candidate, body), body or candidate.body
+    further = look.further_cameras(step, candidate, body, camera) if camera is not None else []
+    if camera is not None:
+        figures |= {"camera": camera.name, "body": body}
+        figures |= {FURTHER: " ".join(further)} if further else {}
+    in_words = " and ".join([camera.name, *further]) if camera is not None else ""
+    return Step(
+        do=step.do,
+        label=candidate.fill_in(step.label.replace("{body}", body).replace("{camera}", in_words)),
+        name=step.name,
+        who=step.who,
+        to=step.to,
+        stop=step.stop,
+        space=step.space,
+        value=step.value,
+        op=step.op,
+        expect=step.expect,
+        keep=step.keep,
+        trims=[*asked, *own],
+        args={**figures, **{name: word for name, word in words.items() if word or name != "through"}},
+    )
+
+
+def trims_for(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> tuple[list[Trim], list[str]]:
+    """The trimming stack, and notes about entries without a piece of script, which are left out."""
+    entries: list[Trim] = []
+    left_out: list[str] = []
+    for entry in script.trimming_stack:
+        piece = compiled.pieces.get(entry.skill)
+        label = f"{entry.skill} {candidate.roles.get(entry.who, entry.who)}"
+        if piece is None:
+            left_out.append(f"trim {entry.n} ({label}) is left out: there is no piece of script for {entry.skill}")
+            continue
+        if any(step.who == CAMERA for step in piece.steps) and candidate.camera is None:
+            left_out.append(f"trim {entry.n} ({label}) is left out: no camera can see {candidate.body}")
+            continue
+        steps = [step_for(step, candidate, [], nominal=False) for step in piece.steps]
+        entries.append(Trim(n=entry.n, label=label, steps=steps, then=entry.then, fits=entry.fits))
+    for n, reflex in enumerate((r for r in candidate.parsed.reflexes if r.trim), MAX_ENTRIES + 1):
+        name = (reflex.trim or "").lower()
+        piece = compiled.pieces.get(name)
+        if piece is None or script.case < FIRST_SKILL:
+            raise _cannot_try(name.upper(), compiled, script)
+        reason = reflexes.reason_of(reflex.condition)
+        steps = [step_for(step, candidate, [], nominal=False) for step in piece.steps]
+        entries.append(Trim(n=n, label=f"TRY {name.upper()}", steps=steps, fits=[reason] if reason else []))
+    return entries, left_out
+
+
+def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refused:
+    if script.case < FIRST_SKILL and name.lower() in compiled.pieces:
+        message = f"AND TRY {name}: {script.script} is an action, and only skills are corrected on the way"
+        return Refused.because(RefusalReason.NO_SCRIPT, message, where=name, clears="leave out AND TRY")
+    return suggestions.unknown("piece of script to TRY", name, [piece.upper() for piece in compiled.pieces])
+
+
+def lost_arms(script: ScriptFile, candidate: TaskCandidate) -> list[str]:
+    """The other arms whose joints are not trusted, with what they hold: a motion cannot be planned beside them."""
+    query = candidate.query
+    if candidate.hand is None or not any(step.do == "move" for step in script.steps):
+        return []
+    moving = {arm for primitive in query.moving for arm in primitive.paths}
+    others = [arm.name for arm in query.cell.arms if arm.name not in {candidate.arm.name, *moving}]
+    lost = [arm for arm in others if not query.trusts(f"{arm}.joints")]
+    return [name for arm in lost for name in (arm, query.holding(arm)) if name]
+
+
+def sensed_first(compiled: Compiled, candidate: TaskCandidate, doubtful: list[str], others: list[str]) -> list[Step]:
+    """Steps that sense untrusted facts of the arms, and what the plan relies on; they precede the steps of the script.
+    `doubtful`: bodies that a camera can see. `others`: names of `lost_arms`."""
+    if candidate.hand is None:
+        return []
+    senses, pieces, trusts = compiled.program.senses, compiled.pieces, candidate.query.trusts
+    of_arm = [name for name in senses if name not in (FRAME, GRASP)]
+    steps = []
+    for arm in (candidate.arm, *(arm for arm in candidate.query.cell.arms if arm.name in others)):
+        unknown = [name for name in of_arm if not trusts(f"{arm.name}.{name}")]
+        of_it = replace(candidate, hand=arm)
+        steps += [
+            _performed_by(arm.name, candidate, step_for(step, of_it, [], nominal=False))
+            for name in unknown
+            for step in pieces[senses[name]].steps
+        ]
+    for body in doubtful:
+        piece = pieces[senses[GRASP if candidate.query.held_by(body) else FRAME]]
+        steps += [step_for(step, candidate, [], nominal=False, body=body) for step in piece.steps]
+    return steps
+
+
+def _performed_by(arm: str, candidate: TaskCandidate, step: Step) -> Step:
+    """The step, with the arm that performs it if it is not that of the command."""
+    return step if arm == candidate.arm.name else msgspec.structs.replace(step, args={**step.args, "arm": arm})
+
+
+def context_for(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]) -> ScriptContext:
+    return ScriptContext(
+        verb=candidate.parsed.verb,
+        script=option.branch.script,
+        arm=candidate.hand.name if candidate.hand else "",
+        partner=candidate.partner.name if candidate.partner else "",
+        object=candidate.body,
+        grasp_point=candidate.point.name if candidate.point else "",
+        target=candidate.target.name if candidate.target else "",
+        limits=candidate.limits,
+        guarded=candidate.parsed.guarded,
+        reflexes=candidate.parsed.reflexes,
+        report=candidate.parsed.report,
+        fits={entry.n: entry.fits for entry in entries if entry.fits},
+    )
+
+
+def names_of(roles: list[str], candidate: TaskCandidate, held: str) -> list[str]:
+    """The names that the roles stand for; includes the held object, because it moves with the arm."""
+    query, thing = candidate.query, candidate.thing.name if candidate.thing else ""
+    stands_for = {name: [role] for name, role in candidate.roles.items()}
+    stands_for["its_seat"] = [query.seat(thing)] if thing else []
+    stands_for["its_holder"] = [query.held_by(thing)] if thing else []
+    stands_for["its_content"] = [
+        one.name
+        for one in query.cell.objects
+        if candidate.seat is not None and query.seat(one.name) == candidate.seat.name
+    ]
+    found = [name for role in roles for name in stands_for.get(role, [role])]
+    return list(dict.fromkeys(name for name in (*found, held) if name))
+
+
+def with_seats(candidate: TaskCandidate, doubtful: list[str]) -> list[str]:
+    """These objects with the seats that they are in, and these seats with what is in them."""
+    query = candidate.query
+    inside = [thing.name for thing in query.cell.objects if query.seat(thing.name) in doubtful]
+    return [name for body in doubtful for name in (body, query.seat(body)) if name] + inside
