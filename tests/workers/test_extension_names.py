@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.programs import extension_names
+from rtc.programs import extension_names, loader
 from rtc.protocol.messages import AnalyzerInput
 from rtc.protocol.outcomes import StopReason
 from workers.analyzer import analyze, world_changes
+from workers.analyzer.analyze_task import AnalyzeTask
+from workers.analyzer.failure_words import fill_in
 from workers.binder import bind
 from workers.conditions import stop_conditions
 from workers.elaborator import anchors, preconditions, task_candidate
 from workers.planning import axes, segments
+from workers.planning.world_query import WorldQuery
 
 
 @pytest.mark.parametrize(
@@ -52,5 +55,6 @@ def test_every_placeholder_of_a_failure_is_filled_in(bench):
     bound = bench.bind(script, script.steps[0])
     report = bench.subsystem.perform(bound.primitive, bound)
     data = AnalyzerInput(evaluation=bound.evaluation, report=report)
+    task = AnalyzeTask(analyze.compile(loader.default("analyzer")), WorldQuery(bench.model, bench.world), data)
 
-    assert "{" not in analyze._words(words, data, StopReason.TIMEOUT)
+    assert "{" not in fill_in(words, task, StopReason.TIMEOUT)

@@ -9,21 +9,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from rtc.protocol.messages import AnalyzerInput, Limits, Validity, WorldChange
+from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.spatial.geometry import Floats
+from workers.analyzer.analyze_task import AnalyzeTask
 from workers.planning.world_query import WorldQuery
 
 NEAR_M = 0.03  # an arm at full speed rests at most this far from the place of a touch
 
 
-def doubtful(query: WorldQuery, data: AnalyzerInput) -> list[WorldChange]:
+def doubtful(task: AnalyzeTask) -> list[WorldChange]:
     """The frames of the objects near the arms of the step where they stopped, as suspect."""
-    partner, report = data.evaluation.context.partner, data.report
-    reports = {data.evaluation.arm: report, **({partner: report.partner} if partner else {})}
+    partner, report = task.context.partner, task.report
+    reports = {task.evaluation.arm: report, **({partner: report.partner} if partner else {})}
     joints = {name: one.joints for name, one in reports.items() if name and one is not None and one.joints}
-    rest = {arm.name: query.joints(arm.name) for arm in query.cell.arms}
-    near = dict.fromkeys(name for arm in joints for name in _near(query, arm, {**rest, **joints}))
-    keys = [f"{name}.frame" for name in near if query.trusts(f"{name}.frame")]
+    rest = {arm.name: task.query.joints(arm.name) for arm in task.query.cell.arms}
+    near = dict.fromkeys(name for arm in joints for name in _near(task.query, arm, {**rest, **joints}))
+    keys = [f"{name}.frame" for name in near if task.query.trusts(f"{name}.frame")]
     return [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in keys]
 
 

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
+from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import Sighting, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.spread import even, widened
+from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.reported_facts import moves_with, seat_at
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
@@ -29,23 +30,23 @@ OLD_S = 2.0  # an older sighting is not trusted, unless a hand has held the body
 WIDEST_RAD = math.pi
 
 
-def sighted(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def sighted(task: AnalyzeTask, validity: Validity) -> Changes:
     """The body is where the camera has seen it; nothing changes if it has not."""
-    sighting, body = data.report.sighting, data.evaluation.body
+    sighting, body = task.report.sighting, task.evaluation.body
     if sighting is None:
         return []
-    if _doubt(query, data, sighting):
+    if _doubt(task, sighting):
         validity = Validity.SUSPECT
-    frame, spread = geometry.normalise(sighting.pose), spread_of(sighting, data)
+    frame, spread = geometry.normalise(sighting.pose), spread_of(sighting, task)
     changes = [
         WorldChange(key=f"{body}.frame", value=frame.tolist(), validity=validity, spread=spread),
-        WorldChange(key=f"{body}.sighting", value=_evidence(sighting, data.report.performer)),
+        WorldChange(key=f"{body}.sighting", value=_evidence(sighting, task.report.performer)),
     ]
-    if any(seat.name == body for seat in query.cell.seats):
-        return [*changes, *_content(query, body, frame, spread, validity)]
-    if query.held_by(body):
-        return [*changes, *_in_hand(query, body, frame, spread, validity)]
-    return [*changes, *_seated(query, data, frame, spread, validity)]
+    if any(seat.name == body for seat in task.query.cell.seats):
+        return [*changes, *_content(task.query, body, frame, spread, validity)]
+    if task.query.held_by(body):
+        return [*changes, *_in_hand(task.query, body, frame, spread, validity)]
+    return [*changes, *_seated(task, frame, spread, validity)]
 
 
 def _evidence(sighting: Sighting, camera: str) -> dict[str, Any]:
@@ -69,17 +70,17 @@ def deviations(sighting: Sighting) -> tuple[float, float]:
     return math.sqrt(max(variances[:3])), math.sqrt(max(variances[3:]))
 
 
-def spread_of(sighting: Sighting, data: AnalyzerInput) -> list[float]:
+def spread_of(sighting: Sighting, task: AnalyzeTask) -> list[float]:
     """Half-widths along and about the axes of the body."""
     turn = geometry.to_matrix(sighting.pose)[:3, :3]
     covariance = np.asarray(sighting.covariance).reshape(6, 6)
     own = [turn.T @ block @ turn for block in (covariance[:3, :3], covariance[3:, 3:])]
     bounds = [SIGMAS * math.sqrt(max(0.0, float(n))) for block in own for n in np.diag(block)]
-    floor = even(_figure(data, "seen_m"), _figure(data, "seen_rad"))
+    floor = even(_figure(task, "seen_m"), _figure(task, "seen_rad"))
     return [*widened(bounds, floor)[:3], *(min(WIDEST_RAD, n) for n in widened(bounds, floor)[3:])]
 
 
-def _doubt(query: WorldQuery, data: AnalyzerInput, sighting: Sighting) -> str:
+def _doubt(task: AnalyzeTask, sighting: Sighting) -> str:
     """Why the body may not be where it was seen; empty if it is there.
 
     A busy machine needs seconds to find the tags in a picture. A look reserves the hand that holds its body, so a held
@@ -87,7 +88,7 @@ def _doubt(query: WorldQuery, data: AnalyzerInput, sighting: Sighting) -> str:
     """
     if moves(sighting):
         return "it moves"
-    rests = data.report.reason is StopReason.FOUND and query.held_by(data.evaluation.body)
+    rests = task.report.reason is StopReason.FOUND and task.query.held_by(task.evaluation.body)
     return "" if rests or sighting.age_s <= OLD_S else f"it was seen {sighting.age_s:.1f} s ago"
 
 
@@ -122,10 +123,10 @@ def _content(query: WorldQuery, seat: str, frame: Array, spread: list[float], va
     return changes
 
 
-def is_in_hand(query: WorldQuery, arm: str, data: AnalyzerInput) -> bool:
+def is_in_hand(task: AnalyzeTask, arm: str) -> bool:
     """Whether the body is between the fingers of the arm, as the camera has seen it."""
-    assert data.report.sighting is not None
-    return _is_at(query, query.tcp(arm), data.evaluation.body, geometry.normalise(data.report.sighting.pose))
+    assert task.report.sighting is not None
+    return _is_at(task.query, task.query.tcp(arm), task.evaluation.body, geometry.normalise(task.report.sighting.pose))
 
 
 def _is_at(query: WorldQuery, tcp: Array, thing: str, frame: Array) -> bool:
@@ -151,35 +152,35 @@ def _in_hand(query: WorldQuery, thing: str, frame: Array, spread: list[float], v
     ]
 
 
-def _seated(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[float], validity: Validity) -> Changes:
+def _seated(task: AnalyzeTask, frame: Array, spread: list[float], validity: Validity) -> Changes:
     """The seat that the object is in. A step with `play_m` also locates it: it holds the object up to this play."""
-    thing, play_m = data.evaluation.body, _figure(data, "play_m")
-    if query.cell.object(thing).fixed:
+    thing, play_m = task.evaluation.body, _figure(task, "play_m")
+    if task.query.cell.object(thing).fixed:
         return []
-    seat = seat_at(frame, query, _figure(data, "seated_m"))
-    if any(query.seat(other.name) == seat for other in query.cell.objects if seat and other.name != thing):
+    seat = seat_at(frame, task.query, _figure(task, "seated_m"))
+    if any(task.query.seat(other.name) == seat for other in task.query.cell.objects if seat and other.name != thing):
         seat = ""
     changes = [WorldChange(key=f"{thing}.seat", value=seat, validity=validity)]
-    if not seat or seat != query.seat(thing) or play_m <= 0.0:
+    if not seat or seat != task.query.seat(thing) or play_m <= 0.0:
         return changes
-    inside = geometry.inverse(query.cell.seat(seat).module_frame.pose)
+    inside = geometry.inverse(task.query.cell.seat(seat).module_frame.pose)
     place = geometry.normalise(geometry.compose(frame, inside)).tolist()
     wider = pose_spread.spread_at(widened(spread, even(play_m, 0.0)), inside)
     return [*changes, WorldChange(key=f"{seat}.frame", value=place, validity=validity, spread=wider)]
 
 
-def _figure(data: AnalyzerInput, name: str) -> float:
-    value = data.evaluation.step.args.get(name, 0.0)
+def _figure(task: AnalyzeTask, name: str) -> float:
+    value = task.step.args.get(name, 0.0)
     return 0.0 if isinstance(value, str) else value
 
 
-def in_words(query: WorldQuery, data: AnalyzerInput) -> str:
+def in_words(task: AnalyzeTask) -> str:
     """What the camera has seen, against what was believed; empty without a sighting."""
-    sighting, body = data.report.sighting, data.evaluation.body
+    sighting, body = task.report.sighting, task.evaluation.body
     if sighting is None:
         return ""
-    seats = {seat.name for seat in query.cell.seats}
-    before = query.seat_frame(body) if body in seats else query.frame(body)
+    seats = {seat.name for seat in task.query.cell.seats}
+    before = task.query.seat_frame(body) if body in seats else task.query.frame(body)
     off_mm, turned_deg = (
         1e3 * geometry.distance(sighting.pose, before),
         math.degrees(geometry.angle(sighting.pose, before)),
@@ -190,5 +191,5 @@ def in_words(query: WorldQuery, data: AnalyzerInput) -> str:
     words += f"+- {1e3 * metres:.1f} mm, {math.degrees(radians):.2f} deg by tags "
     words += f"{', '.join(map(str, sighting.tags))}{cameras}, {sighting.error_px:.2f} px off, "
     words += f"{1e3 * sighting.age_s:.0f} ms old" + ", ambiguous attitude" * sighting.ambiguous
-    doubt = _doubt(query, data, sighting)
+    doubt = _doubt(task, sighting)
     return words + (f"; its pose is suspect: {doubt}" if doubt else "")

@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
-from rtc.protocol.messages import AnalyzerInput
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.spread import EXACT, Spread, even, widened
+from workers.analyzer.analyze_task import AnalyzeTask
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
@@ -34,33 +34,33 @@ CAUGHT_M, CAUGHT_RAD = 0.004, 0.05  # maximum distance from the seated pose at w
 TURNED_M, TURNED_RAD = 0.008, 0.15  # how far a seat moves and turns an object in the hand: up to 4.3 mm and 4.9 deg
 
 
-def touched(query: WorldQuery, data: AnalyzerInput) -> Found:
+def touched(task: AnalyzeTask) -> Found:
     """A contact stopped a straight search; it was expected `beyond_m` before the end.
 
     `felt_m`: accuracy of the contact. `lever_m`: maximum distance of the contact from the grasp point, which multiplies
     the attitude uncertainty.
     """
-    trip = data.report.trip_pose or data.report.tcp_pose
-    end, way = _search(query, data)
-    later_m = float(np.dot(trip[:3] - end, way)) + _figure(data, "beyond_m")
-    before, spread = _current(query, data)
+    trip = task.report.trip_pose or task.report.tcp_pose
+    end, way = _search(task)
+    later_m = float(np.dot(trip[:3] - end, way)) + _figure(task, "beyond_m")
+    before, spread = _current(task)
     after = geometry.translate(before, later_m * way)
-    point = _point(query, data)
+    point = _point(task)
     axis = int(np.argmax(np.abs(geometry.rotate(geometry.inverse(geometry.compose(before, point)), way))))
-    half_width = _figure(data, "felt_m") + _figure(data, "lever_m") * pose_spread.unsure_across(spread, point, axis)
+    half_width = _figure(task, "felt_m") + _figure(task, "lever_m") * pose_spread.unsure_across(spread, point, axis)
     return after, pose_spread.spread_after_measurement(before, after, spread, point, {axis: half_width})
 
 
-def tilted(query: WorldQuery, data: AnalyzerInput) -> Found:
+def tilted(task: AnalyzeTask) -> Found:
     """The same surface was touched again, `apart_m` farther along the bar than before: its tilt across the bar.
 
     The first touch has set the position along the search. `tilt_m`: accuracy of the difference of two touches.
     """
-    trip = data.report.trip_pose or data.report.tcp_pose
-    end, way = _search(query, data)
-    later_m, apart_m = float(np.dot(trip[:3] - end, way)) + _figure(data, "beyond_m"), _figure(data, "apart_m")
-    before, spread = _current(query, data)
-    point = _point(query, data)
+    trip = task.report.trip_pose or task.report.tcp_pose
+    end, way = _search(task)
+    later_m, apart_m = float(np.dot(trip[:3] - end, way)) + _figure(task, "beyond_m"), _figure(task, "apart_m")
+    before, spread = _current(task)
+    point = _point(task)
     there = geometry.inverse(geometry.compose(before, point))
     about = np.cross(ALONG_BAR, geometry.rotate(there, way))
     axis = int(np.argmax(np.abs(about)))
@@ -70,29 +70,29 @@ def tilted(query: WorldQuery, data: AnalyzerInput) -> Found:
     turn[axis] = math.copysign(later_m / apart_m, later_m / apart_m * float(about[axis]))
     turned = geometry.compose(geometry.compose(before, pivot), geometry.from_rpy([0.0, 0.0, 0.0], turn))
     after = geometry.normalise(geometry.compose(turned, geometry.inverse(pivot)))
-    measured = {3 + axis: _figure(data, "tilt_m") / abs(apart_m)}
+    measured = {3 + axis: _figure(task, "tilt_m") / abs(apart_m)}
     return after, pose_spread.spread_after_measurement(before, after, spread, pivot, measured)
 
 
-def between_fingers(query: WorldQuery, data: AnalyzerInput, moved: Spread = EXACT) -> Found:
+def between_fingers(task: AnalyzeTask, moved: Spread = EXACT) -> Found:
     """The fingers press on the bar of the grasp point.
 
     The bar is centred between the fingers, displaced by its lateral force divided by the stiffness `centre_n_m`. A
     tilted bar widens the opening over the pad length `pad_m` and twists the hand to one side. `moved`: how far the
     closing hand may have moved the object, which remains uncertain along the axes that are not measured.
     """
-    before, spread = _current(query, data)
+    before, spread = _current(task)
     spread = widened(spread, moved)
-    point, tcp = _point(query, data), data.report.tcp_pose
+    point, tcp = _point(task), task.report.tcp_pose
     offset = geometry.relative(tcp, geometry.compose(before, point))
     rpy = geometry.to_rpy(offset)
     measured = {CLOSING: CENTRED_M}
-    pad_m = _figure(data, "pad_m")
+    pad_m = _figure(task, "pad_m")
     if pad_m > 0.0:
         there = pose_spread.spread_at(spread, point)
-        (rpy[0], measured[ABOUT_BAR]), (rpy[2], measured[ABOUT_APPROACH]) = _askew(query, data, pad_m, rpy, there)
-    stiffness_n_m = _figure(data, "centre_n_m")
-    aside_m = 0.5 * data.report.wrench[1] / stiffness_n_m if stiffness_n_m > 0.0 else 0.0
+        (rpy[0], measured[ABOUT_BAR]), (rpy[2], measured[ABOUT_APPROACH]) = _askew(task, pad_m, rpy, there)
+    stiffness_n_m = _figure(task, "centre_n_m")
+    aside_m = 0.5 * task.report.wrench[1] / stiffness_n_m if stiffness_n_m > 0.0 else 0.0
     stands = geometry.compose(tcp, geometry.from_rpy([offset[0], aside_m, offset[2]], rpy))
     after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
     spread = pose_spread.spread_after_measurement(before, after, spread, point, measured)
@@ -106,15 +106,15 @@ def moved_by_closing(query: WorldQuery, thing: str) -> Spread:
     return EXACT if rests else even(FREE_M, FREE_RAD)
 
 
-def seat_of(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[float]) -> Found | None:
+def seat_of(task: AnalyzeTask, frame: Array, spread: list[float]) -> Found | None:
     """The frame of the seat that holds the object, up to the play `play_m`.
 
     None if the object is not seated or the step does not state the play.
     """
-    seat, play_m = query.seat(data.evaluation.context.object), _figure(data, "play_m")
+    seat, play_m = task.query.seat(task.context.object), _figure(task, "play_m")
     if not seat or play_m <= 0.0:
         return None
-    inside = query.cell.seat(seat).module_frame.pose
+    inside = task.query.cell.seat(seat).module_frame.pose
     place = geometry.normalise(geometry.compose(frame, geometry.inverse(inside)))
     return place, pose_spread.spread_at(widened(spread, even(play_m, 0.0)), geometry.inverse(inside))
 
@@ -136,14 +136,14 @@ def set_down(query: WorldQuery, thing: str, seat: str) -> Found:
 Tilt = tuple[float, float]  # angle and half-width (rad)
 
 
-def _askew(query: WorldQuery, data: AnalyzerInput, pad_m: float, rpy: Array, spread: Spread) -> tuple[Tilt, Tilt]:
+def _askew(task: AnalyzeTask, pad_m: float, rpy: Array, spread: Spread) -> tuple[Tilt, Tilt]:
     """Tilt of the bar against the pads, about the bar (tool x) and about the approach (tool z).
 
     Both tilts hold the pads apart, each over `pad_m`: the width of the hand gives their sum. The twist of the hand
     gives the signs. `rpy`, `spread`: as believed.
     """
-    report = data.report
-    width_m = query.cell.object(data.evaluation.context.object).grasp_point(data.evaluation.context.grasp_point).width_m
+    report = task.report
+    width_m = task.query.cell.object(task.context.object).grasp_point(task.context.grasp_point).width_m
     most_rad = max(0.0, report.hand_width_m - width_m) / pad_m
     twists_nm = (report.wrench[3], report.wrench[5]) if report.wrench else (0.0, 0.0)
     clear_nm = TWIST * report.hand_force_n * pad_m
@@ -162,49 +162,49 @@ def _tilt(most_rad: float, believed: Tilt, other: Tilt, twist_nm: float, clear_n
     return near, most + abs(near) + ASKEW_RAD
 
 
-def beyond(query: WorldQuery, data: AnalyzerInput) -> Found:
+def beyond(task: AnalyzeTask) -> Found:
     """A search ended without contact: the object is assumed `aside_m` farther along it."""
-    _, way = _search(query, data)
-    return _shifted(query, data, _figure(data, "aside_m") * way)
+    _, way = _search(task)
+    return _shifted(task, _figure(task, "aside_m") * way)
 
 
-def beside(query: WorldQuery, data: AnalyzerInput) -> Found | None:
+def beside(task: AnalyzeTask) -> Found | None:
     """A contact in front of one finger: the object is assumed `aside_m` to that side. None if neither finger."""
-    wrench, trip = data.report.trip_wrench, data.report.trip_pose
+    wrench, trip = task.report.trip_wrench, task.report.trip_pose
     if not wrench or not trip or abs(wrench[3]) < NO_TORQUE_NM:
         return None
-    side = -math.copysign(_figure(data, "aside_m"), wrench[3])  # a force on the finger at +y causes a torque about -x
-    return _shifted(query, data, geometry.rotate(trip, [0.0, side, 0.0]))
+    side = -math.copysign(_figure(task, "aside_m"), wrench[3])  # a force on the finger at +y causes a torque about -x
+    return _shifted(task, geometry.rotate(trip, [0.0, side, 0.0]))
 
 
-def _shifted(query: WorldQuery, data: AnalyzerInput, by: Array) -> Found:
-    before, spread = _current(query, data)
+def _shifted(task: AnalyzeTask, by: Array) -> Found:
+    before, spread = _current(task)
     after = geometry.translate(before, by)
-    return after, pose_spread.spread_after_measurement(before, after, spread, _point(query, data), {})
+    return after, pose_spread.spread_after_measurement(before, after, spread, _point(task), {})
 
 
-def _current(query: WorldQuery, data: AnalyzerInput) -> Found:
-    thing = data.evaluation.context.object
-    return query.frame(thing), list(query.spread(f"{thing}.frame"))
+def _current(task: AnalyzeTask) -> Found:
+    thing = task.context.object
+    return task.query.frame(thing), list(task.query.spread(f"{thing}.frame"))
 
 
-def _point(query: WorldQuery, data: AnalyzerInput) -> Array:
-    context = data.evaluation.context
-    return query.cell.object(context.object).grasp_point(context.grasp_point).frame.pose
+def _point(task: AnalyzeTask) -> Array:
+    context = task.context
+    return task.query.cell.object(context.object).grasp_point(context.grasp_point).frame.pose
 
 
-def _search(query: WorldQuery, data: AnalyzerInput) -> tuple[Array, Array]:
+def _search(task: AnalyzeTask) -> tuple[Array, Array]:
     """End point of the step's straight path (m, world) and its unit direction."""
-    evaluation = data.evaluation
+    evaluation = task.evaluation
     assert evaluation.goal_pose is not None
     assert evaluation.start_joints is not None
     end = np.asarray(evaluation.goal_pose[:3], dtype=float)
-    way = end - query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3]
+    way = end - task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3]
     length = float(np.linalg.norm(way))
     return end, way / length if length > 0.0 else way
 
 
-def _figure(data: AnalyzerInput, name: str) -> float:
+def _figure(task: AnalyzeTask, name: str) -> float:
     """A number of the step's args; 0 if it is absent."""
-    value = data.evaluation.step.args.get(name, 0.0)
+    value = task.step.args.get(name, 0.0)
     return 0.0 if isinstance(value, str) else value

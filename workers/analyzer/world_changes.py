@@ -10,10 +10,11 @@ from collections.abc import Callable
 
 import msgspec
 
-from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
+from rtc.protocol.messages import Validity, WorldChange
 from rtc.spatial import geometry, hinges
 from rtc.world.spread import widened
 from workers.analyzer import touch
+from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.sighting import sighted
 from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery
@@ -24,38 +25,38 @@ IN_SEAT_M = 0.02  # maximum distance from the seated pose at which RELEASE accep
 CATCHES_M = 0.005  # maximum distance from the seated pose at which a catch holds a released object
 
 
-def taken(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def taken(task: AnalyzeTask, validity: Validity) -> Changes:
     """The hand holds the object; the finger measurement corrects its frame.
 
     Along the closing axis the grasp point is centred between the fingers (R149). The other axes keep their uncertainty;
     those of a free object become more uncertain.
     """
-    context = data.evaluation.context
+    context = task.context
     thing, arm = context.object, context.arm
-    if query.held_by(thing) not in ("", arm):  # the second hand: the facts of the object refer to the first one
+    if task.query.held_by(thing) not in ("", arm):  # the second hand: the facts of the object refer to the first one
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=validity)]
-    frame, spread = touch.between_fingers(query, data, touch.moved_by_closing(query, thing))
-    if query.hinge(thing) is not None:
-        point = query.cell.object(thing).grasp_point(context.grasp_point).frame.pose[:3]
-        frame = query.hung(thing, point, geometry.transform_point(frame, point))
-    grasp = geometry.normalise(geometry.relative(data.report.tcp_pose, frame))
+    frame, spread = touch.between_fingers(task, touch.moved_by_closing(task.query, thing))
+    if task.query.hinge(thing) is not None:
+        point = task.query.cell.object(thing).grasp_point(context.grasp_point).frame.pose[:3]
+        frame = task.query.hung(thing, point, geometry.transform_point(frame, point))
+    grasp = geometry.normalise(geometry.relative(task.report.tcp_pose, frame))
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
         WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
         WorldChange(key=f"{thing}.grasp", value=grasp.tolist(), validity=validity, spread=spread),
         WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity, spread=spread),
-        *_its_seat(query, data, touch.seat_of(query, data, frame, spread), validity),
+        *_its_seat(task, touch.seat_of(task, frame, spread), validity),
     ]
 
 
-def perhaps_taken(query: WorldQuery, data: AnalyzerInput) -> Changes:
+def perhaps_taken(task: AnalyzeTask) -> Changes:
     """The hand was closing when its report was lost: the object may be in it, where it was believed to be."""
-    thing, arm, doubt = data.evaluation.context.object, data.evaluation.context.arm, Validity.SUSPECT
-    if query.held_by(thing) not in ("", arm):
+    thing, arm, doubt = task.context.object, task.context.arm, Validity.SUSPECT
+    if task.query.held_by(thing) not in ("", arm):
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=doubt)]
-    frame = query.frame(thing)
-    grasp = geometry.normalise(geometry.relative(query.tcp(arm), frame))
-    spread = widened(query.spread(f"{thing}.frame"), touch.moved_by_closing(query, thing))
+    frame = task.query.frame(thing)
+    grasp = geometry.normalise(geometry.relative(task.query.tcp(arm), frame))
+    spread = widened(task.query.spread(f"{thing}.frame"), touch.moved_by_closing(task.query, thing))
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=doubt),
         WorldChange(key=f"{thing}.held_by", value=arm, validity=doubt),
@@ -64,37 +65,37 @@ def perhaps_taken(query: WorldQuery, data: AnalyzerInput) -> Changes:
     ]
 
 
-def _its_seat(query: WorldQuery, data: AnalyzerInput, found: touch.Found | None, validity: Validity) -> Changes:
+def _its_seat(task: AnalyzeTask, found: touch.Found | None, validity: Validity) -> Changes:
     if found is None:
         return []
-    key = f"{query.seat(data.evaluation.context.object)}.frame"
+    key = f"{task.query.seat(task.context.object)}.frame"
     return [WorldChange(key=key, value=found[0].tolist(), validity=validity, spread=found[1])]
 
 
-def felt(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def felt(task: AnalyzeTask, validity: Validity) -> Changes:
     """The hand touched the object earlier or later than expected: its frame shifts along the search direction."""
-    return _seen(data, touch.touched(query, data), validity)
+    return _seen(task, touch.touched(task), validity)
 
 
-def tilted(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def tilted(task: AnalyzeTask, validity: Validity) -> Changes:
     """The hand touched the same surface elsewhere along the bar: the object turns about the first touch."""
-    return _seen(data, touch.tilted(query, data), validity)
+    return _seen(task, touch.tilted(task), validity)
 
 
-def pinched(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def pinched(task: AnalyzeTask, validity: Validity) -> Changes:
     """The fingers pressed on the object without holding it: the measurement corrects its position and attitude."""
-    return _seen(data, touch.between_fingers(query, data), validity)
+    return _seen(task, touch.between_fingers(task), validity)
 
 
-def passed(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def passed(task: AnalyzeTask, validity: Validity) -> Changes:
     """A search ended without contact: the object may be beyond its end."""
-    return _seen(data, touch.beyond(query, data), validity)
+    return _seen(task, touch.beyond(task), validity)
 
 
-def landed(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def landed(task: AnalyzeTask, validity: Validity) -> Changes:
     """One finger touched the object from the front: the object is displaced to that finger's side."""
-    found = touch.beside(query, data)
-    return [] if found is None else _seen(data, found, validity)
+    found = touch.beside(task)
+    return [] if found is None else _seen(task, found, validity)
 
 
 def angles(query: WorldQuery, changes: Changes) -> Changes:
@@ -110,39 +111,39 @@ def angles(query: WorldQuery, changes: Changes) -> Changes:
     return [*changes, *found]
 
 
-def _seen(data: AnalyzerInput, found: touch.Found, validity: Validity) -> Changes:
+def _seen(task: AnalyzeTask, found: touch.Found, validity: Validity) -> Changes:
     frame, spread = found
-    key = f"{data.evaluation.context.object}.frame"
+    key = f"{task.context.object}.frame"
     return [WorldChange(key=key, value=frame.tolist(), validity=validity, spread=spread)]
 
 
-def let_go(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def let_go(task: AnalyzeTask, validity: Validity) -> Changes:
     """The fingers are open; the object stays in place, in its seat if the step placed it there."""
-    context = data.evaluation.context
-    changes = shared_hold.let_go(query, context.arm, context.object)
-    if query.sharers(context.arm):  # another hand holds it where it is
+    context = task.context
+    changes = shared_hold.let_go(task.query, context.arm, context.object)
+    if task.query.sharers(context.arm):  # another hand holds it where it is
         return changes
-    seat = data.evaluation.step.args.get("seat")
+    seat = task.step.args.get("seat")
     if isinstance(seat, str) and seat:
         changes.append(WorldChange(key=f"{context.object}.seat", value=seat, validity=validity))
-        frame, spread = touch.set_down(query, context.object, seat)
+        frame, spread = touch.set_down(task.query, context.object, seat)
         key = f"{context.object}.frame"
         return [*changes, WorldChange(key=key, value=frame.tolist(), validity=validity, spread=spread)]
-    if query.hinge(context.object) is not None:  # its hinge holds it
+    if task.query.hinge(context.object) is not None:  # its hinge holds it
         return changes
-    near, off_m = _nearest_seat(query, context.object)
+    near, off_m = _nearest_seat(task.query, context.object)
     if off_m > CATCHES_M:
         changes.append(WorldChange(key=f"{context.object}.frame", keep_value=True, validity=Validity.SUSPECT))
-    if off_m < IN_SEAT_M and query.seat(context.object) != near:  # probably seated; a tug has not tested it
+    if off_m < IN_SEAT_M and task.query.seat(context.object) != near:  # probably seated; a tug has not tested it
         changes.append(WorldChange(key=f"{context.object}.seat", value=near, validity=Validity.SUSPECT))
     return changes
 
 
-def let_drift(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def let_drift(task: AnalyzeTask, validity: Validity) -> Changes:
     """The fingers are open and nothing holds the object: its frame is suspect."""
-    context = data.evaluation.context
-    changes = shared_hold.let_go(query, context.arm, context.object)
-    if query.sharers(context.arm):
+    context = task.context
+    changes = shared_hold.let_go(task.query, context.arm, context.object)
+    if task.query.sharers(context.arm):
         return changes
     return [
         *changes,
@@ -158,22 +159,22 @@ def _nearest_seat(query: WorldQuery, thing: str) -> tuple[str, float]:
     return name, off_m
 
 
-def still_held(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def still_held(task: AnalyzeTask, validity: Validity) -> Changes:
     return []
 
 
-def verified(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def verified(task: AnalyzeTask, validity: Validity) -> Changes:
     """The fingers press at the object's width: the hand still holds the object.
 
     Its pose in the hand is not measured: it keeps its uncertainty, which a failure by contact has increased.
     """
-    thing, arm = data.evaluation.context.object, data.evaluation.context.arm
-    if query.held_by(thing) not in ("", arm):  # the second of two hands
+    thing, arm = task.context.object, task.context.arm
+    if task.query.held_by(thing) not in ("", arm):  # the second of two hands
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=validity)]
-    frame = query.in_hand(thing, data.report.tcp_pose)
+    frame = task.query.in_hand(thing, task.report.tcp_pose)
     if frame is None:
         return []
-    turned = query.grasp_after(thing, frame, data.report.tcp_pose)
+    turned = task.query.grasp_after(thing, frame, task.report.tcp_pose)
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
         WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
@@ -182,12 +183,12 @@ def verified(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Chan
     ]
 
 
-def unseen(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+def unseen(task: AnalyzeTask, validity: Validity) -> Changes:
     """The cameras have not found the body: another way to locate it is chosen until one of them does."""
-    return [WorldChange(key=f"{data.evaluation.body}.sighting", value=None)]
+    return [WorldChange(key=f"{task.evaluation.body}.sighting", value=None)]
 
 
-EFFECTS: dict[str, Callable[[WorldQuery, AnalyzerInput, Validity], Changes]] = {
+EFFECTS: dict[str, Callable[[AnalyzeTask, Validity], Changes]] = {
     "taken": taken,
     "let_go": let_go,
     "let_drift": let_drift,

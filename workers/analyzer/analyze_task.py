@@ -1,0 +1,38 @@
+"""An end report to be judged: what all parts of the analyzer share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rtc.programs.schema import AnalyzerProgram
+from rtc.protocol.messages import AnalyzerInput, EndReport, EvaluationContext, ScriptContext, Step
+from workers.planning.world_query import WorldQuery
+
+
+@dataclass(frozen=True)
+class AnalyzeTask:
+    """One end report, with the world before its changes."""
+
+    program: AnalyzerProgram
+    query: WorldQuery
+    data: AnalyzerInput
+
+    @property
+    def evaluation(self) -> EvaluationContext:
+        return self.data.evaluation
+
+    @property
+    def step(self) -> Step:
+        return self.data.evaluation.step
+
+    @property
+    def context(self) -> ScriptContext:
+        return self.data.evaluation.context
+
+    @property
+    def report(self) -> EndReport:
+        return self.data.report
+
+    @property
+    def values(self) -> dict[str, float]:
+        return self.program.values

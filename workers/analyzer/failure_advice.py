@@ -1,0 +1,143 @@
+"""What to do after a failure: the rows of the program that apply, in their order. Pure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rtc.programs.schema import OutcomeClass
+from rtc.protocol.messages import Validity
+from rtc.protocol.outcomes import StopReason
+from rtc.spatial import geometry
+from workers.analyzer.analyze_task import AnalyzeTask
+from workers.analyzer.failure_words import fill_in
+from workers.analyzer.post_conditions import is_held_askew, pressing_n
+from workers.analyzer.world_changes import Changes
+from workers.planning.world_query import WorldQuery
+
+SHORT_M = 0.003  # the direction of a shorter way means nothing
+
+
+AWAY_CM = 5.0  # by how much an arm is to move away from what it has pressed on
+
+
+BACK = "leave_back"  # row of `clears`
+
+
+IN_SLOT_M = 0.010  # a shorter way back into a slot frees nothing
+
+
+BACKWARDS = 0.7  # cosine of the angle between the way of a hand and its tool axis from which on it went back
+
+
+def what_clears(
+    task: AnalyzeTask, reason: StopReason, failure: OutcomeClass, changes: Changes, *, asked: bool, pressed: bool
+) -> str:
+    """What to do now: first about what the hand holds and presses on, then about facts in doubt, then try again.
+
+    `asked`: a reflex of the command has ended the step. `pressed`: the hand presses on something."""
+    target, askew = task.context.target, is_held_askew(task)
+    # A seat needs a better known pose in the hand than VERIFY leaves after that, and a free motion more room.
+    misplaced = failure.misplaced or askew or (pressed and bool(target))
+    cures = _ways_to_clear(task, changes, moved=pressed or misplaced, misplaced=misplaced)
+    pressing, doubtful = _leaving(task, task.program.clears.get("asked", "") if asked else failure.pressing)
+    held = [cure for key, cure in cures.items() if doubtful and key.rpartition(".")[0] == task.evaluation.held]
+    own = [*held, pressing]
+    again = ""
+    if not asked:
+        own += [_felt(task, reason) or failure.clears, *_higher_limit(task)]
+        again = "" if askew else failure.again  # the fingers close no further
+    if "{target_cure}" in again:
+        cure = cures.pop(f"{target}.frame", "")
+        again = again.replace("{target_cure}; ", f"{cure}; " if cure else "")
+    todo = dict.fromkeys(word for word in (*own, *cures.values(), again) if word)
+    return fill_in("; ".join(todo), task, reason)
+
+
+def _felt(task: AnalyzeTask, reason: StopReason) -> str:
+    """The advice if cameras do not see a body that is believed in a hand: to look again would not help, its fingers
+    tell whether it is there."""
+    body = task.evaluation.body
+    if reason is not StopReason.NOT_SEEN or not body or not task.query.held_by(body):
+        return ""
+    return task.query.clears(f"{body}.grasp", {"grasp": task.program.clears.get("unseen_in_hand", "")})
+
+
+def _higher_limit(task: AnalyzeTask) -> list[str]:
+    """The advice if the force or the time that ended the step is the limit of the sentence."""
+    limits, report = task.context.limits, task.report
+    if limits.time_s is not None and report.reason is StopReason.TIMEOUT:
+        return [f"a TIME-LIMIT above {limits.time_s:g} S, if it needs more time"]
+    limit_n = limits.force_n
+    if limit_n is None or report.limit is None or report.reason is not StopReason.FORCE_LIMIT:
+        return []
+    own = math.isclose(report.limit, limit_n)
+    return [f"a FORCE-LIMIT above {limit_n:g} N, if nothing is in the way"] if own else []
+
+
+def _ways_to_clear(task: AnalyzeTask, changes: Changes, *, moved: bool, misplaced: bool) -> dict[str, str]:
+    """The advice that clears the facts made suspect by these changes, by the first fact that it clears.
+
+    `moved`: what is held may have moved in the hand. `misplaced`: its fingers do not help."""
+    after = WorldQuery(task.query.model, task.query.world.overlay(changes))
+    suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
+    if any(key.endswith(".holding") for key in suspect):  # what it may hold is neither looked for nor taken before that
+        suspect = [key for key in suspect if not key.endswith(".frame") or after.held_by(key.rpartition(".")[0])]
+    clears = task.program.clears
+    if moved:
+        held = next((change.key for change in changes if change.key.endswith(".grasp")), "").rpartition(".")[0]
+        seen = "seen" in clears and held and after.cameras(held)
+        row = "seen" if seen else "misplaced" if misplaced else "grasp"
+        clears = {**clears, "grasp": clears[row]}
+    first: dict[str, str] = {}
+    for key in suspect:
+        if key.rpartition(".")[2] in clears:
+            first.setdefault(after.clears(key, clears), key)
+    return {key: advice for advice, key in first.items()}
+
+
+def _leaving(task: AnalyzeTask, template: str) -> tuple[str, bool]:
+    """The advice for an arm that pressed on something, and whether it moves no object in the hand that is in doubt."""
+    if not template or not pressing_n(task):
+        return "", False
+    row, back = _way_to_leave(task)
+    words = template.replace("{leave}", task.program.clears.get(row, "")).replace("{back}", back)
+    return words.replace("{away}", _away(task)), row != BACK or "{leave}" not in template
+
+
+def _way_to_leave(task: AnalyzeTask) -> tuple[str, str]:
+    """How an arm leaves what it presses on where it may touch something: the row of `clears`, and the way (cm).
+
+    Back along its tool. Where it came to a stop on that way: back into the slot that an object was leaving, or along
+    another line."""
+    evaluation, report = task.evaluation, task.report
+    if evaluation.start_joints is None:
+        return BACK, ""
+    came = task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(report.tcp_pose[:3])
+    came_m, held = float(np.linalg.norm(came)), evaluation.held
+    frame = task.query.in_hand(held, report.tcp_pose) if held and evaluation.step.args.get("leaves") == "seat" else None
+    if frame is not None and task.query.slot_at(frame) and came_m >= IN_SLOT_M:
+        return "leave_slot", f"{min(AWAY_CM, 100.0 * came_m):.2g}"
+    backwards = float(came @ geometry.rotate(report.tcp_pose, [0.0, 0.0, 1.0])) > BACKWARDS * came_m
+    return "leave_line" if came_m > SHORT_M and backwards else BACK, ""
+
+
+def _away(task: AnalyzeTask) -> str:
+    """The line along an axis of the world that leads away from what the arm presses on, in words.
+
+    It goes back the way that the hand came, and not beyond its start, rather than with the force: an object that turns
+    in the hand may press aside."""
+    evaluation, report = task.evaluation, task.report
+    assert report.trip_wrench is not None
+    pose = report.trip_pose or report.tcp_pose
+    force = geometry.rotate(pose, report.trip_wrench[:3])
+    away, most_m = force / np.linalg.norm(force), np.full(3, math.inf)
+    if evaluation.start_joints is not None:
+        came = task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(pose[:3])
+        if (came_m := float(np.linalg.norm(came))) > SHORT_M:
+            away = away + 2.0 * came / came_m
+            most_m = np.where(came * away > SHORT_M * np.abs(away), np.abs(came), math.inf)
+    axis = int(np.abs(away).argmax())
+    way_cm = min(AWAY_CM, 100.0 * float(most_m[axis]))
+    return f"{math.copysign(way_cm, away[axis]):.2g} CM ALONG {'XYZ'[axis]}"

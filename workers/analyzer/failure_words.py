@@ -1,0 +1,104 @@
+"""A failure in words: the placeholders of the program, filled in from the report. Pure."""
+
+from __future__ import annotations
+
+import math
+
+from rtc.language.hands import hand_in_words
+from rtc.programs.schema import OutcomeClass
+from rtc.protocol.messages import EndReport
+from rtc.protocol.outcomes import StopReason
+from rtc.protocol.sentence import ReflexItem
+from workers.analyzer import sighting
+from workers.analyzer.analyze_task import AnalyzeTask
+from workers.analyzer.post_conditions import distance_off_m, pressing_n, seen_as_believed, turned_rad
+from workers.conditions import reflexes
+
+UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
+
+
+def what_happened(task: AnalyzeTask, reason: StopReason, failure: OutcomeClass, asked: ReflexItem | None) -> str:
+    """The failure in words. `asked`: the reflex of the command that has ended the step."""
+    words = [_stopped_as_requested(asked, task) if asked else fill_in(failure.message, task, reason)]
+    words.append(reflexes.describe_action(task.report))
+    if reason is StopReason.OUT_OF_RANGE and seen_as_believed(task):
+        words.append("it is where it is believed to be")
+    if reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
+        words.append(task.evaluation.remark)
+    return "; ".join(filter(None, words))
+
+
+def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:
+    """The message with its placeholders filled in."""
+    evaluation, report = task.evaluation, task.report
+    least, most = evaluation.width_m or (0.0, 0.0)
+    figures = {
+        "reason": reason.value,
+        "measured": "?" if report.measured is None else f"{report.measured:.3g}",
+        "limit": "the" if report.limit is None else f"{report.limit:.3g}",
+        "unit": UNITS.get(report.reason, ""),
+        "message": report.message or evaluation.arm or report.performer,
+        "arm": hand_in_words(_stopped_by(task)),
+        "camera": report.performer,
+        "object": evaluation.body or evaluation.context.object or evaluation.held or "the object",
+        "target": evaluation.context.target or "the seat",
+        "or_load": f", or {evaluation.held} is heavier than stated and slips" if evaluation.held else "",
+        "point": evaluation.context.grasp_point,
+        "width": f"{report.hand_width_m * 1000:.1f}",
+        "wanted": f"{least * 1000:.0f} to {most * 1000:.0f}",
+        "off": f"{distance_off_m(task) * 1000:.1f}",
+        "turned": f"{math.degrees(turned_rad(task)):.1f}",
+        "speed": sighting.speed_in_words(report.sighting),
+        "jam": _jam(report),
+        "excess": _excess(task),
+        "short": _short(task),
+    }
+    for name, text in figures.items():
+        message = message.replace("{" + name + "}", text)
+    return message
+
+
+def _short(task: AnalyzeTask) -> str:
+    """How far from its goal a motion has ended, and with what force; empty without a goal or near it."""
+    off_m, force_n = distance_off_m(task), pressing_n(task)
+    if off_m <= task.values["position_m"]:
+        return ""
+    pressing = f", and pressed with {force_n:.3g} N" if force_n and task.report.reason is StopReason.TIMEOUT else ""
+    return f": the hand was {off_m * 1000:.0f} mm from the end of its path{pressing}"
+
+
+def _stopped_as_requested(reflex: ReflexItem, task: AnalyzeTask) -> str:
+    """Message for a stop by a reflex of the command: the goal is not reached, but there is no fault."""
+    value, measured = task.report.measured, ""
+    if value is not None:
+        by_reason = fill_in("{measured} {unit}", task, task.report.reason).rstrip()
+        measured = f" at {reflex.condition.measured_in_words(value) or by_reason}"
+    return f"stopped{measured} as asked: {reflexes.in_words(reflex)}"
+
+
+def _stopped_by(task: AnalyzeTask) -> str:
+    """The arm whose stop function has ended the primitive: of two arms the one with a measured value."""
+    second = task.report.partner
+    caused = second is not None and second.measured is not None and second.reason is task.report.reason
+    return task.context.partner if caused else task.evaluation.arm
+
+
+def _jam(report: EndReport) -> str:
+    """The figures of a jam: a force or torque above its limit, or the distance (m) of a hand behind its path."""
+    value, limit, force_n = report.measured or 0.0, report.limit or 0.0, math.hypot(*(report.trip_wrench or [])[:3])
+    if report.reason is StopReason.FORCE_LIMIT and not math.isclose(value, force_n, rel_tol=0.01):
+        return f"the hand was {value * 1000:.0f} mm behind its path, and pressed with {force_n:.3g} N"
+    return f"{value:.3g} {UNITS.get(report.reason, '')} where {limit:.3g} is the limit"
+
+
+def _excess(task: AnalyzeTask) -> str:
+    """What is beyond its limit: a force or torque, or the width of a hand that has reached its goal."""
+    report = task.report
+    if report.reason not in (StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT):
+        least, most = (1000 * width_m for width_m in task.evaluation.width_m or (0.0, 0.0))
+        return f"the hand is at {1000 * report.hand_width_m:.1f} mm instead of {least:.0f} to {most:.0f} mm"
+    unit = UNITS[report.reason]
+    if report.measured is None or report.limit is None:
+        return f"more {unit} than the limit"
+    value = next((text for n in (3, 4, 5) if float(text := f"{report.measured:.{n}g}") > report.limit), "more")
+    return f"{value} {unit} where {report.limit:.5g} {unit} is the limit"

@@ -1,0 +1,159 @@
+"""What a report changes about the object in the hand: where it is, how well that is known, whether it is held. Pure."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from rtc.programs.schema import OutcomeClass
+from rtc.protocol.messages import Validity, WorldChange
+from rtc.protocol.outcomes import StopReason
+from rtc.spatial import geometry
+from rtc.world.spread import even, widened
+from workers.analyzer.analyze_task import AnalyzeTask
+from workers.analyzer.world_changes import EFFECTS, Changes, perhaps_taken
+from workers.planning import pose_spread, shared_hold
+from workers.planning.world_query import TRUSTED
+
+CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
+
+
+def held_object_changes(
+    task: AnalyzeTask,
+    changes: Changes,
+    *,
+    suspect: bool,
+    drops: bool = False,
+) -> Changes:
+    """Frame and grasp of the held object after the motion; an opened hand no longer holds it."""
+    arm, thing = task.evaluation.arm, task.evaluation.held
+    grasp = task.query.grasp(thing) if thing else None
+    let_go = any(change.key == f"{arm}.holding" and not change.keep_value for change in changes)
+    if grasp is None or let_go or any(change.key == f"{thing}.grasp" for change in changes):
+        return []
+    if not task.report.tcp_pose:  # hand position unknown, so the held object's too
+        doubtful = ("frame", "grasp", "held_by", "seat") if suspect else ()  # the hand may have opened, in a seat
+        return [WorldChange(key=f"{thing}.{name}", keep_value=True, validity=Validity.SUSPECT) for name in doubtful]
+    widened_m = _widened_m(task)
+    opened = max(widened_m.values()) > task.values["opened_m"]
+    tilted = max(widened_m.values()) > task.values["tilted_m"]
+    fact = task.query.world.get(f"{thing}.grasp")
+    trusted = fact is None or fact.validity in TRUSTED
+    first = task.query.held_by(thing) in ("", arm)  # else another hand leads, and this arm was at rest
+    tcp = task.report.tcp_pose if first else task.query.tcp(task.query.held_by(thing))
+    held = task.query.in_hand(thing, tcp)
+    assert held is not None
+    frame = geometry.normalise(held)
+    validity = Validity.SUSPECT if suspect or drops or tilted or not trusted else Validity.VALID
+    moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
+    if drops or opened:
+        if task.query.seat(thing):
+            moved.append(WorldChange(key=f"{thing}.seat", keep_value=True, validity=Validity.SUSPECT))
+        return [*moved, *shared_hold.let_go(task.query, _loser(widened_m, opened), thing, Validity.SUSPECT)]
+    turned = task.query.grasp_after(thing, frame, tcp)
+    moved.append(WorldChange(key=f"{thing}.grasp", value=turned, keep_value=turned is None, validity=validity))
+    seat = task.query.seat(thing)
+    if seat and geometry.distance(frame, task.query.seated_pose(seat)) >= task.query.cell.seat(seat).depth_m:
+        moved.append(WorldChange(key=f"{thing}.seat", value=""))
+    return moved
+
+
+def _widened_m(task: AnalyzeTask) -> dict[str, float]:
+    """By how much each hand of the primitive is wider open than believed (m)."""
+    arm, partner, second = task.evaluation.arm, task.context.partner, task.report.partner
+    found = {arm: task.report.hand_width_m - task.query.hand_width(arm)}
+    if second is not None and second.joints:
+        found[partner] = second.hand_width_m - task.query.hand_width(partner)
+    return found
+
+
+def _loser(widened_m: dict[str, float], opened: bool) -> str:
+    """The arm whose hand has lost the object: the one that is open, or else the one whose fingers have come closer."""
+    return max(widened_m, key=widened_m.__getitem__) if opened else min(widened_m, key=widened_m.__getitem__)
+
+
+def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
+    """The changes, with the current uncertainty of an object held during the whole step."""
+    thing, report = task.evaluation.held, task.report
+    fact = task.query.world.get(f"{thing}.grasp")
+    if fact is None or fact.value is None:
+        return changes
+    if task.query.hinge(thing) is not None:
+        spread = _rolled(task, thing, changes)
+    else:
+        held_s = max(report.at_s - fact.at_s, report.duration_s)
+        spread = pose_spread.crept_spread(task.query.spread(fact.key), held_s, task.query.cell.numbers)
+        spread = pose_spread.struck_spread(spread, report.peak_force_n, task.values)
+        if report.peak_force_n > task.values["twisted_n"]:
+            spread = pose_spread.twisted_spread(spread, fact.value, task.values["twisted_rad"])
+        wider_m = max(map(abs, _widened_m(task).values()))
+        if wider_m <= task.values["opened_m"]:  # else they have let go of it
+            spread = pose_spread.askew_spread(spread, fact.value, wider_m, task.values["pad_m"])
+    keys = {f"{thing}.frame", f"{thing}.grasp"}
+    return [
+        msgspec.structs.replace(change, spread=spread)
+        if change.key in keys and change.spread is None and (change.keep_value or change.value is not None)
+        else change
+        for change in changes
+    ]
+
+
+def _rolled(task: AnalyzeTask, thing: str, changes: Changes) -> list[float]:
+    """The spread of a held object with a hinge: it keeps its place, and a round bar rolls when its hand turns it."""
+    hinge, fact = task.query.hinge(thing), task.query.world.get(f"{thing}.grasp")
+    turned = next((change.value for change in changes if change.key == f"{thing}.frame"), None)
+    assert hinge is not None
+    assert fact is not None
+    spread = task.query.spread(fact.key)
+    points = task.query.cell.object(thing).grasp_points
+    point = min(points, key=lambda one: geometry.distance(one.frame.pose, geometry.inverse(fact.value)), default=None)
+    if turned is None or point is None or not point.round:
+        return list(spread)
+    lever_m = float(np.linalg.norm(np.cross(point.frame.xyz, hinge.axis)))
+    rolled_m = 0.5 * point.width_m * geometry.angle(task.query.frame(thing), turned)
+    return pose_spread.rolled_spread(spread, hinge.axis, rolled_m, task.values["rolled_m"], lever_m)
+
+
+def moved_in_hand(
+    task: AnalyzeTask,
+    changes: Changes,
+    failure: OutcomeClass,
+    *,
+    pressed: bool,
+) -> Changes:
+    """The changes, with increased uncertainty of a held object that the failure may have moved in the hand.
+
+    `pressed`: the hand or the object pressed on something. A hinge keeps its object in place.
+    """
+    values, held = task.values, task.evaluation.held
+    if task.query.hinge(held) is not None:
+        return changes
+    if failure.misplaced:
+        more = even(values["misplaced_m"], values["misplaced_rad"])
+    elif pressed:
+        more = even(values["pressed_m"], values["pressed_rad"])
+    else:
+        return changes
+    keys = {f"{held}.{attribute}" for attribute in ("frame", "grasp")}
+    return [
+        msgspec.structs.replace(change, spread=widened(change.spread or task.query.spread(change.key), more))
+        if change.key in keys and change.validity is Validity.SUSPECT
+        else change
+        for change in changes
+    ]
+
+
+def interrupted_grasp(task: AnalyzeTask) -> Changes:
+    """Fingers that were stopped while they closed, and press at the expected width, hold the object (suspect).
+
+    Without a report of the hand the fingers may press too.
+    """
+    evaluation, report = task.evaluation, task.report
+    if evaluation.step.args.get("effect") not in CLOSING or evaluation.width_m is None:
+        return []
+    if not report.tcp_pose:
+        begun = report.reason not in (StopReason.REFUSED, StopReason.BLOCKED)
+        return perhaps_taken(task) if begun else []
+    least, most = evaluation.width_m
+    pressing = report.hand_force_n >= task.values["pressing_n"]
+    return EFFECTS["taken"](task, Validity.SUSPECT) if pressing and least <= report.hand_width_m <= most else []

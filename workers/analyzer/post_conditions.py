@@ -1,0 +1,122 @@
+"""Whether a step has ended as it should: its post-conditions, and what a report shows beside them. Pure."""
+
+from __future__ import annotations
+
+import math
+
+from rtc.protocol.outcomes import StopReason
+from rtc.spatial import geometry
+from workers.analyzer import sighting
+from workers.analyzer.analyze_task import AnalyzeTask
+
+SEEN = "sighted"  # effect of steps that look
+
+
+MOVES = "moves"  # finding of a look that needs the body at rest
+
+
+STILL_RAD, TRAVEL_RAD = 0.001, 0.02  # turn of a joint that is stuck, and of one that has moved
+
+
+def violated(task: AnalyzeTask) -> str:
+    """The violated post-condition of an end with an expected stop reason; empty if there is none."""
+    evaluation, report = task.evaluation, task.report
+    if report.reason is StopReason.GOAL and evaluation.no_contact_is_failure:
+        return "nothing_felt"
+    if report.reason not in evaluation.step.expect:
+        return ""
+    if evaluation.width_m is not None:
+        least, most = evaluation.width_m
+        return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
+    if evaluation.body_pose is not None:
+        return "displaced" if _is_displaced(task) else ""
+    if evaluation.step.args.get("effect") == SEEN and report.reason is StopReason.GOAL and report.sighting is None:
+        return "unseen"
+    if evaluation.step.args.get("at_rest") and report.sighting is not None and sighting.moves(report.sighting):
+        return MOVES
+    within_m = evaluation.step.args.get("within_m")
+    if isinstance(within_m, float):  # instead of the tolerance of the program
+        return "elsewhere" if distance_off_m(task) > within_m else ""
+    pressed = "press_n" in evaluation.step.args  # it ends where the obstacle is
+    if report.reason is StopReason.GOAL and evaluation.goal_pose is not None and not pressed:
+        turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)
+        if distance_off_m(task) > task.values["position_m"] or turned > task.values["angle_rad"]:
+            return "off_goal"
+    return ""
+
+
+def unmoved_joint(task: AnalyzeTask) -> str:
+    """The joint that a jammed motion into a seat has not moved although its path needs it; empty if there is none.
+
+    A compliant arm whose joint is stuck does not follow its path, as if the seat were blocked.
+    """
+    evaluation, report = task.evaluation, task.report
+    start, goal = evaluation.start_joints, evaluation.goal_pose
+    jammed = report.reason in (StopReason.FORCE_LIMIT, StopReason.TIMEOUT) and evaluation.context.target
+    if not jammed or goal is None or not start or len(report.joints) != len(start):
+        return ""
+    ends = task.query.model.arms[evaluation.arm].nearest_ik(goal, start)
+    if ends is None:
+        return ""
+    moved = [abs(a - b) for a, b in zip(report.joints, start, strict=True)]
+    if max(moved) < TRAVEL_RAD:
+        return ""  # the arm is back where it began
+    needed = [abs(a - b) for a, b in zip(ends, start, strict=True)]
+    still = [n for n, rad in enumerate(moved) if rad < STILL_RAD and needed[n] > TRAVEL_RAD]
+    names = task.query.cell.arm(evaluation.arm).joints
+    return names[max(still, key=needed.__getitem__)] if still else ""
+
+
+def dropped(task: AnalyzeTask) -> bool:
+    """Whether a camera has found the object that the arm of this command should hold elsewhere."""
+    evaluation, holder = task.evaluation, task.context.arm
+    if evaluation.step.args.get("effect") != SEEN or task.report.sighting is None or not holder:
+        return False
+    return task.query.held_by(evaluation.body) == holder and not sighting.is_in_hand(task, holder)
+
+
+def _is_displaced(task: AnalyzeTask) -> bool:
+    """Whether a sensed body is not where it should be."""
+    args = task.step.args
+    most_m, most_rad = (float(args.get(name, 0.0)) for name in ("within_m", "within_rad"))
+    return distance_off_m(task) > most_m or turned_rad(task) > most_rad
+
+
+def is_held_askew(task: AnalyzeTask) -> bool:
+    """Whether the fingers have closed on the held object, but not to its width: to close them again does not help."""
+    evaluation, report = task.evaluation, task.report
+    if not evaluation.held or evaluation.width_m is None or report.reason is not StopReason.GOAL:
+        return False
+    return report.hand_width_m > evaluation.width_m[1]
+
+
+def seen_as_believed(task: AnalyzeTask) -> bool:
+    """Whether a camera that looked for a body in another place has seen it where it is believed to be."""
+    sighting, args = task.report.sighting, task.step.args
+    if sighting is None or task.evaluation.body_pose is None:
+        return False
+    believed = task.query.pose(task.evaluation.body)
+    near = geometry.distance(sighting.pose, believed) <= float(args.get("within_m", 0.0))
+    return near and geometry.angle(sighting.pose, believed) <= float(args.get("within_rad", 0.0))
+
+
+def distance_off_m(task: AnalyzeTask) -> float:
+    place, sighting = task.evaluation.body_pose, task.report.sighting
+    if place is not None:
+        return geometry.distance(sighting.pose, place) if sighting is not None else 0.0
+    goal = task.evaluation.goal_pose
+    return geometry.distance(task.report.tcp_pose, goal) if goal is not None and task.report.tcp_pose else 0.0
+
+
+def turned_rad(task: AnalyzeTask) -> float:
+    place, sighting = task.evaluation.body_pose, task.report.sighting
+    return geometry.angle(sighting.pose, place) if place is not None and sighting is not None else 0.0
+
+
+def pressing_n(task: AnalyzeTask) -> float:
+    """The force (N) of an arm that pressed on something when it was stopped; 0 if it did not press."""
+    report = task.report
+    if report.partner is not None or not report.trip_wrench or task.evaluation.goal_pose is None:
+        return 0.0
+    force_n = math.hypot(*report.trip_wrench[:3])
+    return force_n if force_n >= task.values["touched_n"] else 0.0
