@@ -13,9 +13,14 @@ from typing import Any, NamedTuple
 
 CONTROL_LAWS = "rtc.control_laws"
 REPORT_ITEMS = "rtc.report_items"
-
-
-GROUPS = (CONTROL_LAWS, REPORT_ITEMS)
+PLANNERS = "rtc.planners"
+IK = "rtc.ik"
+TIMING = "rtc.timing"
+GRASP_PLANNERS = "rtc.grasp_planners"
+EVALUATORS = "rtc.evaluators"
+TRIMMERS = "rtc.trimmers"
+SENSORS = "rtc.sensors"
+GROUPS = (CONTROL_LAWS, REPORT_ITEMS, PLANNERS, IK, TIMING, GRASP_PLANNERS, EVALUATORS, TRIMMERS, SENSORS)
 
 
 class Loaded(NamedTuple):

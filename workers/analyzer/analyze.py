@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import msgspec
 
+from rtc.plugins import registry
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
@@ -180,9 +181,10 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass) -> Changes:
 
 
 def _trim(task: AnalyzeTask, reason: StopReason) -> int:
-    """The first of the step's trims that fits the stop reason and is not yet used; 0 = none."""
-    fits = task.context.fits
-    for entry in task.step.trims:
-        if entry not in task.data.trims_used and reason in fits.get(entry, [reason]):
-            return entry
-    return 0
+    """The trim for this failure, of those of the step that fit the stop reason and are not yet used; 0 = none.
+
+    Trimmers of installed packages choose first (`rtc.trimmers`), else the first in the step's order is taken."""
+    used, fits = task.data.trims_used, task.context.fits
+    entries = [entry for entry in task.step.trims if entry not in used and reason in fits.get(entry, [reason])]
+    choices = (choose(task.data, entries) for choose in registry.installed(registry.TRIMMERS).values() if entries)
+    return next((entry for entry in choices if entry in entries), entries[0] if entries else 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from rtc.plugins import registry
 from rtc.programs import expressions
 from rtc.programs.schema import Branch, BranchCondition, ScriptFile
 from rtc.protocol.sentence import ParsedCommand
@@ -38,7 +39,8 @@ def ranked(
                 message = f"the decision tree for {branch.verb} ({branch.script}): {error}"
                 clears = "LOAD a row of command_object_table that has that figure"
                 raise no_script.wrong_program(message, "decision_tree", clears) from error
-    return sorted(options, key=lambda c: -c.branch.likelihood)
+    scores = registry.installed(registry.EVALUATORS).values()  # of installed packages: the lowest sum comes first
+    return sorted(options, key=lambda one: (sum(score(one) for score in scores), -one.branch.likelihood))
 
 
 def only_looks(script: ScriptFile) -> bool:

@@ -22,6 +22,7 @@ from rtc.model.cells.parts import (
     Arm,
     Camera,
     Frame,
+    GraspPoint,
     Hinge,
     Maintained,
     Numbers,
@@ -33,6 +34,7 @@ from rtc.model.cells.parts import (
     Vec3,
     named,
 )
+from rtc.plugins import registry
 from rtc.protocol.digest import digest
 from rtc.protocol.outcomes import ProgramError
 from rtc.spatial import geometry, hinges
@@ -81,6 +83,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
                 if file not in texts and own is not None:
                     texts[file] = (own / file).read_text(encoding="utf-8", errors="replace")
         cell = msgspec.structs.replace(bare, texts=texts)
+        cell = msgspec.structs.replace(cell, objects=[_with_added_grasps(thing, cell) for thing in cell.objects])
         for place, problem in model_checks.problems(cell.arms, cell.texts):
             raise ProgramError(f"{path}: $.{place}: {problem}")
         return cell
@@ -184,6 +187,17 @@ def _decode(document: bytes, source: str) -> Cell:
             known = ", ".join(sorted(set(Cell.__struct_fields__) - {"texts"}))
             raise ProgramError(f"{source} is not a cell: {error}; a cell has {known}") from error
         raise ProgramError(f"{source}: {error}") from error
+
+
+def _with_added_grasps(thing: Object, cell: Cell) -> Object:
+    """The object with the grasp points of installed packages (`rtc.grasp_planners`). Raises ProgramError."""
+    points = list(thing.grasp_points)
+    for name, plan in registry.installed(registry.GRASP_PLANNERS).items():
+        try:
+            points += msgspec.convert(msgspec.to_builtins(plan(thing, cell)), list[GraspPoint])
+        except Exception as error:  # code of others
+            raise ProgramError(f"grasp planner {name}, for {thing.name}: {type(error).__name__}: {error}") from error
+    return msgspec.structs.replace(thing, grasp_points=points)
 
 
 def problems(cell: Cell) -> Iterator[tuple[str, str]]:

@@ -18,6 +18,7 @@ import pinocchio as pin
 
 from rtc.model.cells import cell as cells
 from rtc.model.robot import numeric_ik, puma_ik
+from rtc.plugins import registry
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
@@ -27,6 +28,7 @@ PROJECTIONS = 12  # maximum number of steps of `turned_to`
 PROJECTED_RAD = 1e-3  # its greatest error
 DAMPING = 1e-6  # of its steps near singularities
 MOVES, MOVE_DAMPING = 4, 1e-3  # number of steps of `moved_by`, and their damping
+REACHED_M, REACHED_RAD = 1e-4, 1e-3  # tolerance of a posture from an installed solver
 WHOLE_M, MIN_WEIGHT = 0.6, 1.0 / 3.0  # a joint that moves the hand by this much per rad, or more, has the weight 1
 SLIDE_MARGIN = 0.1  # m per rad: the margin of a joint that slides, 5 mm for 3 deg
 NEAR_M, NEAR_RAD = 0.0005, 0.005  # smaller distances are not stated
@@ -205,6 +207,21 @@ class ArmModel:
         singularities. For an arm with more than six joints they are samples of an infinite number.
         """
         reference = np.asarray(near, dtype=float) if near is not None else self.middle
+        return self._ik(target, reference, margin_rad) or self._added_ik(target, reference, margin_rad)
+
+    def _added_ik(self, target: Floats, reference: Array, margin_rad: float) -> list[Array]:
+        """What solvers of installed packages find (`rtc.ik`), as far as it reaches the target within the limits."""
+        found = []
+        for solve in registry.installed(registry.IK).values():
+            for raw in solve(self, np.asarray(target, dtype=float), reference):
+                q = np.asarray(raw, dtype=float)
+                if q.shape == reference.shape and np.isfinite(q).all() and self.limit_margin_rad(q) >= margin_rad:
+                    pose = self.fk(q)
+                    off = geometry.distance(pose, target) > REACHED_M or geometry.angle(pose, target) > REACHED_RAD
+                    found += [] if off else [q]
+        return found
+
+    def _ik(self, target: Floats, reference: Array, margin_rad: float) -> list[Array]:
         if self._closed_form is None:
             found = self._chain.solutions(self._goal(target), reference, self.margins(margin_rad))
             if not found:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtc.model.cells.cell import Cell
+from rtc.plugins import registry
 from rtc.protocol.outcomes import RtcError
 from rtc.sensing import optics
 from rtc.sensing.optics import Window
@@ -121,7 +122,9 @@ class CameraThread:
         view = optics.view(self._cell.camera(order.camera), taken.tcp)
         if not order.windows:
             (image,) = taken.parts
-            return Evaluated(taken.at_s, view, image, detector.find(image))
+            added = (find(order.camera, image) for find in registry.installed(registry.SENSORS).values())
+            marks = [*detector.find(image), *(mark for marks in added for mark in marks)]
+            return Evaluated(taken.at_s, view, image, marks)
         parts = zip(order.windows.items(), taken.parts, strict=True)
         marks = detector.find_in({tag: (window, image) for (tag, window), image in parts})
         return Evaluated(taken.at_s, view, None, marks)

@@ -18,10 +18,11 @@ import numpy as np
 from rtc.model.robot.collision_scene import in_hands
 from rtc.protocol.outcomes import LEAVING, Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial.geometry import Array, Floats
+from workers.planning.motion import added_planners
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
 from workers.planning.motion.request import FreeWay, PlanningRequest, blocked, fault, free_posture, is_free, obstacle
-from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside
+from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside, rounded
 from workers.planning.motion.timing import Timed, slower, time_path
 
 MORE_M = (0.020, 0.008)  # clearance of a freely chosen way beyond that of the request, where there is room
@@ -215,6 +216,10 @@ def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | Non
         for way in lines:
             if is_free(request, way):
                 return FreeWay(way, [*notes, "with less room: free"])
+    added, asked = added_planners.find_way(request, goal, rounded)
+    notes += asked
+    if added is not None:
+        return FreeWay(added.path, notes)
     sampled = find_sampled_way(request, roomy, [goal])
     if isinstance(sampled, FreeWay):
         return FreeWay(sampled.path, [*notes, *sampled.notes])

@@ -19,6 +19,8 @@ import toppra.constraint
 
 from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
+from rtc.plugins import registry
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import JointTrajectory, Load
 from rtc.spatial.geometry import Array
 from workers.planning.motion.blended import Blended
@@ -34,6 +36,8 @@ GRID = 61  # grid points of the curve solver
 CORNER_GRID = 4  # grid points between the edges of two rounded corners
 GRID_STEP = 1e-7  # minimum distance of two grid points, as a share of the path's length
 STILL = 1e-8  # a joint that turns less than this along the path has no speed limit
+ON_PATH = 2000  # points of the path with which a timing of an installed package is compared
+END_RAD = 1e-6  # tolerance of its ends, also rad/s and rad/s^2
 SAMPLES = 33  # path samples at which limits are evaluated
 
 # toppra looks for further solvers on the disk for each path.
@@ -84,6 +88,9 @@ def time_path(arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, lo
     if np.abs(path.knots - path.knots[0]).max() < 1e-9:
         return _zero_length(path)
     torques = Torques.of(arm, load)
+    if (added := _added(arm, path, pace, load)) is not None:
+        excess = torques.excess(added.positions, added.velocities, added.accelerations)
+        return slower(added, math.sqrt(max(1.0, excess)))
     curved = isinstance(path.curve, Blended) or (path.space == "joint" and path.curve is not None)
     timed = _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
     excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
@@ -93,6 +100,36 @@ def time_path(arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, lo
     timed = _slowed(arm, _time_curve(arm, path, pace, torques) if curved else _time_line(arm, path, pace, 1 / excess))
     excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
     return slower(timed, math.sqrt(max(1.0, excess)))
+
+
+def _added(arm: ArmModel, path: Path, pace: SpeedLimits, load: Load | None) -> Timed | None:
+    """The timing of an installed package (`rtc.timing`), slowed to the limits of the arm; None: there is none.
+
+    Raises Refused if its knots are not on the path from end to end, or it is faster than the pace."""
+    for name, time in registry.installed(registry.TIMING).items():
+        timed = time(arm, path, pace, load)
+        if timed is None:
+            continue
+        fine = path.at(np.linspace(0.0, path.length, ON_PATH))[0]
+        off = max(float(np.abs(fine - q).max(axis=1).min()) for q in (*timed.positions, *_midway(timed)))
+        ends = np.abs(timed.positions[[0, -1]] - path.knots[[0, -1]]).max()
+        rests = max(np.abs(timed.velocities[[0, -1]]).max(), np.abs(timed.accelerations[[0, -1]]).max())
+        speed_m_s = float(arm.tcp_speeds(timed.positions, timed.velocities).max())
+        step_rad = float(np.abs(np.diff(fine, axis=0)).max())
+        if off > step_rad or max(ends, rests) > END_RAD or speed_m_s > pace.speed_m_s + 1e-6:
+            words = f"{off:.3g} rad off the path, ends {ends:.3g} rad off, tcp speed {speed_m_s:.3g} m/s"
+            message = f"the timing {name} is not one of this path: {words}"
+            raise Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"uninstall {name}"))
+        return _slowed(arm, timed)
+    return None
+
+
+def _midway(timed: Timed) -> Array:
+    """The postures in the middle between two knots, [knots - 1][joints]."""
+    h = np.diff(timed.time_s)[:, None]
+    q, v, a = timed.positions, timed.velocities, timed.accelerations
+    middle: Array = 0.5 * (q[:-1] + q[1:]) + 5 / 32 * h * (v[:-1] - v[1:]) + h * h / 64 * (a[:-1] + a[1:])
+    return middle
 
 
 def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0) -> Timed:

@@ -1,0 +1,124 @@
+"""Planners, solvers, timings and grasp planners of installed packages: used where they help, and never trusted."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from rtc.model.cells.cell import Cell
+from rtc.model.robot.kinematics import ArmModel
+from rtc.plugins import registry
+from rtc.protocol.outcomes import ProgramError, Refused
+from rtc.spatial import geometry
+from tests.plugins.toy_packages import Install
+from tests.workers.planning.motion.test_plan import behind_a_wall, setting  # noqa: F401
+from workers.planning.motion import path as paths
+from workers.planning.motion import sampled_way
+from workers.planning.motion.plan import plan_joint_motion
+from workers.planning.motion.timing import SpeedLimits, time_path
+
+THROUGH = "def plan(request, goal):\n    return [request.start, 0.5 * (request.start + goal), goal]\n"
+
+
+def test_a_colliding_path_of_a_planner_is_not_accepted(install, right, cell, setting, monkeypatch):  # noqa: F811
+    """Its way leads straight through the wall; the search has no samples, so no way is found."""
+    monkeypatch.setattr(sampled_way, "SAMPLES", 3)
+    install(registry.PLANNERS, "straight", "plan", THROUGH)
+    with pytest.raises(Refused) as refused:
+        plan_joint_motion(*behind_a_wall(cell, right, setting))
+    assert refused.value.refusal.detail["body_b"] == "WALL slab"
+
+
+def test_a_free_path_of_a_planner_is_used_before_a_search(install, right, cell, setting, monkeypatch):  # noqa: F811
+    """It hands on what a search has found before, as corners."""
+    request, goal = behind_a_wall(cell, right, setting)
+    found = sampled_way.find_sampled_way(request, request, [goal])
+    corners = [list(map(float, q)) for q in found.path.knots]
+    monkeypatch.setattr(sampled_way, "SAMPLES", 0)
+    install(registry.PLANNERS, "recalls", "plan", f"def plan(request, goal):\n    return {corners}\n")
+    motion = plan_joint_motion(request, goal)
+    assert motion.notes[-1].startswith("planner recalls: tested: free")
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "def plan(request, goal):\n    raise OSError('no licence')\n",
+        "def plan(request, goal):\n    return [goal, goal]\n",
+        "def plan(request, goal):\n    return [[0.0], [1.0]]\n",
+        "def plan(request, goal):\n    return None\n",
+    ],
+)
+def test_a_planner_that_gives_no_way_is_passed_over(install, right, cell, setting, code, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(sampled_way, "SAMPLES", 3)
+    install(registry.PLANNERS, "poor", "plan", code)
+    with pytest.raises(Refused) as refused:
+        plan_joint_motion(*behind_a_wall(cell, right, setting))
+    assert refused.value.refusal.detail["samples"] == 3
+
+
+def test_a_solver_is_asked_when_ours_finds_nothing(install: Install, cell: Cell) -> None:
+    """It returns one posture that reaches the target, and one that does not."""
+    arm = ArmModel.of(cell, "RIGHT-ARM")
+    q = np.array(cell.arm("RIGHT-ARM").home_rad)
+    code = f"def solve(arm, target, near):\n    return [{q.tolist()}, {(q + 0.3).tolist()}]\n"
+    install(registry.IK, "toy", "solve", code)
+    found = arm._added_ik(arm.fk(q), q, 0.0)
+    assert [one.tolist() for one in found] == [q.tolist()]
+    far = geometry.make_pose([50.0, 0.0, 0.0], geometry.LEVEL)
+    assert arm.ik(far, q) == []
+
+
+SLOW = """
+from dataclasses import replace
+import numpy as np
+def time(arm, path, pace, load):
+    from workers.planning.motion import timing
+    own = timing._slowed(arm, timing._time_line(arm, path, pace))
+    return {expression}
+"""
+
+
+def test_a_timing_is_used_and_slowed_to_the_limits_of_the_arm(install: Install, right: ArmModel) -> None:
+    start = right.middle
+    path = paths.joint_line(start, start + 0.4)
+    own = time_path(right, path, SpeedLimits(10.0, 100.0))
+    install(registry.TIMING, "hasty", "time", SLOW.format(expression="timing.slower(own, 0.5)"))
+    hasty = time_path(right, path, SpeedLimits(10.0, 100.0))
+    assert hasty.duration_s >= 0.99 * own.duration_s
+    install(registry.TIMING, "calm", "time", SLOW.format(expression="timing.slower(own, 3.0)"))
+    assert time_path(right, path, SpeedLimits(10.0, 100.0)).duration_s == pytest.approx(3 * own.duration_s, rel=0.01)
+
+
+def test_a_timing_off_the_path_is_refused(install: Install, right: ArmModel) -> None:
+    start = right.middle
+    path = paths.joint_line(start, start + 0.4)
+    bump = "np.outer(np.sin(np.pi * own.time_s / own.duration_s) ** 3, [0.3, 0, 0, 0, 0, 0])"
+    bent = SLOW.format(expression=f"replace(own, positions=own.positions + {bump})")
+    install(registry.TIMING, "bent", "time", bent)
+    with pytest.raises(Refused):
+        time_path(right, path)
+
+
+GRASPS = """
+def grasps(thing, cell):
+    if thing.name != "MACS-OLD":
+        return []
+    return [{{"name": {name!r}, "frame": {{"xyz": [0.0, 0.1, 0.2]}}, "width_m": 0.03}}]
+"""
+
+
+def test_a_grasp_planner_adds_grasp_points_to_the_cell(install: Install) -> None:
+    install(registry.GRASP_PLANNERS, "top", "grasps", GRASPS.format(name="TOP"))
+    cell = Cell.load("swapout")
+    (thing,) = (one for one in cell.objects if one.name == "MACS-OLD")
+    assert thing.grasp_points[-1].name == "TOP"
+    assert msgspec.json.decode(cell.encode(), type=Cell).objects == cell.objects  # every process receives it
+
+
+@pytest.mark.parametrize("name", ["HANDLE-A", ""])
+def test_a_grasp_point_that_does_not_fit_is_refused_with_the_cell(install: Install, name: str) -> None:
+    install(registry.GRASP_PLANNERS, "top", "grasps", GRASPS.format(name=name))
+    with pytest.raises((ProgramError, ValueError)):
+        Cell.load("swapout")
