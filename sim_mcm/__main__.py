@@ -125,6 +125,7 @@ class Station:
         found = self._sockets.poll()
         if found:
             self._receive(now_s)
+            now_s = process.now_s()  # a halt may have been called after this tick began
         self._busy = not self._subsystem.idle  # between two looks at the sockets it can only become idle
         self._move(now_s)
         if found or now_s >= self._work_at_s:
@@ -135,7 +136,7 @@ class Station:
         """Obey halts, then the orders of the broker."""
         sockets, subsystem = self._sockets, self._subsystem
         for caller, halt in sockets.halts(now_s):
-            sockets.send(subsystem.handle(halt, caller, now_s))
+            sockets.send(subsystem.handle(halt, caller, process.now_s()))
         for order in sockets.orders(now_s):
             answers = subsystem.handle(order, BROKER, now_s)
             sockets.send(answers)

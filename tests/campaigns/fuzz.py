@@ -38,6 +38,7 @@ from tests.campaigns import RESULTS, hostile
 WATCHED = ("broker", "world", "MCM")
 SENTENCE = "STOW LEFT-ARM"
 LIMIT_S = 30.0
+SERVED = {OutcomeKind.SUCCEEDED, OutcomeKind.HALTED, OutcomeKind.ABORTED}  # an attacker may halt and abort
 PART = 200  # messages at a time
 
 
@@ -196,10 +197,7 @@ class Others:
             noticed.wrong.append(f"a command: {error}")
             return
         noticed.commands_s.append(time.monotonic() - began_s)
-        if ended.outcome.kind not in (
-            OutcomeKind.SUCCEEDED,
-            OutcomeKind.HALTED,
-        ):  # HALTED: the attack is a flood of halts
+        if ended.outcome.kind not in SERVED:
             noticed.wrong.append(f"a command {ended.outcome.kind}: {ended.outcome.message}")
 
     def _halts(self, noticed: Noticed) -> None:
