@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from typing import Any, Literal, NamedTuple
 
+from rtc.protocol.outcomes import Outcome, OutcomeKind
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry
-from tests.workers.conftest import GRAMMAR, Run
+from tests.workers.conftest import GRAMMAR, Bench, Run
+from tests.workers.one_process import OneProcess
 from workers.parser.parse import parse_job
 
 MAX_SENTENCES = 4  # for one obstacle
 MAX_OBSTACLES = 4
+LIMIT_S = 600.0  # of one sentence, in the time of the simulation
 
 VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET|APPROACH|HOLD|TRACK"
 WORD = r"(?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?)"
@@ -44,6 +48,11 @@ class Answer(NamedTuple):
     def of(cls, run: Run) -> Answer:
         why = run.failure or run.refusal
         return cls(run.succeeded, why.message if why else "", why.clears if why else "")
+
+    @classmethod
+    def of_outcome(cls, outcome: Outcome) -> Answer:
+        clears = outcome.refusal.clears if outcome.refusal else ""
+        return cls(outcome.kind is OutcomeKind.SUCCEEDED, outcome.message, clears)
 
     def __str__(self) -> str:
         return "succeeded" if self.succeeded else f"{self.message} [{self.clears}]"
@@ -97,6 +106,29 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
         if answer.clears == advice:
             return Followed("same advice", given, history)
     return Followed("too many obstacles", given, history)
+
+
+def follow_on_bench(bench: Bench, aim: str, done: Run) -> Followed:
+    """Follow the advice of a sentence that has not succeeded on a bench with physics."""
+    return follow(lambda text: Answer.of(bench.do(text)), aim, Answer.of(done), bench.subsystem.sim.truth)
+
+
+def follow_in_cluster(cluster: OneProcess, aim: str, outcome: Outcome) -> Followed:
+    """Follow the advice of a command that has not succeeded in a cluster without any other command."""
+
+    def say(sentence: str) -> Answer:
+        command = cluster.give(sentence)
+        cluster.run(LIMIT_S)
+        return Answer.of_outcome(cluster.outcomes[command])
+
+    return follow(say, aim, Answer.of_outcome(outcome), cluster.sim.truth)
+
+
+def summary(ends: Iterable[str]) -> tuple[dict[str, float | None], tuple[str, str]]:
+    """The metric and the row of a report on what followed advice came to (`Followed.end`)."""
+    counts = Counter(ends)
+    text = "; ".join(f"{n} {end}" for end, n in counts.most_common()) or "none was given"
+    return {"advice_same_twice": float(counts["same advice"])}, ("advice of refusals and failures, followed", text)
 
 
 def _sentence(text: str, truth: Truth) -> str:

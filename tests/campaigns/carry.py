@@ -6,7 +6,8 @@ the left arm complies (impedance). Halfway they are halted. Then the grasp is ve
 module on from where it rests, and the right hand lets go of it (RELEASE). Decision Unit, workers and MCM run in one
 process. The module is not exactly where both hands expect it: up to 3 mm and 1 degree off in each axis. The force
 between the arms is half the difference of the two wrist forces in world axes. What accelerates the module and the hands
-does not count. It includes what was there before the motion.
+does not count. It includes what was there before the motion. If a sentence fails or is refused, its advice is followed
+literally, and the run goes on.
 
     python -m tests.campaigns.carry [--runs 20]
 """
@@ -21,13 +22,13 @@ import numpy as np
 from benchmarks.report import finish, percentile, question
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
-from rtc.protocol.outcomes import StopReason
+from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.motion.arm import ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
-from tests.campaigns import RESULTS
+from tests.campaigns import RESULTS, advice
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.one_process import OneProcess
 
@@ -55,6 +56,7 @@ class Run(NamedTuple):
     path_m: float
     slip_m: float  # of the module in the leading hand
     error_m: float  # of the hands' distance
+    advised: list[advice.Followed]  # the advice of a sentence that neither succeeded nor was halted on purpose
 
 
 class Carrier:
@@ -64,45 +66,46 @@ class Carrier:
         self._sim = BulletCell(CELL)
         self._state = self._sim.state()
         self._count = 0
+        self._outcomes: list[Outcome] = []
+        self._advised: list[advice.Followed] = []
 
     def run(self, offset: Array, lift_m: float = LIFT_M) -> Run:
         """Take the second handle, lift, halt halfway, carry on, let go with the first hand.
 
         `offset`: of the module from where the hands expect it.
         """
+        self._outcomes, self._advised = [], []
         expected = self._place(offset)
         self._grip(LEADS)
         self._know_what_is_held(expected)
-        self.cluster.give(GRASP)
-        grasping_n = self._until_done()
+        grasping_n = self._do(GRASP)
         resting_n = self._between_n()
         held, apart_m, start = self._module_in_hand(), self._apart_m(), self._tcp(LEADS)
-        cluster = self.cluster
-        cluster.give(SENTENCE.format(100 * lift_m))
-        between_n = 0.0
+        cluster, between_n = self.cluster, 0.0
+        lift = SENTENCE.format(100 * lift_m)
+        command = cluster.give(lift)
         while geometry.distance(start, self._tcp(LEADS)) < 0.5 * lift_m and cluster.state.commands:
             cluster.tick()
             between_n = max(between_n, self._between_n())
         cluster.give("HALT BOTH-ARMS")
         between_n = max(between_n, self._until_done())
-        cluster.give(f"VERIFY {MODULE} AT {LEADS}")
-        between_n = max(between_n, self._until_done())
-        cluster.give(SENTENCE.format(100 * (lift_m - geometry.distance(start, self._tcp(LEADS)))))
-        between_n = max(between_n, self._until_done())
+        self._judge(lift, cluster.outcomes[command])
+        between_n = max(between_n, self._do(f"VERIFY {MODULE} AT {LEADS}"))
+        left_m = lift_m - geometry.distance(start, self._tcp(LEADS))
+        between_n = max(between_n, self._do(SENTENCE.format(100 * left_m)))
         path_m, slip_m = geometry.distance(start, self._tcp(LEADS)), geometry.distance(held, self._module_in_hand())
         error_m = abs(self._apart_m() - apart_m)
-        cluster.give(f"RELEASE {MODULE} WITH {LEADS}")
-        self._until_done()
-        outcomes = [cluster.outcomes[command] for command in ("C-1", "C-2", "C-4", "C-5", "C-6")]
+        self._do(f"RELEASE {MODULE} WITH {LEADS}")
         return Run(
-            outcomes=[outcome.kind.value for outcome in outcomes],
-            causes=[outcome.message for outcome in outcomes if outcome.message],
+            outcomes=[outcome.kind.value for outcome in self._outcomes],
+            causes=[outcome.message for outcome in self._outcomes if outcome.message],
             between_n=between_n,
             grasping_n=grasping_n,
             resting_n=resting_n,
             path_m=float(path_m),
             slip_m=float(slip_m),
             error_m=error_m,
+            advised=self._advised,
         )
 
     def close(self) -> None:
@@ -167,6 +170,19 @@ class Carrier:
         }
         self.cluster.know(facts)
 
+    def _do(self, sentence: str) -> float:
+        """Give a sentence and run until it has ended; the greatest force between the arms."""
+        command = self.cluster.give(sentence)
+        between_n = self._until_done()
+        self._judge(sentence, self.cluster.outcomes[command])
+        return between_n
+
+    def _judge(self, sentence: str, outcome: Outcome) -> None:
+        """Keep an outcome, and follow its advice if the sentence was refused or has failed."""
+        self._outcomes.append(outcome)
+        if outcome.kind not in (OutcomeKind.SUCCEEDED, OutcomeKind.HALTED):
+            self._advised.append(advice.follow_in_cluster(self.cluster, sentence, outcome))
+
     def _until_done(self) -> float:
         """Run until all commands have ended; the greatest force between the arms."""
         between_n = 0.0
@@ -209,7 +225,10 @@ def main() -> None:
             f"  run {n}: {', '.join(run.outcomes)}; {run.between_n:.1f} N, {1e3 * run.slip_m:.1f} mm {run.causes[1:]}",
             flush=True,
         )
+        for followed in run.advised:
+            print(f"    {followed.end}: {' | '.join(followed.history)}", flush=True)
     carrier.close()
+    ends, followed_row = advice.summary(one.end for run in runs for one in run.advised)
     forces = [run.between_n for run in runs]
     done = sum(run.outcomes == CARRIED for run in runs)
     metrics: dict[str, float | None] = {
@@ -218,6 +237,7 @@ def main() -> None:
         "between_p50_n": percentile(forces, 50),
         "between_most_n": max(forces),
         "slip_most_mm": 1e3 * max(run.slip_m for run in runs),
+        **ends,
     }
     rows = [
         (
@@ -229,6 +249,7 @@ def main() -> None:
         ("at rest after that, before the motion", f"worst {max(run.resting_n for run in runs):.1f} N"),
         ("slip of the module in the leading hand", f"worst {1e3 * max(run.slip_m for run in runs):.1f} mm"),
         ("change of the distance between the hands", f"worst {1e3 * max(run.error_m for run in runs):.1f} mm"),
+        followed_row,
     ]
     finish("carry", metrics, rows, RESULTS)
 

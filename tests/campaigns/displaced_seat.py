@@ -18,7 +18,7 @@ from benchmarks.report import percentile, question
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD
-from tests.campaigns import numbered_runs
+from tests.campaigns import advice, numbered_runs
 from tests.campaigns.held_module import HeldModule
 from tests.workers.conftest import CELL
 
@@ -40,6 +40,7 @@ class Run(NamedTuple):
     tries: int
     failed: str = ""
     true: bool = True  # a reported success is one, and after a reported failure the arm holds still
+    followed: advice.Followed | None = None  # the advice of a refusal or failure
 
 
 class Inserter(Protocol):
@@ -113,20 +114,24 @@ def campaign(name: str, text: str, make: Callable[[], Inserter], given: argparse
         if not run.seated or not run.true or run.tries > 1 or n % 20 == 19 or given.only:
             figures = ", ".join(f"{1e3 * x:.1f}" for x in offset)
             why = run.failed if run.true else f"{run.failed} WRONG REPORT"
+            why += f" {run.followed.end}: {' | '.join(run.followed.history)}" if run.followed else ""
             end = "seated" if run.seated else f"NOT seated, off {1e3 * run.off_m:.1f} mm, {run.off_rad:.3f} rad"
             print(f"  run {n}: {end}, {run.tries} tries, {run.peak_n:.0f} N; error {figures} {why}", flush=True)
     seated = [run for run in found if run.seated]
     peaks = [run.peak_n for run in found]
     worst_mm = 1e3 * max((run.off_m for run in seated), default=0.0)
+    ends, followed = advice.summary(run.followed.end for run in found if run.followed)
     rows = [
         ("seated", f"{len(seated)} of {len(found)}, {sum(run.tries == 1 for run in seated)} at the first attempt"),
         ("peak of the wrist force", f"p50 {percentile(peaks, 50):.0f} N, worst {max(peaks):.0f} N"),
         ("distance from the seated place, of those seated", f"worst {worst_mm:.1f} mm"),
         ("true reports", f"{sum(run.true for run in found)} of {len(found)}"),
+        followed,
     ]
     metrics: dict[str, float | None] = {
         "runs": float(len(found)),
         "seated": float(len(seated)),
         "peak_n": max(peaks),
+        **ends,
     }
     numbered_runs.report(name, metrics, rows, kept=not (given.rigid or given.only or given.seed != SEED))

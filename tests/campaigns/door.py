@@ -3,7 +3,8 @@
 The left arm of the cell `servicing` takes the bar of the door and opens it by 90 degrees, by two sentences. The
 satellite with its door and hinge is displaced by up to 5 mm along each axis and turned by up to 1 degree about each.
 The arm does not know it. The friction of the hinge is 0.5 to 1.5 N.m. A run succeeds if the door stands within 5
-degrees of 90 and the wrist force never exceeded 15 N while it was opened.
+degrees of 90 and the wrist force never exceeded 15 N while it was opened. If a sentence does not succeed, its advice is
+followed literally.
 
     python -m tests.campaigns.door [--runs 100]
 """
@@ -22,7 +23,7 @@ from rtc.model.cells.cell import Cell
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from sim_mcm.arms.bullet_world import HINGED
-from tests.campaigns import numbered_runs
+from tests.campaigns import advice, numbered_runs
 from tests.workers.conftest import Bench, Physical
 from workers.planning.robot_models import CellModel
 
@@ -40,6 +41,7 @@ class Run(NamedTuple):
     believed_deg: float
     peak_n: float
     failed: str
+    followed: advice.Followed | None = None  # the advice of what failed
 
     @property
     def good(self) -> bool:
@@ -62,17 +64,20 @@ def run(model: CellModel, offset: Array, friction_nm: float) -> Run:
         force=friction_nm,
         physicsClientId=sim.world.client,
     )
-    failed, felt_n = "", [0.0]
+    failed, felt_n, followed = "", [0.0], None
     for sentence in SENTENCES:
         felt_n = []
         subsystem.disturb = lambda tick: felt_n.append(math.hypot(*sim.arms[ARM].read().wrench[:3]))  # noqa: B023
         done = bench.do(sentence)
         if not done.succeeded:
-            failed = done.failure.message if done.failure else done.refusal.message if done.refusal else "aborted"
+            failed = advice.Answer.of(done).message or "aborted"
             break
+    peak_n = max(felt_n)
+    if failed:
+        followed = advice.follow_on_bench(bench, sentence, done)
     opened = math.degrees(sim.world.angle(DOOR))
     sim.close()
-    return Run(opened, math.degrees(bench.world.value(f"{DOOR}.angle")), max(felt_n), failed)
+    return Run(opened, math.degrees(bench.world.value(f"{DOOR}.angle")), peak_n, failed, followed)
 
 
 def conditions() -> Iterator[tuple[Array, float]]:
@@ -97,16 +102,19 @@ def main() -> None:
     angles = [one.opened_deg for one in found]
     off_deg = max(abs(one.believed_deg - one.opened_deg) for one in found)
     good = sum(one.good for one in found)
+    ends, followed = advice.summary(one.followed.end for one in found if one.followed)
     rows = [
         ("opened", f"{good} of {len(found)}"),
         ("angle", f"{min(angles):.1f} to {max(angles):.1f} deg; believed within {off_deg:.1f} deg"),
         ("peak of the wrist force", f"p50 {percentile(peaks, 50):.1f} N, worst {max(peaks):.1f} N"),
+        followed,
     ]
     metrics: dict[str, float | None] = {
         "runs": float(len(found)),
         "opened": float(good),
         "peak_n": max(peaks),
         "believed_off_deg": off_deg,
+        **ends,
     }
     numbered_runs.report("door", metrics, rows, kept=not given.only)
 

@@ -35,7 +35,6 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD, REST_M_S
 from tests.campaigns import advice, numbered_runs
-from tests.campaigns.advice import Answer
 from tests.campaigns.held_module import HeldModule
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.conftest import Run as Done
@@ -130,8 +129,7 @@ class Hand(HeldModule):
         judged = self._judge(done, carried, failures, refused, before)
         if done.succeeded:
             return judged
-        say = lambda text: Answer.of(self.bench.do(text))  # noqa: E731
-        followed = advice.follow(say, sentence, Answer.of(done), self.sim.truth)
+        followed = advice.follow_on_bench(self.bench, sentence, done)
         return judged._replace(after=f"{followed.end}: {' | '.join(followed.history)}")
 
     def _anywhere(self, random: np.random.Generator) -> Done:

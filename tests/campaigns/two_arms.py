@@ -4,7 +4,8 @@ Pairs of random motions of the two arms of the simulated cell, in physics. Each 
 posture before the bay. Somewhere the line of one arm in joint space meets that of the other. One after the other in at
 least one order, both motions are possible. Both commands are given at once. The whole cluster runs in one process: the
 real Decision Unit, workers and MCM. Contacts between the arms are looked for in every tick, whatever the commands
-report. Two motions overlap if both arms are on their paths in the same tick.
+report. Two motions overlap if both arms are on their paths in the same tick. If a command does not succeed, its advice
+is followed literally when both have ended.
 
     python -m tests.campaigns.two_arms [--pairs 200]
 """
@@ -25,7 +26,7 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from rtc.subsystems.motion.arm import TICK_S, ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
-from tests.campaigns import RESULTS
+from tests.campaigns import RESULTS, advice
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.one_process import OneProcess
 from workers.planning.motion.beside import SPACE_M, clear_from, course
@@ -58,6 +59,7 @@ class Ended(NamedTuple):
     took_s: float  # from the sentences to the last end
     waited: bool  # one arm started on a condition, or planned again
     causes: list[str]
+    advised: list[advice.Followed]  # the advice of each command that did not succeed
 
 
 def random_pairs(seed: int) -> Iterator[Pair]:
@@ -123,24 +125,29 @@ class Runner:
 
     def run(self, pair: Pair) -> Ended:
         cluster = self.at(pair.starts)
+        sentences = {}
         for arm, goal in pair.goals.items():
             words = " ".join(f"{x:.6f}" for x in goal)
-            cluster.give(f"MOVE {arm} TO JOINTS {words} RAD JOINT-MOTION", client=arm)
+            sentence = f"MOVE {arm} TO JOINTS {words} RAD JOINT-MOTION"
+            sentences[cluster.give(sentence, client=arm)] = sentence
         touches = 0
         while cluster.state.commands:
             assert cluster.ticks < 120_000, [c.notes[-1] for c in cluster.state.commands.values()]
             cluster.tick()
             touches += any(arm.arm_touches() for arm in self._sim.arms.values())
         ticks = [set(cluster.moving[arm]) for arm in ARMS]
-        outcomes = cluster.outcomes.values()
+        took_s, outcomes = cluster.ticks * TICK_S, dict(cluster.outcomes)
+        failed = {command: one for command, one in outcomes.items() if one.kind is not OutcomeKind.SUCCEEDED}
+        waited = any("space" in note.note or "planned again" in note.note for note in cluster.notes)
         return Ended(
-            kinds=[outcome.kind.value for outcome in outcomes],
+            kinds=[outcome.kind.value for outcome in outcomes.values()],
             touches=touches,
             overlap_s=len(ticks[0] & ticks[1]) * TICK_S,
             shorter_s=min(map(len, ticks)) * TICK_S,
-            took_s=cluster.ticks * TICK_S,
-            waited=any("space" in note.note or "planned again" in note.note for note in cluster.notes),
-            causes=[outcome.message for outcome in outcomes if outcome.kind is not OutcomeKind.SUCCEEDED],
+            took_s=took_s,
+            waited=waited,
+            causes=[outcome.message for outcome in failed.values()],
+            advised=[advice.follow_in_cluster(cluster, sentences[name], one) for name, one in failed.items()],
         )
 
     def at(self, starts: Mapping[str, Floats]) -> OneProcess:
@@ -169,6 +176,8 @@ def main() -> None:
         runs.append(runner.run(pair))
         if runs[-1].causes:
             print(f"  pair {n}: {'; '.join(runs[-1].causes)}", flush=True)
+            for followed in runs[-1].advised:
+                print(f"    {followed.end}: {' | '.join(followed.history)}", flush=True)
         if n % 20 == 0:
             print(f"  {n} of {given.pairs} pairs", flush=True)
         if n == given.pairs:
@@ -184,6 +193,7 @@ def _results(runs: list[Ended]) -> tuple[dict[str, float | None], list[tuple[str
     shares = [run.overlap_s / run.shorter_s for run in overlapped]
     share = percentile(shares, 50) if shares else 0.0
     both = sum(run.kinds == ["succeeded", "succeeded"] for run in runs)
+    ends, followed = advice.summary(one.end for run in runs for one in run.advised)
     metrics: dict[str, float | None] = {
         "pairs": float(len(runs)),
         "touched": float(touched),
@@ -191,6 +201,7 @@ def _results(runs: list[Ended]) -> tuple[dict[str, float | None], list[tuple[str
         "both_succeeded_percent": 100.0 * both / len(runs),
         "waited_percent": 100.0 * sum(run.waited for run in runs) / len(runs),
         "overlap_share_p50": share,
+        **ends,
     }
     rows = [
         ("pairs whose arms touched", f"{touched} of {len(runs)}"),
@@ -199,6 +210,7 @@ def _results(runs: list[Ended]) -> tuple[dict[str, float | None], list[tuple[str
         ("one arm waited for space", f"{sum(run.waited for run in runs)} of {len(runs)}"),
         ("both commands succeeded", f"{both} of {len(runs)}"),
         ("from the sentences to the last end", f"p50 {percentile([r.took_s for r in runs], 50):.1f} s"),
+        followed,
     ]
     return metrics, rows
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.campaigns import advice
 from tests.campaigns.advice import Answer
+from tests.workers.conftest import CELL
+from tests.workers.eyes import Ideal
+from tests.workers.one_process import OneProcess
 
 TRUTH = {"poses": {"MACS-NEW": [0.8, -0.8, 0.6, 0.0, 0.0, 0.0, 1.0]}, "seats": {}}
 
@@ -75,3 +79,12 @@ def test_advice_without_a_sentence_is_a_case_of_its_own() -> None:
     scene = Obstacles("another goal: RACK-1 is there")
     assert follow(scene) == "no sentence"
     assert scene.given == []
+
+
+def test_the_advice_of_a_command_that_was_refused_in_a_cluster_is_followed() -> None:
+    cluster = OneProcess(KinematicCell(CELL), eyes=Ideal(CELL))
+    aim = "LIFT MACS-NEW BY 10 CM"  # the hand is empty
+    command = cluster.give(aim)
+    cluster.run()
+    followed = advice.follow_in_cluster(cluster, aim, cluster.outcomes[command])
+    assert (followed.end, followed.given) == ("reached", ["GRASP MACS-NEW"])
