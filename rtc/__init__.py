@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from importlib import import_module
 
+__version__ = "0.2.0.dev0"
+
 TYPE_CHECKING = False  # as in `typing`, whose import takes as long as Python itself: Ctrl-C would meet it in `rtc`
 if TYPE_CHECKING:
     from typing import Any

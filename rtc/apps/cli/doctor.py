@@ -16,6 +16,7 @@ from typing import Any
 import typer
 from rich.text import Text
 
+from rtc import __version__
 from rtc.apps.cli.log import from_cluster
 from rtc.apps.cli.output import AsJson, RunDir, console, emit_json, seconds
 from rtc.client.client import Client
@@ -123,7 +124,7 @@ def _may_be_real_time() -> bool:
 
 
 def installation() -> Iterator[Finding]:
-    yield Finding("rtc", f"{metadata.version(PACKAGE)}, Python {platform.python_version()}, {platform.system()}")
+    yield Finding("rtc", f"{__version__}, Python {platform.python_version()}, {platform.system()}")
     versions = {name: _version(name) for name in _requirements()}
     absent = [name for name, version in versions.items() if not version]
     words = ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items())

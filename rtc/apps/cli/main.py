@@ -10,11 +10,11 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
 
+from rtc import __version__
 from rtc.apps.cli.interrupts import raise_at_interrupts
 from rtc.apps.cli.output import LEFT_RUNNING, NO_CLUSTER, cli_error, errors
 from rtc.apps.cli.stdio import OutputClosed, attach
@@ -94,7 +94,7 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        print(f"rtc {version('telerobot-rtc')} (Python {platform.python_version()})")
+        print(f"rtc {__version__} (Python {platform.python_version()})")
         raise typer.Exit()
 
 

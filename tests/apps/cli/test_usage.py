@@ -7,11 +7,11 @@ import json
 import shlex
 import subprocess
 import sys
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
+from rtc import __version__
 from rtc.apps.cli import inject
 from rtc.apps.cli.main import COMMANDS, main
 from rtc.apps.cli.programs import _loaded
@@ -99,7 +99,7 @@ def test_version_and_help_as_people_try_them(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert status_of(["--version"], monkeypatch) == 0
-    assert capsys.readouterr().out.startswith(f"rtc {version('telerobot-rtc')} ")
+    assert capsys.readouterr().out.startswith(f"rtc {__version__} ")
     shown = []
     for words in (["--help"], ["help"], ["halt", "--help"], ["help", "halt"]):
         assert status_of(words, monkeypatch) == 0
