@@ -8,21 +8,20 @@ from __future__ import annotations
 
 from typing import Literal
 
-import msgspec
-
+from rtc.protocol.strict import Strict
 from rtc.protocol.units import in_words, measured_in_words
 
 Kind = Literal["task", "control", "data", "operator"]
 
 
-class Quantity(msgspec.Struct, frozen=True):
+class Quantity(Strict, frozen=True):
     """A number and its SI unit: m, rad, N, N.m, N/m, m/s, rad/s, s, Hz, kg, turn (kept as turns), ratio."""
 
     value: float
     unit: str
 
 
-class Destination(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Destination(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """A destination. Exactly one field is set, except `along`, which belongs to `by`, and `sliding` to `joints`."""
 
     name: str | None = None  # a named place or object
@@ -35,7 +34,7 @@ class Destination(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     along: str | None = None  # ... along this axis: TOOL-Z, X, UP ...; None = the tool's axis
 
 
-class Condition(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Condition(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """An event, or a measured value beyond a bound. Either `event` or (`measure`, `bound`, `quantity`)."""
 
     event: str | None = None  # CONTACT NO-CONTACT COLLISION SLIP OBJECT-LOST JOINT-LIMIT TIMEOUT NO-PROGRESS
@@ -62,7 +61,7 @@ class Condition(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         return measured_in_words(value, self.quantity.unit).upper() if self.quantity else ""
 
 
-class ReflexItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class ReflexItem(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """UNLESS condition THEN action [AND TRY script] (A8)."""
 
     condition: Condition
@@ -71,7 +70,7 @@ class ReflexItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     trim: str | None = None  # the script to try after the reflex
 
 
-class Constraint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Constraint(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """One MAINTAIN item: the reserved word and its argument, if any."""
 
     slot: str  # SAFE-WORK-RANGE AVOID-TASK-REGION AVOID-NEIGHBORS POSE-DURING-MOTION SPEED FORCE-LIMIT ...
@@ -79,7 +78,7 @@ class Constraint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     value: Quantity | None = None
 
 
-class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Report(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """The REPORT clause: contents of the report in addition to the standard ones."""
 
     items: list[str] = []  # JOINTS, FORCES, POSE, or the name of an installed item
@@ -90,7 +89,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 BOTH_ARMS = "BOTH-ARMS"  # in the place of a hand: every arm
 
 
-class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="ParsedCommand"):
+class ParsedCommand(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="ParsedCommand"):
     """The record of one sentence.
 
     `verb` is the canonical verb after synonyms (RELEASE for UNGRASP, STOW for PARK, HALT for a lone STOP).

@@ -292,7 +292,7 @@ class WorkerLoop:
         program = self._made(self._programs, job.program)
         cell = self._made(self._cells, job.cell) if function.NEEDS_CELL and job.cell else None
         world = self._view.at(came_s) if function.NEEDS_WORLD else None
-        data = self._read_input(job.input)
+        data = self._input_of(job)
         with self._pulse:
             product = function.run(program, cell, world, data)
         if isinstance(product, Refusal):
@@ -303,6 +303,14 @@ class WorkerLoop:
                 raise Refused.because(RefusalReason.PROGRAM, message)
             refuse_if(self._view.commit(job.lease, product, source=job.id))
         return wire.raw(product)
+
+    def _input_of(self, job: Job) -> Any:
+        """Raises Refused for an input with a key that this version does not know: it may restrict a motion."""
+        try:
+            return self._read_input(job.input)
+        except WireError as error:
+            message = f"{self._hello.name} cannot read this job, which is of another version: {error}"
+            raise Refused.because(RefusalReason.STATE, message, clears="run one version on all machines") from None
 
     def _answer(self, result: JobResult) -> None:
         if not self._results:

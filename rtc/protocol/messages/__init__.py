@@ -6,7 +6,7 @@ of its messages, one per socket and direction.
 
 Every message is a frozen struct. On the wire it is a MessagePack map whose key "type" holds the name of the class; only
 `rtc.protocol.wire` encodes. Unknown keys are ignored and missing keys take their defaults, so that different versions
-can communicate (R42).
+can communicate (R42). Orders to move and inputs of workers are strict (`rtc.protocol.strict`).
 
 Times that end in `_at_s` are CLOCK_MONOTONIC seconds of the machine they were taken on, comparable between the
 processes of one host. `_s` is a duration. Poses are [x y z qx qy qz qw] (m, unit quaternion), in world axes unless a

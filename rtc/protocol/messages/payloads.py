@@ -12,9 +12,10 @@ from rtc.protocol.messages.world import WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.protocol.sentence import ParsedCommand, ReflexItem, Report
+from rtc.protocol.strict import Strict
 
 
-class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Binding(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """A named parameter of a script: joints, a pose (in the axes of the object or seat `frame`, if one is named), or a
     number. Exactly one of `joints`, `pose` and `number` is set."""
 
@@ -25,7 +26,7 @@ class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     number: float | None = None
 
 
-class PlannedPath(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class PlannedPath(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """A way of an arm that an elaborator has found free. A binder may use it if its own planning request has the same
     digest; otherwise it tests the way again or plans anew (`workers.planning.motion.path_reuse`)."""
 
@@ -37,7 +38,7 @@ class PlannedPath(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     notes: list[str] = []  # how it was found
 
 
-class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Step(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """One line of a script (Figure 4): do, resource, destination, stop class, interpolation space, trims."""
 
     do: str  # "proc", "move", "let", "grip", "hold": a row of the binder's program
@@ -58,7 +59,7 @@ class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     way: PlannedPath | None = None  # of the first motion of a script
 
 
-class Trim(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Trim(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """One entry of the trimming stack: a corrective piece of script, and what follows it (A16)."""
 
     n: int
@@ -68,7 +69,7 @@ class Trim(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     fits: list[StopReason] = []  # the failures it may correct; empty = any
 
 
-class Limits(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Limits(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """MAINTAIN, as numbers. None = the program's default."""
 
     speed_m_s: float | None = None
@@ -84,7 +85,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     stiffness_n_m: float | None = None
 
 
-class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class ScriptContext(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """What every step of a script is bound with. Opaque to the Decision Unit."""
 
     verb: str
@@ -117,7 +118,7 @@ class Script(Message, frozen=True, kw_only=True):
     notes: list[str] = []  # log of the planning, for people: generated, tested, modified (R92)
 
 
-class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class EvaluationContext(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """What the binder expects of a primitive; the analyzer judges the report by it. Opaque to the
     Decision Unit and never sent to a subsystem."""
 
@@ -135,11 +136,11 @@ class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults
     body_pose: list[float] | None = None  # where it should be, for a check
 
 
-class ParserInput(msgspec.Struct, frozen=True, kw_only=True):
+class ParserInput(Strict, frozen=True, kw_only=True):
     text: str
 
 
-class ElaboratorInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """`at_s`: when the broker asks; what a hand holds is less certain with the age of its facts. 0 = unknown."""
 
     command: str
@@ -148,7 +149,7 @@ class ElaboratorInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     moving: list[Primitive] = []  # of other arms: executing, or ended and not in the world database yet
 
 
-class BinderInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """`at_s`, `moving`: as in `ElaboratorInput`. `moved_s`: how long this command has moved, in arm time."""
 
     primitive_id: str
@@ -160,7 +161,7 @@ class BinderInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     moved_s: float = 0.0
 
 
-class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class AnalyzerInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """`closing`: the command is ending, so only the world is updated and advice is ignored (R151)."""
 
     evaluation: EvaluationContext

@@ -27,7 +27,7 @@ class SubsystemHello(Message, frozen=True, kw_only=True):
     paused: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []  # primitives that it was ordered to pause
 
 
-class Execute(Message, frozen=True, kw_only=True):
+class Execute(Message, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Execute a primitive. A repeated one is executed once. One that the broker sent before it knew of a halt is not
     begun after that halt."""
 

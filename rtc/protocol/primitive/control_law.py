@@ -8,9 +8,10 @@ from typing import Literal
 import msgspec
 
 from rtc.protocol.primitive.limits import FARTHEST_M, HEAVIEST_KG, MAX_INERTIA_KG_M2, MAX_S, Vector
+from rtc.protocol.strict import Strict
 
 
-class Load(msgspec.Struct, frozen=True, kw_only=True):
+class Load(Strict, frozen=True, kw_only=True):
     """The load in the hand as a rigid body, in tcp axes."""
 
     mass_kg: float
@@ -31,7 +32,7 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("a load has no inertia whose products exceed its moments")
 
 
-class ForceProfile(msgspec.Struct, frozen=True, kw_only=True):
+class ForceProfile(Strict, frozen=True, kw_only=True):
     """Force set-points over time: `share[k]` of each at `time_s[k]` since the start of the primitive.
 
     Linear in between; the last share is kept.
@@ -49,7 +50,7 @@ class ForceProfile(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("a share of a force set-point is 0 to 1")
 
 
-class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Compliance(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """Figures of a compliant control law, along x y z and about x y z of the selection frame."""
 
     stiffness: Vector  # N/m three times, N.m/rad three times
@@ -86,7 +87,7 @@ class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
                 raise ValueError(f"{name} must be above 0, not {most}")
 
 
-class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class ControlLaw(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """M: the registered name of a control law and its gains.
 
     `position`: computed torque. `impedance`: a spring and damper at the tcp, with the figures in `compliance`. Its

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from rtc.protocol.primitive.control_law import ControlLaw
 from rtc.protocol.primitive.limits import MAX_S
 from rtc.protocol.primitive.reporting import Reporting
 from rtc.protocol.primitive.stop_functions import GoalReached, StopFunction, TimeAbove, in_priority
 from rtc.protocol.primitive.trajectory import JointTrajectory, Look, Trajectory
+from rtc.protocol.strict import Strict
 
 
-class StartAfter(msgspec.Struct, frozen=True, kw_only=True):
+class StartAfter(Strict, frozen=True, kw_only=True):
     """A start condition: a primitive of another arm has left the space that this one needs.
 
     It is met when that primitive has executed its trajectory up to `path_s`, also if it was stopped later than that. It
@@ -27,7 +26,7 @@ class StartAfter(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError(f"a start condition has times of 0 to {MAX_S:g} s")
 
 
-class Partner(msgspec.Struct, frozen=True, kw_only=True):
+class Partner(Strict, frozen=True, kw_only=True):
     """The part of a second arm in one primitive: both arms start in the same tick, and a stop of one stops the other.
 
     Two arms that hold one object form a closed chain: one leads, the other complies (impedance)."""
@@ -38,7 +37,7 @@ class Partner(msgspec.Struct, frozen=True, kw_only=True):
     stop_functions: list[StopFunction]
 
 
-class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):
+class Primitive(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):
     """T = (P, M, F, R) for one performer. The constructor refuses F without a goal and a time limit (R82)."""
 
     id: str  # unique; echoed by every report. "C-7.5@k7f2": see rtc.protocol.primitive_id

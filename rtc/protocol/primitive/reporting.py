@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from rtc.protocol.primitive.stop_functions import GoalReached, Predicate
+from rtc.protocol.strict import Strict
 
 
-class ReportCondition(msgspec.Struct, frozen=True, kw_only=True):
+class ReportCondition(Strict, frozen=True, kw_only=True):
     """A condition that is reported and does not stop: once, at the first moment in which it is true."""
 
     n: int  # number of the condition in the sentence, from 0; several predicates may share it
@@ -18,7 +17,7 @@ class ReportCondition(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("the goal is in the end report")
 
 
-class Reporting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Reporting(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """R: additions to the standard end report, which always has joints, wrench and reason (R65)."""
 
     items: list[str] = []  # measured at the end; none: during the motion all standard ones

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import msgspec
-
 from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
 from rtc.protocol.primitive.limits import MAX_S, Vector
+from rtc.protocol.strict import Strict
 
 
-class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
+class GoalReached(Strict, frozen=True, tag="goal-reached"):
     """The trajectory is complete and the arm has settled. Of a hand: it has its width, or presses with its force. Of a
     camera: it has its pose, or has followed the body for the duration."""
 
 
-class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):
+class TimeAbove(Strict, frozen=True, tag="time-above"):
     limit_s: float  # since the start of the primitive, in the time of the simulation, without pauses
 
     def __post_init__(self) -> None:
@@ -27,19 +26,19 @@ class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):
             raise ValueError(f"a time limit of {self.limit_s} s: 0 to {MAX_S:g} s is possible")
 
 
-class ForceAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="force-above"):
+class ForceAbove(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="force-above"):
     """Wrist force beyond a limit: its magnitude, or its part along `axis` (unit vector, tool axes)."""
 
     limit_n: float
     axis: Vector | None = None
 
 
-class TorqueAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="torque-above"):
+class TorqueAbove(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="torque-above"):
     limit_nm: float
     axis: Vector | None = None
 
 
-class ForceBelow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="force-below"):
+class ForceBelow(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="force-below"):
     """Wrist force below a limit for `for_s`, after it has been above `armed_n` (default: the limit)."""
 
     limit_n: float
@@ -48,85 +47,85 @@ class ForceBelow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
     for_s: float = 0.02
 
 
-class TorqueBelow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="torque-below"):
+class TorqueBelow(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="torque-below"):
     limit_nm: float
     axis: Vector | None = None
     for_s: float = 0.02
 
 
-class NoProgress(msgspec.Struct, frozen=True, kw_only=True, tag="no-progress"):
+class NoProgress(Strict, frozen=True, kw_only=True, tag="no-progress"):
     """The tcp is farther than this behind its command, while the wrist force is above a limit: a compliant arm jams."""
 
     behind_m: float
     force_n: float
 
 
-class SpeedAbove(msgspec.Struct, frozen=True, tag="speed-above"):
+class SpeedAbove(Strict, frozen=True, tag="speed-above"):
     """A measured joint speed exceeds `ratio` times its limit. The MCM adds one with its own ratio to each primitive."""
 
     ratio: float
 
 
-class FollowingErrorAbove(msgspec.Struct, frozen=True, tag="following-error-above"):
+class FollowingErrorAbove(Strict, frozen=True, tag="following-error-above"):
     """A measured joint is farther than this from its command. The MCM adds one with its own limit to each primitive."""
 
     limit_rad: float
 
 
-class JointMarginBelow(msgspec.Struct, frozen=True, tag="joint-margin-below"):
+class JointMarginBelow(Strict, frozen=True, tag="joint-margin-below"):
     margin_rad: float  # of the nearest joint limit, moving towards it
 
 
-class ArmTouch(msgspec.Struct, frozen=True, tag="arm-touch"):
+class ArmTouch(Strict, frozen=True, tag="arm-touch"):
     """The arm or its hand is in contact with another arm. The MCM adds one to each primitive."""
 
 
-class BodyTouch(msgspec.Struct, frozen=True, tag="body-touch"):
+class BodyTouch(Strict, frozen=True, tag="body-touch"):
     """A link of the arm (not palm or fingers, which may touch) is in contact with anything."""
 
 
-class GripForceBelow(msgspec.Struct, frozen=True, omit_defaults=True, tag="grip-force-below"):
+class GripForceBelow(Strict, frozen=True, omit_defaults=True, tag="grip-force-below"):
     limit_n: float
     once_above: bool = False  # for a hand that closes: counts after it has been above, and then for 20 ms
 
 
-class GripForceAbove(msgspec.Struct, frozen=True, tag="grip-force-above"):
+class GripForceAbove(Strict, frozen=True, tag="grip-force-above"):
     limit_n: float  # of the finger that presses more
 
 
-class HandWidthBelow(msgspec.Struct, frozen=True, tag="hand-width-below"):
+class HandWidthBelow(Strict, frozen=True, tag="hand-width-below"):
     limit_m: float  # less than the width of the held object: a narrower hand holds nothing
 
 
-class TcpNear(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="tcp-near"):
+class TcpNear(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="tcp-near"):
     point: Vector  # world frame, m
     distance_m: float
     axis: Vector | None = None  # unit vector, world: only the distance along it counts
 
 
-class TcpFar(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="tcp-far"):
+class TcpFar(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="tcp-far"):
     point: Vector  # as in TcpNear
     distance_m: float
     axis: Vector | None = None
 
 
-class TcpSpeedAbove(msgspec.Struct, frozen=True, tag="tcp-speed-above"):
+class TcpSpeedAbove(Strict, frozen=True, tag="tcp-speed-above"):
     limit_m_s: float  # mean over the last 19 ms
 
 
-class TcpOutside(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-outside"):
+class TcpOutside(Strict, frozen=True, kw_only=True, tag="tcp-outside"):
     """The tcp is outside a box."""
 
     centre: Vector  # pose, world: x y z qx qy qz qw
     size_m: Vector
 
 
-class TcpInside(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-inside"):
+class TcpInside(Strict, frozen=True, kw_only=True, tag="tcp-inside"):
     centre: Vector  # as in TcpOutside
     size_m: Vector
 
 
-class UnseenAbove(msgspec.Struct, frozen=True, tag="unseen-above"):
+class UnseenAbove(Strict, frozen=True, tag="unseen-above"):
     limit_s: float  # a camera has not seen the body in any of its pictures over this time
 
     def __post_init__(self) -> None:
@@ -134,14 +133,14 @@ class UnseenAbove(msgspec.Struct, frozen=True, tag="unseen-above"):
             raise ValueError(f"a limit of {self.limit_s} s without a sight: more than 0, at most {MAX_S:g} s")
 
 
-class TcpTurned(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-turned"):
+class TcpTurned(Strict, frozen=True, kw_only=True, tag="tcp-turned"):
     """The attitude of the tcp differs from the given one by more than `limit_rad`."""
 
     attitude: Vector  # quaternion x y z w, world
     limit_rad: float
 
 
-class TurnAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="turn-above"):
+class TurnAbove(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="turn-above"):
     """A turn since the start of the primitive, either way: whole turns are counted.
 
     Without a point: of the hand about `axis`, or by the whole change of its attitude (at most pi). With a point: of the
@@ -157,14 +156,14 @@ class TurnAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, t
             raise ValueError("a turn round a point needs an axis")
 
 
-class JointTurnAbove(msgspec.Struct, frozen=True, kw_only=True, tag="joint-turn-above"):
+class JointTurnAbove(Strict, frozen=True, kw_only=True, tag="joint-turn-above"):
     """A joint has turned, either way, by more than this since the start of the primitive."""
 
     joint: int  # index, from the base
     limit_rad: float
 
 
-class ClearanceBelow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="clearance-below"):
+class ClearanceBelow(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="clearance-below"):
     """A link of the arm, the palm or a finger is nearer than this to another body, without what the fingers hold.
 
     A body that is that near at the start counts once it has been farther. Filter: measured every 20 ms.
@@ -207,7 +206,7 @@ Predicate = (
 )
 
 
-class StopFunction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class StopFunction(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """One condition, the reason it gives, and the reflex it triggers."""
 
     reason: StopReason

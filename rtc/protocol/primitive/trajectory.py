@@ -8,11 +8,12 @@ from typing import Annotated, Literal
 import msgspec
 
 from rtc.protocol.primitive.limits import FARTHEST_M, MAX_S, Vector
+from rtc.protocol.strict import Strict
 
 MAX_TURN_RAD = 1000.0  # maximum turn of a spindle
 
 
-class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-trajectory"):
+class JointTrajectory(Strict, frozen=True, kw_only=True, tag="joint-trajectory"):
     """P for an arm: knots, joined by quintic Hermite polynomials. Starts and ends at rest.
 
     `positions[k][j]` rad at `time_s[k]`; velocities rad/s, accelerations rad/s^2 of the same shape.
@@ -42,7 +43,7 @@ class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-traj
         return self.time_s[-1]
 
 
-class HandMotion(msgspec.Struct, frozen=True, kw_only=True, tag="hand-motion"):
+class HandMotion(Strict, frozen=True, kw_only=True, tag="hand-motion"):
     """P for a parallel gripper: bring the opening to `width_m` at `speed_m_s`, pressing with at most `force_n`.
 
     Closing on an object continues until both fingers press with `force_n`; this force is then kept.
@@ -53,13 +54,13 @@ class HandMotion(msgspec.Struct, frozen=True, kw_only=True, tag="hand-motion"):
     speed_m_s: float = 0.05
 
 
-class HoldStill(msgspec.Struct, frozen=True, kw_only=True, tag="hold-still"):
+class HoldStill(Strict, frozen=True, kw_only=True, tag="hold-still"):
     """P for an arm: keep the position for `duration_s`; None = until it is stopped or its time limit passes."""
 
     duration_s: float | None = None
 
 
-class TagGeometry(msgspec.Struct, frozen=True, kw_only=True):
+class TagGeometry(Strict, frozen=True, kw_only=True):
     """An AprilTag of the family 36h11 on a body."""
 
     id: int
@@ -71,7 +72,7 @@ class TagGeometry(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("a tag has a number, a size and a pose of 7 numbers")
 
 
-class Look(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="look"):
+class Look(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="look"):
     """P for a camera: locate the body that has these tags. Its pose is in the reports, with its covariance.
 
     Without a duration the body rests: its pose is fitted to `pictures` in which it is seen. With one it may move: each
@@ -88,7 +89,7 @@ class Look(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="l
     cameras: Annotated[list[str], msgspec.Meta(max_length=8)] = []
 
 
-class SpindleMotion(msgspec.Struct, frozen=True, kw_only=True, tag="spindle-motion"):
+class SpindleMotion(Strict, frozen=True, kw_only=True, tag="spindle-motion"):
     """P for an arm that holds a driver: turn its spindle by `turn_rad` with at most `torque_nm`. The arm keeps its
     position, or presses as its control law requires.
 

@@ -441,6 +441,7 @@ def _still() -> p.Primitive:
     return p.Primitive(id="C-7.1", performer=ARM, trajectory=p.HoldStill(duration_s=1.0), stop_functions=stops)
 
 
+AFTER = {"primitive": "C-6.1", "path_s": 1.0, "within_s": 9.0}
 LOAD = {"mass_kg": 1e308, "com_m": [float("nan")] * 3, "inertia_kg_m2": [-1.0] * 6}
 
 
@@ -452,6 +453,11 @@ LOAD = {"mass_kg": 1e308, "com_m": [float("nan")] * 3, "inertia_kg_m2": [-1.0] *
         (lambda body: body.update(control_law={"load": LOAD}), "a load"),
         (lambda body: body["stop_functions"][1].update(when={"type": "time-above", "limit_s": 1e300}), "a time limit"),
         (lambda body: body.pop("trajectory"), "missing required field"),
+        (lambda body: body.update(not_before_s=9.0), "not_before_s"),  # a newer key, at several depths
+        (lambda body: body.update(start_after=[{**AFTER, "and_still": True}]), "and_still"),
+        (lambda body: body["stop_functions"][0].update(only_if="CONTACT"), "only_if"),
+        (lambda body: body["trajectory"].update(at_most_m_s=0.1), "at_most_m_s"),
+        (lambda body: body.update(control_law={"compliance": {"stiffness": [1.0] * 6, "fade_s": 1.0}}), "fade_s"),
     ],
 )
 def test_what_does_not_decode_is_refused_with_the_id_that_can_be_read(bench, change, words: str) -> None:
@@ -463,6 +469,15 @@ def test_what_does_not_decode_is_refused_with_the_id_that_can_be_read(bench, cha
     assert len(report.joints) == 6
     assert bench.subsystem.outstanding == ["C-7.1"]  # until it is acknowledged
     assert bench.handle(order) == [(BROKER, report)]
+
+
+def test_an_order_with_a_newer_key_is_refused(bench) -> None:
+    body = msgspec.to_builtins(m.Execute(primitive=_still())) | {"not_before_s": 9.0}
+    order = invalid_order(frames(body))
+    assert order is not None
+    ((_, report),) = bench.handle(order)
+    assert (report.primitive, report.reason) == ("C-7.1", StopReason.REFUSED)
+    assert bench.subsystem.idle
 
 
 def test_what_decodes_or_has_no_id_is_not_answered_so() -> None:

@@ -252,12 +252,15 @@ def test_a_refusal_and_a_crash_are_results_and_the_worker_lives_on(at):
     assert value(done) == "hello"
 
 
-def test_an_input_of_another_kind_is_a_crash_with_evidence(at):
-    job = Job(id="C-1/1", attempt=1, program="p1", input=wire.raw({"text": 7}))
+@pytest.mark.parametrize("data", [{"text": 7}, {"text": "hello", "not_before": 3.0}])
+def test_an_input_with_another_value_or_a_newer_key_is_refused(at, data):
+    job = Job(id="C-1/1", attempt=1, program="p1", input=wire.raw(data))
     at.broker.send(JobBatch(jobs=[job]))
     at.broker.provide()
-    (crashed,) = at.broker.results(1)
-    assert "$.text" in crashed.evidence
+    (refused,) = at.broker.results(1)
+    assert isinstance(refused, JobRefused)
+    assert refused.refusal.reason is RefusalReason.STATE
+    assert refused.refusal.clears
 
 
 def test_changes_are_committed_before_the_answer_and_seen_by_the_next_job(at):
