@@ -51,7 +51,7 @@ from tests.campaigns.advice import Answer
 from tests.campaigns.against_truth import judge
 from tests.workers.conftest import CELL, Bench, Physical, Run
 from workers.planning.robot_models import CellModel
-from workers.planning.world_query import CLEARANCE_M
+from workers.planning.scenes import CLEARANCE_M
 
 SEED = 7
 MODULES = {"RIGHT-ARM": ("MACS-NEW", "RACK-1"), "LEFT-ARM": ("MACS-OLD", "RACK-2")}

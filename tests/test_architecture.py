@@ -51,7 +51,7 @@ PURE = (
     "workers/parser/", "workers/elaborator/", "workers/binder/", "workers/analyzer/", "workers/planning/",
     "workers/conditions/",
     "rtc/programs/schema.py", "rtc/programs/checks.py", "rtc/programs/expressions.py", "rtc/programs/compatibility.py",
-    "rtc/programs/loader.py", "rtc/world/model.py", "rtc/world/spread.py",
+    "rtc/programs/loader.py", "rtc/world/facts.py", "rtc/world/model.py", "rtc/world/spread.py",
     "broker/decisions/", "broker/dispatch/", "rtc/subsystems/motion/",
     "rtc/apps/observers/viewer_schema.py", "rtc/sensing/", "rtc/subsystems/base/subsystem.py",
     "rtc/subsystems/perception/camera.py", "rtc/subsystems/perception/motion.py",

@@ -21,7 +21,7 @@ from workers.planning.motion import path as paths
 from workers.planning.motion.constraints import FREE, PathConstraints
 from workers.planning.motion.request import PlanningRequest, fault, free_posture
 from workers.planning.robot_models import CellModel
-from workers.planning.world_query import CLEARANCE_M
+from workers.planning.scenes import CLEARANCE_M
 
 TRIES = 2000  # maximum number of samples for one free posture
 OFF_M, OFF_RAD = (0.45, 0.30, 0.25), 0.5  # range of a goal near a seat: along and across its way in, and attitude

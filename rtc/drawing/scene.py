@@ -12,9 +12,10 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc.model.cells.cell import Cell
-from rtc.model.cells.parts import Object
 from rtc.protocol import messages as m
-from rtc.spatial import geometry, hinges
+from rtc.spatial import geometry
+from rtc.world.facts import Facts
+from rtc.world.model import World
 
 VIEWS = ("overview", "behind", "left", "right", "top")  # --camera; or the name of a thing, for a close view of it
 
@@ -113,16 +114,12 @@ def believed(
 ) -> Believed:
     """The scene of these facts (by key) and of the arms as measured; compared with the truth where it is known."""
 
-    def value(key: str) -> object:
-        return facts[key].value if key in facts else None
-
+    known = Facts(cell, World(facts=facts))
     arms, joints, fingers, tcp = [], {}, {}, {}
     for arm in cell.arms:
         sample = measured.get(arm.name)
-        known = value(f"{arm.name}.joints")
-        joints[arm.name] = sample.joints if sample else list(known) if isinstance(known, list) else arm.home_rad
-        width = value(f"{arm.name}.hand_width")
-        wide_m = sample.hand_width_m if sample else width if isinstance(width, float) else arm.gripper.max_opening_m
+        joints[arm.name] = sample.joints if sample else list(known.joints(arm.name))
+        wide_m = sample.hand_width_m if sample else known.hand_width(arm.name)
         fingers[arm.name] = [0.5 * wide_m, 0.5 * wide_m]
         if sample:
             tcp[arm.name] = sample.tcp_pose
@@ -131,49 +128,40 @@ def believed(
                 name=arm.name,
                 tcp=tcp.get(arm.name),
                 hand_width_m=wide_m,
-                holding=str(value(f"{arm.name}.holding") or ""),
+                holding=known.holding(arm.name),
                 truly_holding=truth.held.get(arm.name, []) if truth else None,
                 moving=sample.primitive if sample else "",
             )
         )
     objects = []
     for thing in cell.objects:
-        fact, holder = facts.get(f"{thing.name}.frame"), str(value(f"{thing.name}.held_by") or "")
-        pose, grasp = value(f"{thing.name}.frame"), value(f"{thing.name}.grasp")
-        if not isinstance(pose, list):
-            pose = cell.object_pose(thing.name).tolist()
-        if holder in tcp and isinstance(grasp, list):
-            pose = _in_hand(thing, pose, value(f"{thing.name}.angle"), grasp, tcp[holder])
+        fact, holder = facts.get(f"{thing.name}.frame"), known.held_by(thing.name)
+        held = known.in_hand(thing.name, tcp[holder]) if holder in tcp else None
+        pose = (known.frame(thing.name) if held is None else held).tolist()
         true_pose = truth.poses.get(thing.name) if truth else None
         objects.append(
             ObjectRow(
                 name=thing.name,
                 pose=pose,
                 validity=fact.validity if fact else m.Validity.UNKNOWN,
-                where=f"{holder}'s hand" if holder else str(value(f"{thing.name}.seat") or ""),
+                where=f"{holder}'s hand" if holder else known.seat(thing.name),
                 true_pose=true_pose,
                 off_m=geometry.distance(pose, true_pose) if true_pose else None,
                 turned_rad=geometry.angle(pose, true_pose) if true_pose else None,
             )
         )
-    seats = {seat.name: value(f"{seat.name}.frame") for seat in cell.seats}
     scene = SceneView(
         poses={row.name: row.pose for row in objects},
         joints=joints,
         fingers=fingers,
         tcp=tcp,
-        seats={name: list(pose) for name, pose in seats.items() if isinstance(pose, list)},
+        seats={
+            seat.name: known.seat_frame(seat.name).tolist()
+            for seat in cell.seats
+            if known.world.value(f"{seat.name}.frame") is not None
+        },
     )
     return Believed(scene=scene, arms=arms, objects=objects)
-
-
-def _in_hand(thing: Object, pose: list[float], angle: object, grasp: list[float], tcp: list[float]) -> list[float]:
-    """The pose of a held object (world) when its hand is at `tcp`; `pose` and `angle` (rad) are the last known ones."""
-    if (hinge := thing.hinge) is None:
-        return geometry.compose(tcp, grasp).tolist()
-    angle_rad = angle if isinstance(angle, float) else math.radians(hinge.at_deg)
-    bar = hinges.bar((point.frame.xyz for point in thing.grasp_points), grasp)
-    return hinges.in_hand(pose, angle_rad, hinge.axis, hinge.range_rad, grasp, tcp, bar).tolist()
 
 
 def true_scene(truth: m.SimTruthReply) -> SceneView:

@@ -38,6 +38,7 @@ from tests.campaigns import advice, numbered_runs
 from tests.campaigns.held_module import HeldModule
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.conftest import Run as Done
+from workers.planning import scenes
 from workers.planning.motion.request import PlanningRequest, free_posture
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
@@ -151,7 +152,9 @@ class Hand(HeldModule):
 
     def _request(self) -> PlanningRequest:
         query = WorldQuery(MODEL, self.bench.world)
-        return query.planning_request(self.arm, query.scene(self.arm, Limits()), Limits(), SpeedLimits(), MARGIN_RAD)
+        return scenes.planning_request(
+            query, self.arm, scenes.scene_of(query, self.arm, Limits()), Limits(), SpeedLimits(), MARGIN_RAD
+        )
 
     def _watch(self, tick: int) -> None:
         """Before each step: time passes, and touches and forces are noted."""

@@ -34,7 +34,7 @@ from workers.planning.motion.path import joint_line
 from workers.planning.motion.plan import find_joint_way
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import time_path
-from workers.planning.world_query import ARMS_APART_M
+from workers.planning.scenes import ARMS_APART_M
 
 SEED = 5
 ARMS = ("RIGHT-ARM", "LEFT-ARM")

@@ -13,10 +13,11 @@ from rtc.protocol.messages import EndReport, Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import ClearanceBelow, ForceAbove, TcpOutside, TcpSpeedAbove, TcpTurned
 from rtc.spatial import geometry
+from rtc.world.facts import TRUSTED
 from tests.campaigns.carry import CARRIED, Carrier
 from tests.workers.conftest import CELL, MODEL, Bench
 from workers.planning.robot_models import CellModel
-from workers.planning.world_query import TRUSTED, WorldQuery
+from workers.planning.world_query import WorldQuery
 
 RIGHT, LEFT, MODULE = "RIGHT-ARM", "LEFT-ARM", "MACS-NEW"
 RIGHT_HALF = CellModel(

@@ -12,6 +12,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import TurnAbove
 from rtc.spatial import geometry, hinges
 from tests.workers.conftest import Bench, Physical, Reporter
+from workers.planning import scenes
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 
@@ -235,7 +236,7 @@ def test_an_open_door_is_an_obstacle_at_its_angle(bench) -> None:
     joints[ARM] = bench.model.arms[ARM].ik(inside, near=CELL.arm(ARM).home_rad)[0].tolist()
 
     def hit() -> str:
-        scene = WorldQuery(MODEL, bench.world).scene(ARM, bench.elaborate(f"STOW {ARM}").context.limits)
+        scene = scenes.scene_of(WorldQuery(MODEL, bench.world), ARM, bench.elaborate(f"STOW {ARM}").context.limits)
         found = MODEL.collision.check(joints, scene)
         return found.body_b if found else ""
 

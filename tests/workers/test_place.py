@@ -13,6 +13,7 @@ from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import ForceAbove, TorqueAbove
 from rtc.spatial import geometry
 from rtc.world.spread import even
+from workers.planning import scenes
 from workers.planning.motion.request import free_posture
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.robot_models import CellModel
@@ -52,7 +53,7 @@ def test_from_anywhere_with_either_handle(bench, arm, thing, rack, handle):
         assert bench.do(sentence).succeeded
     held, random = bench.world, np.random.default_rng(11)
     query = WorldQuery(MODEL, held)
-    request = query.planning_request(arm, query.scene(arm, Limits()), Limits(), SpeedLimits(), 0.06)
+    request = scenes.planning_request(query, arm, scenes.scene_of(query, arm, Limits()), Limits(), SpeedLimits(), 0.06)
     lower, upper = request.arm.limits.lower + 0.06, request.arm.limits.upper - 0.06
     postures = (random.uniform(lower, upper) for _ in range(10_000))
     free = [q for q in postures if free_posture(request)(q) is None][:3]

@@ -14,7 +14,7 @@ from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_words import fill_in
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
 from workers.analyzer.world_changes import Changes
-from workers.planning.world_query import WorldQuery
+from workers.planning import trust
 
 SHORT_M = 0.003  # the direction of a shorter way means nothing
 
@@ -61,7 +61,7 @@ def _felt(task: AnalyzeTask, reason: StopReason) -> str:
     body = task.evaluation.body
     if reason is not StopReason.NOT_SEEN or not body or not task.query.held_by(body):
         return ""
-    return task.query.clears(f"{body}.grasp", {"grasp": task.program.clears.get("unseen_in_hand", "")})
+    return trust.remedy(task.query, f"{body}.grasp", {"grasp": task.program.clears.get("unseen_in_hand", "")})
 
 
 def _higher_limit(task: AnalyzeTask) -> list[str]:
@@ -80,7 +80,7 @@ def _ways_to_clear(task: AnalyzeTask, changes: Changes, *, moved: bool, misplace
     """The advice that clears the facts made suspect by these changes, by the first fact that it clears.
 
     `moved`: what is held may have moved in the hand. `misplaced`: its fingers do not help."""
-    after = WorldQuery(task.query.model, task.query.world.overlay(changes))
+    after = task.query.after(changes)
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
     if any(key.endswith(".holding") for key in suspect):  # what it may hold is neither looked for nor taken before that
         suspect = [key for key in suspect if not key.endswith(".frame") or after.held_by(key.rpartition(".")[0])]
@@ -93,7 +93,7 @@ def _ways_to_clear(task: AnalyzeTask, changes: Changes, *, moved: bool, misplace
     first: dict[str, str] = {}
     for key in suspect:
         if key.rpartition(".")[2] in clears:
-            first.setdefault(after.clears(key, clears), key)
+            first.setdefault(trust.remedy(after, key, clears), key)
     return {key: advice for advice, key in first.items()}
 
 

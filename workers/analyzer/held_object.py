@@ -9,11 +9,11 @@ from rtc.programs.schema import OutcomeClass
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
+from rtc.world.facts import TRUSTED
 from rtc.world.spread import even, widened
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.world_changes import EFFECTS, Changes, perhaps_taken
 from workers.planning import pose_spread, shared_hold
-from workers.planning.world_query import TRUSTED
 
 CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
 

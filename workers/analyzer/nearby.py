@@ -12,6 +12,7 @@ from dataclasses import replace
 from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.spatial.geometry import Floats
 from workers.analyzer.analyze_task import AnalyzeTask
+from workers.planning import scenes
 from workers.planning.world_query import WorldQuery
 
 NEAR_M = 0.03  # an arm at full speed rests at most this far from the place of a touch
@@ -31,7 +32,7 @@ def doubtful(task: AnalyzeTask) -> list[WorldChange]:
 def _near(query: WorldQuery, arm: str, joints: dict[str, Floats]) -> Iterator[str]:
     """The free objects within `NEAR_M` and their own spread of an arm, or of what it holds."""
     free = {thing.name for thing in query.cell.objects if not thing.fixed and not query.held_by(thing.name)}
-    scene = query.scene(arm, Limits())
+    scene = scenes.scene_of(query, arm, Limits())
     pose_tolerance_m = {name: NEAR_M + scene.pose_tolerance_m.get(name, 0.0) for name in free}
     ignore = list(scene.ignore)
     for _ in range(len(query.cell.objects) * (len(query.cell.objects) + 1)):

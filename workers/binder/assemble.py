@@ -21,6 +21,7 @@ from workers.binder import compliance, targets
 from workers.binder.bind_task import BindTask, RuledTask
 from workers.conditions import stop_conditions
 from workers.conditions.stop_conditions import Values
+from workers.planning import trust
 
 SUBSYSTEM_OF_ARMS, SUBSYSTEM_OF_CAMERAS = "MCM", "S&P"
 
@@ -97,7 +98,7 @@ def _keeps(task: RuledTask, trajectory: Trajectory) -> bool:
     if not task.held or isinstance(trajectory, HandMotion):
         return False
     own = command_of(task.data.primitive_id)
-    return task.query.distrusted(f"{task.held}.grasp", {}, own) is None
+    return trust.distrusted(task.query, f"{task.held}.grasp", {}, own) is None
 
 
 def _with_time_limit(values: Values, predicted_s: float, most_s: float | None) -> Values:

@@ -17,7 +17,7 @@ from workers.binder.bind_task import BindTask, RuledTask, refused_program
 from workers.binder.impact import Keeping
 from workers.conditions import sharing
 from workers.conditions.stop_conditions import Values
-from workers.planning import advice, certainty, in_seat, segments
+from workers.planning import advice, certainty, in_seat, scenes, segments
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
 from workers.planning.motion.plan import Motion
@@ -57,7 +57,8 @@ def planning_request(task: RuledTask, speed_m_s: float) -> PlanningRequest:
     """The planning problem of this motion, except its target."""
     query, context, stop_class, values = task.query, task.data.context, task.stop_class, task.values
     touches = stop_class.touches or bool(context.object or context.target)
-    scene = query.scene(
+    scene = scenes.scene_of(
+        query,
         task.arm,
         context.limits,
         touching=context.object if stop_class.touches and task.held != context.object else "",
@@ -67,7 +68,9 @@ def planning_request(task: RuledTask, speed_m_s: float) -> PlanningRequest:
         unsure=task.data.step.space not in segments.STRAIGHT or not touches,
     )
     pace = SpeedLimits(speed_m_s, values["laden_acceleration_m_s2" if task.held else "acceleration_m_s2"])
-    request = query.planning_request(task.arm, scene, context.limits, pace, math.radians(values["joint_margin_deg"]))
+    request = scenes.planning_request(
+        query, task.arm, scene, context.limits, pace, math.radians(values["joint_margin_deg"])
+    )
     return replace(request, partner=query.model.arms[context.partner]) if context.partner else request
 
 

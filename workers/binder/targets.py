@@ -14,7 +14,7 @@ from rtc.spatial import geometry
 from workers.binder import replan
 from workers.binder.bind_task import BindTask, refused_program
 from workers.conditions import stop_conditions
-from workers.planning import axes, step_target, suggestions
+from workers.planning import axes, step_target, suggestions, trust
 from workers.planning.motion.plan import Motion
 from workers.planning.segments import Target
 
@@ -53,7 +53,7 @@ def world_pose(task: BindTask, binding: Binding, name: str) -> list[float]:
         if binding.frame not in known:
             raise suggestions.unknown("object or seat", binding.frame, known)
         command = command_of(task.data.primitive_id)
-        refuse_if(query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command))
+        refuse_if(trust.distrusted(query, f"{binding.frame}.frame", task.program.clears, own=command))
     pose: list[float] = replan.current_pose(query, task.arm, binding).tolist()
     return pose
 

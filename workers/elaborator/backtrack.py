@@ -31,7 +31,7 @@ from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.elaborator import anchors, two_hands
 from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import advice, axes, in_seat, segments, shared_hold, suggestions
+from workers.planning import advice, axes, in_seat, scenes, segments, shared_hold, suggestions, trust
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
@@ -64,7 +64,7 @@ def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, se
     relies_on = list(dict.fromkeys(key for anchor in lines.values() for key in anchor.relies_on))
     doubtful: list[str] = []
     for key in relies_on:
-        distrusted = candidate.query.distrusted(key, candidate.program.clears)
+        distrusted = trust.distrusted(candidate.query, key, candidate.program.clears)
         if distrusted is not None and not can_be_seen(key, candidate):
             raise Refused(distrusted)
         if distrusted is not None:
@@ -206,7 +206,8 @@ def _request(script: ScriptFile, candidate: TaskCandidate, sensed: set[str]) -> 
     if two_hands.lets_go_first(script) and query.sharers(candidate.arm.name):
         query = shared_hold.after_letting_go(query, candidate.arm.name)
     holds = query.holding(candidate.arm.name)
-    scene = query.scene(
+    scene = scenes.scene_of(
+        query,
         candidate.arm.name,
         candidate.limits,
         ignore_suspect=script.despite_grasp,
@@ -218,7 +219,7 @@ def _request(script: ScriptFile, candidate: TaskCandidate, sensed: set[str]) -> 
             scene, pose_tolerance_m={name: m for name, m in scene.pose_tolerance_m.items() if name not in sensed}
         )
     margin_rad = math.radians(candidate.figures["joint_margin_deg"])
-    request = query.planning_request(candidate.arm.name, scene, candidate.limits, SpeedLimits(), margin_rad)
+    request = scenes.planning_request(query, candidate.arm.name, scene, candidate.limits, SpeedLimits(), margin_rad)
     if candidate.partner is None:
         return request
     return replace(request, partner=query.model.arms[candidate.partner.name])
@@ -316,9 +317,9 @@ def _straight(script: ScriptFile, candidate: TaskCandidate, request: PlanningReq
     held = query.holding(arm)
     contacts: list[tuple[str, str]] = []
     if held and (thing is not None or candidate.partner is not None):
-        contacts = query.seat_contacts(held, [target.name] if target else [])
+        contacts = scenes.seat_contacts(query, held, [target.name] if target else [])
     elif thing is not None and not held:
-        contacts = query.hand_contacts(arm, thing.name)
+        contacts = scenes.hand_contacts(query, arm, thing.name)
     scene = request.scene
     if (thing is not None or target is not None or script.despite_grasp) and candidate.partner is None:
         scene = replace(scene, pose_tolerance_m={})

@@ -17,6 +17,7 @@ from rtc.protocol.messages import Limits, WorldChange
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial.geometry import Floats
 from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning import scenes
 from workers.planning.motion.plan import find_joint_way
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
@@ -30,7 +31,7 @@ def advise(
     query, clears = candidate.query, candidate.program.clears
     for row, place, joints in _leaves(query, other):
         there = WorldChange(key=f"{other}.joints", value=[float(q) for q in joints])
-        after = replace(candidate, query=replace(query, world=query.world.overlay([there])))
+        after = replace(candidate, query=query.after([there]))
         if can_be_planned(after) and _can_go(query, other, joints):
             words = clears.get(row, "").replace("{other}", hand_in_words(other)).replace("{place}", place)
             return msgspec.structs.replace(refusal, clears=words)
@@ -58,8 +59,8 @@ def _leaves(query: WorldQuery, arm: str) -> Iterator[tuple[str, str, Floats]]:
 
 
 def _can_go(query: WorldQuery, arm: str, joints: Floats) -> bool:
-    scene = query.scene(arm, Limits(), seated=bool(query.holding(arm)))
-    request = query.planning_request(arm, scene, Limits(), SpeedLimits(), _margin_rad(query))
+    scene = scenes.scene_of(query, arm, Limits(), seated=bool(query.holding(arm)))
+    request = scenes.planning_request(query, arm, scene, Limits(), SpeedLimits(), _margin_rad(query))
     try:
         find_joint_way(request, joints)
     except Refused:

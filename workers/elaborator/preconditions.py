@@ -10,7 +10,7 @@ from rtc.language.hands import hand_in_words
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import shared_hold
+from workers.planning import shared_hold, trust
 from workers.planning.world_query import WorldQuery
 
 IN_SEAT_M = 0.02  # an object released within this distance of its seated pose stays in the seat
@@ -163,7 +163,11 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
     clears = rows.get(lack.row or need, "").replace("{let_go}", let_go(rows, candidate.query, thing))
     clears = clears.replace("{hand}", hand_in_words(candidate.arm.name))
     clears = candidate.fill_in(clears).replace("{held}", lack.held)
-    doubt = candidate.query.distrusted(f"{candidate.thing.name}.held_by", {}) if candidate.thing is not None else None
+    doubt = (
+        trust.distrusted(candidate.query, f"{candidate.thing.name}.held_by", {})
+        if candidate.thing is not None
+        else None
+    )
     message = lack.message + (f", but {doubt.message}" if doubt else "")
     raise Refused.because(RefusalReason.STATE, message, clears=clears)
 

@@ -13,7 +13,7 @@ from workers.elaborator import anchors, command_fields, hinged, preconditions, t
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import certainty
+from workers.planning import certainty, trust
 
 
 def _refuse_too_tight(_: ScriptFile, candidate: TaskCandidate) -> None:
@@ -73,7 +73,7 @@ def why_unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | 
     held = candidate.query.holding(candidate.hand.name) if candidate.hand else ""
     if not held or script.despite_grasp or not any(step.to for step in script.steps):
         return None
-    return candidate.query.distrusted(f"{held}.grasp", candidate.program.clears)
+    return trust.distrusted(candidate.query, f"{held}.grasp", candidate.program.clears)
 
 
 def why_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:

@@ -19,8 +19,9 @@ from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand, Quantity
 from rtc.protocol.units import in_words
 from rtc.world.spread import narrowest
-from workers.planning import pose_spread
-from workers.planning.world_query import AHEAD_S, WorldQuery
+from workers.planning import pose_spread, trust
+from workers.planning.trust import AHEAD_S
+from workers.planning.world_query import WorldQuery
 
 #: unit of a quantity -> suffix of the figure's name
 SUFFIX = {"m": "_m", "rad": "_rad", "turn": "_turns", "s": "_s", "N": "_n"}
@@ -173,8 +174,10 @@ def _held_unsure_m(query: WorldQuery, thing: parts.Object, target: parts.Seat) -
     """How far any point of the held object may be from its believed place when it is before the seat.
 
     With a wider spread than the seat permits it does not get there."""
-    spread = query.grasp_spread(thing.name, AHEAD_S)
-    return query.off_m(thing.name, narrowest(spread, target.needs_within.spread) if target.needs_within else spread)
+    spread = trust.grasp_spread(query, thing.name, AHEAD_S)
+    return trust.off_m(
+        query, thing.name, narrowest(spread, target.needs_within.spread) if target.needs_within else spread
+    )
 
 
 def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:

@@ -10,8 +10,9 @@ import msgspec
 from rtc.language.hands import hand_in_words
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal
-from workers.planning import in_seat
-from workers.planning.world_query import CLEARANCE_M, WorldQuery
+from workers.planning import in_seat, trust
+from workers.planning.scenes import CLEARANCE_M
+from workers.planning.world_query import WorldQuery
 
 UNLIMITED = Limits()
 SHARE_OF_RANGE = 0.9  # of a hinge, that advised sentences use
@@ -39,7 +40,7 @@ def advise_on_collision(
     seated = bool(seat) and held in bodies
     hinged = _hinged(refusal, query, arm, body)
     if not (seated or other or hinged or leaves) and (unsure := _unsure(refusal, query, bodies, limits)):
-        return msgspec.structs.replace(refusal, clears=query.narrows(unsure, clears))
+        return msgspec.structs.replace(refusal, clears=trust.narrows(query, unsure, clears))
     row = (
         ("way_out" if seated and leaves_seat else "")
         or ("way_seated" if seated else "")
@@ -74,7 +75,7 @@ def _unsure(refusal: Refusal, query: WorldQuery, bodies: list[str], limits: Limi
     clearance_m = max(CLEARANCE_M, limits.clearance_m or 0.0)
     if float(refusal.detail.get("distance_m", 0.0)) < clearance_m:
         return ""
-    keys = [key for body in bodies if (key := query.unsure_key(body))]
+    keys = [key for body in bodies if (key := trust.unsure_key(query, body))]
     return max(keys, key=lambda key: math.hypot(*query.spread(key)[:3]), default="")
 
 

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.world.spread import Spread, even, exceeded
+from workers.planning import trust
 from workers.planning.world_query import WorldQuery
 
 Args = Mapping[str, float | str]
@@ -41,14 +42,14 @@ def why_uncertain(
     if within is None:
         return None
     key = f"{held}.grasp"
-    axes = exceeded(query.grasp_spread(held, ahead_s), within)
+    axes = exceeded(trust.grasp_spread(query, held, ahead_s), within)
     if not axes:
         return None
     return Refusal(
         reason=RefusalReason.SUSPECT,
         message=f"the grasp of {held} by {arm} is too uncertain for this: {', '.join(axes)}",
         where=key,
-        clears=query.narrows(key, clears),
+        clears=trust.narrows(query, key, clears),
         detail={"cause": "spread", "axes": ", ".join(axes)},
     )
 

@@ -6,8 +6,6 @@ as `holding` only.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.spatial import geometry
 from workers.planning.world_query import WorldQuery
@@ -31,7 +29,7 @@ def let_go(query: WorldQuery, arm: str, thing: str, validity: Validity = Validit
 
 def after_letting_go(query: WorldQuery, arm: str) -> WorldQuery:
     """The query as it is when this hand has let go of its object."""
-    return replace(query, world=query.world.overlay(let_go(query, arm, query.holding(arm))))
+    return query.after(let_go(query, arm, query.holding(arm)))
 
 
 def free_points(query: WorldQuery, thing: str) -> list[str]:

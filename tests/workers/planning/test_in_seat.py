@@ -9,6 +9,7 @@ from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
 from tests.workers.conftest import CELL, MODEL, Bench
+from workers.planning import scenes
 from workers.planning.motion.plan import before_contact
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
@@ -86,8 +87,8 @@ def test_a_carry_keeps_clear_of_the_seat_that_it_leads_to(bench):
     for sentence in (f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A", f"LIFT {MODULE} BY 15 CM"):
         assert bench.do(sentence).succeeded
     query = WorldQuery(MODEL, bench.world)
-    scene = query.scene(RIGHT, Limits(), exempt=[MODULE, "RACK-1"])
-    request = query.planning_request(RIGHT, scene, Limits(), SpeedLimits(), 0.06)
+    scene = scenes.scene_of(query, RIGHT, Limits(), exempt=[MODULE, "RACK-1"])
+    request = scenes.planning_request(query, RIGHT, scene, Limits(), SpeedLimits(), 0.06)
 
     assert "RACK-1" in scene.near
     assert MODULE not in scene.near  # it keeps its distance from all other bodies, on the straight part too
@@ -101,9 +102,9 @@ def test_a_carried_body_is_checked_in_steps_of_its_own(bench):
     query = WorldQuery(MODEL, bench.world)
     world = MODEL.collision
 
-    levers = world.load_levers(RIGHT, query.scene(RIGHT, Limits()))
+    levers = world.load_levers(RIGHT, scenes.scene_of(query, RIGHT, Limits()))
 
-    assert not world.load_levers(LEFT, query.scene(RIGHT, Limits())).any()
+    assert not world.load_levers(LEFT, scenes.scene_of(query, RIGHT, Limits())).any()
     corners = geometry.compose(query.grasp(MODULE), (0.10, 0.12, 0.08, 0.0, 0.0, 0.0, 1.0))[:3]
     last = MODEL.arms[RIGHT]
     here, there = query.joints(RIGHT), list(query.joints(RIGHT))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtc.protocol.messages import Limits
+from workers.planning import scenes
 from workers.planning.world_query import WorldQuery
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
@@ -13,14 +14,14 @@ KEPT = Limits(clearance_m=0.02)
 
 def test_what_is_carried_keeps_its_distance_too_but_not_from_the_seat_it_leaves(bench):
     bench.do(GRASP)
-    assert WorldQuery(bench.model, bench.world).scene("RIGHT-ARM", KEPT).near == ["RACK-1"]
+    assert scenes.scene_of(WorldQuery(bench.model, bench.world), "RIGHT-ARM", KEPT).near == ["RACK-1"]
 
     bench.do("LIFT MACS-NEW BY 20 CM")
-    assert WorldQuery(bench.model, bench.world).scene("RIGHT-ARM", KEPT).near == []
+    assert scenes.scene_of(WorldQuery(bench.model, bench.world), "RIGHT-ARM", KEPT).near == []
 
 
 def test_what_is_to_be_touched_may_be_near(bench):
-    scene = WorldQuery(bench.model, bench.world).scene("RIGHT-ARM", KEPT, touching="MACS-NEW")
+    scene = scenes.scene_of(WorldQuery(bench.model, bench.world), "RIGHT-ARM", KEPT, touching="MACS-NEW")
     assert scene.near == ["MACS-NEW", "RACK-1"]
 
 

@@ -1,0 +1,112 @@
+"""Which facts are trusted, how uncertain poses are, and what would clear a doubt. Pure.
+
+A fact that is not trusted yields a Refusal that states what would clear it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from rtc.language.hands import hand_in_words
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
+from rtc.world.facts import TRUSTED
+from rtc.world.spread import Spread
+from workers.planning import pose_spread
+from workers.planning.world_query import WorldQuery
+
+UNSURE_STEP_M = 0.001  # spreads are rounded up to a multiple of this: a way stays valid while a grasp creeps a little
+AHEAD_S = 15.0  # the creep of a held object during this time counts: a carry across the default cell takes 9 s
+
+
+def distrusted(query: WorldQuery, key: str, clears: Mapping[str, str], own: str = "") -> Refusal | None:
+    """The refusal for a fact that is not trusted; None if it is trusted.
+
+    `own`: the id of the running command. A fact that this command itself made suspect is accepted, because its
+    script is about to correct it.
+    """
+    fact = query.world.get(key)
+    if fact is None or fact.validity in TRUSTED or (own and fact.source.partition("/")[0] == own):
+        return None
+    location, _, attribute = key.rpartition(".")
+    return Refusal(
+        reason=RefusalReason.SUSPECT,
+        message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source.partition('/')[0]}",
+        where=key,
+        clears=remedy(query, key, clears),
+        detail={"validity": fact.validity.value, "source": fact.source, "version": float(fact.version)},
+    )
+
+
+def remedy(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
+    """The remedy that would make this fact trusted again. For a held object, clearing the grasp also clears the
+    frame."""
+    location, _, attribute = key.rpartition(".")
+    holder = query.held_by(location)
+    row = attribute
+    if attribute in ("frame", "angle"):
+        row = "grasp" if holder else "angle" if query.hinge(location) and "angle" in clears else attribute
+    if row == "frame" and "seen" in clears and _look_helps(query, location):
+        row = "seat_seen" if "seat_seen" in clears and query.is_seat(location) else "seen"
+    words = clears.get(row, "sense {location} again")
+    if "{position}" in words:
+        frame = query.pose(location)
+        words = words.replace("{position}", _figures(100 * frame[:3]))
+        words = words.replace("{attitude}", _figures(np.degrees(geometry.to_rpy(frame))))
+    words = words.replace("{angle}", _figures(np.degrees([query.angle(location)])))
+    hand = hand_in_words(holder) or "the hand that holds it"
+    return words.replace("{location}", location).replace("{holder}", hand)
+
+
+def narrows(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
+    """The remedy that makes the spread of the pose of an object or seat smaller."""
+    location, _, _ = key.rpartition(".")
+    row = "spread_seen" if "spread_seen" in clears and _look_helps(query, location) else "spread"
+    return clears.get(row, "sense {location} again").replace("{location}", location)
+
+
+def _look_helps(query: WorldQuery, body: str) -> bool:
+    """Whether a camera can see the body, and a look may say more than is known: a seat stays where one saw it."""
+    seen = query.is_seat(body) and query.world.get(f"{body}.sighting") is not None
+    return not seen and bool(query.cameras(body))
+
+
+def unsure_key(query: WorldQuery, body: str) -> str:
+    """The fact whose spread makes the place of a body uncertain; empty if it is exact."""
+    inside = (thing.name for thing in query.cell.objects if query.seat(thing.name) == body)
+    keys = [f"{body}.grasp" if query.held_by(body) else f"{body}.frame", *(f"{name}.frame" for name in inside)]
+    return max((key for key in keys if any(query.spread(key))), key=lambda key: max(query.spread(key)), default="")
+
+
+def grasp_spread(query: WorldQuery, thing: str, ahead_s: float = 0.0) -> Spread:
+    """Uncertainty of a held object's pose `ahead_s` after the query; it grows with time in the hand."""
+    key = f"{thing}.grasp"
+    fact = query.world.get(key)
+    age_s = max(0.0, query.at_s - fact.at_s) if fact is not None else 0.0
+    return pose_spread.crept_spread(query.spread(key), age_s + ahead_s, query.cell.numbers)
+
+
+def unsure_m(query: WorldQuery, poses: Iterable[str], held: Iterable[str]) -> dict[str, float]:
+    """How far any point of a body may be from its believed place: of objects, of the seats that hold them, and of
+    held objects."""
+    found = {name: off_m(query, name, query.spread(f"{name}.frame")) for name in poses}
+    found |= {name: off_m(query, name, grasp_spread(query, name, AHEAD_S)) for name in held}
+    for name in list(found):
+        if (seat := query.seat(name)) and name not in held:
+            found[seat] = max(found[name], found.get(seat, 0.0))
+    return {name: most_m for name, most_m in found.items() if most_m > 0.0}
+
+
+def off_m(query: WorldQuery, body: str, spread: Spread) -> float:
+    """How far a point of a body is from its place at most, if its pose has this spread."""
+    most_m = math.hypot(*spread[:3]) + math.hypot(*spread[3:]) * query.model.collision.radius_m(body)
+    return UNSURE_STEP_M * math.ceil(most_m / UNSURE_STEP_M - 1e-9)
+
+
+def _figures(values: Array) -> str:
+    """Numbers for a sentence: two decimals, without negative zero."""
+    return " ".join(f"{round(float(x), 2) + 0:g}" for x in values)
