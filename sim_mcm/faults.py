@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import msgspec
 
+from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.protocol import faults as f
 from rtc.spatial import geometry
@@ -258,9 +259,8 @@ class FaultyArm:
 
 
 def _known(name: str, known: Iterable[str], kind: str) -> None:
-    names = list(known)
-    if name not in names:
-        raise Refused(f"unknown {kind} {name}; known: {', '.join(names) or 'none'}")
+    if name not in (names := list(known)):
+        raise Refused(unknown(kind, name, names))
 
 
 def _nothing() -> str:

@@ -1,6 +1,7 @@
 """Fuzzy matching: the known words that a misspelt word may stand for, by edit distance.
 
-Knows letters only. The one matcher of the project.
+Knows letters only. The one matcher of the project, and its
+words for a name that is not known.
 """
 
 from __future__ import annotations
@@ -8,6 +9,25 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 MAX_NEAREST = 3
+
+
+def unknown(kind: str, name: str, known: Iterable[str]) -> str:
+    """The problem text for an unknown name: the known ones, and those that it may stand for."""
+    names = sorted(set(known))
+    text = f"there is no {kind} {name}; there are {', '.join(names) or 'none'}"
+    return "; ".join(filter(None, (text, did_you_mean(nearest(name, names)))))
+
+
+def did_you_mean(near: Iterable[str]) -> str:
+    """The question for the nearest names; empty without any."""
+    words = " or ".join(near)
+    return words and f"did you mean {words}?"
+
+
+def nearest(name: str, known: Iterable[str]) -> list[str]:
+    """The known names that this one may misspell; else those that it abbreviates (RACK for RACK-1)."""
+    names = sorted(set(known))
+    return nearest_words(name, names) or [n for n in names if name and n.startswith(name)][:MAX_NEAREST]
 
 
 def nearest_words(written: str, known: Iterable[str]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator
 
+from rtc.language.alike import unknown
 from rtc.programs import expressions, extension_names
 from rtc.programs.compatibility import Problems
 from rtc.programs.schema import AnalyzerProgram, ElaboratorProgram, ScriptFile, ScriptStep
@@ -124,4 +125,4 @@ def valueless(expression: str) -> str:
 
 def _known(what: str, name: str, known: Collection[str], place: str) -> Iterator[tuple[str, str]]:
     if name not in known:
-        yield place, extension_names.unknown(what, name, known)
+        yield place, unknown(what, name, known)

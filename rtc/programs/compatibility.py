@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
+from rtc.language.alike import unknown
 from rtc.model.cells.parts import Numbers
-from rtc.programs.extension_names import ARGS, unknown
+from rtc.programs.extension_names import ARGS
 from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptStep
 
 Problems = Iterator[tuple[str, str]]  # place, problem

@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rtc.language.alike import nearest_words
+from rtc.language.alike import did_you_mean, nearest
 from rtc.spatial import geometry
 
 MAX_APART_RAD = math.radians(5.0)  # maximum angle between averaged attitudes (A15)
@@ -104,8 +104,7 @@ def _value(node: ast.expr, given: Given) -> Value:
 
 def _given(name: str, given: Given) -> Value:
     if name not in given:
-        near = " or ".join(nearest_words(name, given))
-        raise ExpressionError(f"{name} is not given" + (f"; did you mean {near}?" if near else ""))
+        raise ExpressionError("; ".join(filter(None, (f"{name} is not given", did_you_mean(nearest(name, given))))))
     value = given[name]
     return Poses(((1.0, tuple(value)),)) if isinstance(value, list) else float(value)
 

@@ -6,8 +6,6 @@ registry with its row here.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from rtc.model.cells.parts import Numbers
 
 #: elaborator: conditions of the world that a script may require
@@ -120,8 +118,3 @@ EFFECTS = (
     *("sighted", "unseen"),
 )
 KEPT = ("report.trip_pose", "report.pose", "report.hand_width")
-
-
-def unknown(what: str, name: str, known: Iterable[str]) -> str:
-    """The problem text for an unknown name, with the known names."""
-    return f"no {what} {name}; there are {', '.join(sorted(known))}"

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
+from rtc.language.alike import unknown
 from rtc.language.grammar import Grammar
 from rtc.model.cells import yaml_limits
 from rtc.programs import checks, expressions, extension_names
@@ -89,14 +90,14 @@ def merge(
         merged = _canonical(kind, document, name)
         _fits({**(others or {}), kind: merged}, kind, document, name)
     except ProgramError as error:
-        unknown = re.search(r"unknown field `(.*?)`", str(error))
-        path = _in_file([*path_of(str(error)), *unknown.groups()] if unknown else path_of(str(error)), document, news)
+        stray = re.search(r"unknown field `(.*?)`", str(error))
+        path = _in_file([*path_of(str(error)), *stray.groups()] if stray else path_of(str(error)), document, news)
         if path is None or text.startswith(b"{"):
             raise
         complaint = str(error).removeprefix(f"{name}: ")
-        if unknown and (known := known_keys(SCHEMAS[kind], path_of(str(error)))):
+        if stray and (known := known_keys(SCHEMAS[kind], path_of(str(error)))):
             complaint += f"; the keys are {', '.join(known)}"
-        line = line_of_key(text, path) if unknown else line_of(text, path)
+        line = line_of_key(text, path) if stray else line_of(text, path)
         raise ProgramError(f"{name}, line {line}: {complaint}") from error
     return merged
 
@@ -291,14 +292,14 @@ def _elaborator_problems(program: ElaboratorProgram) -> Problems:
     scripts = {script.script for script in program.scripts}
     for n, branch in enumerate(program.decision_tree):
         if branch.script not in scripts:
-            yield f"decision_tree[{n}].script", f"no script {branch.script}; there are {', '.join(sorted(scripts))}"
+            yield f"decision_tree[{n}].script", unknown("script", branch.script, scripts)
         for m, check in enumerate(branch.when):
             for field in ("of", "at_least", "at_most"):
                 yield from _expression(getattr(check, field), f"decision_tree[{n}].when[{m}].{field}")
     for slot, units in program.constraints.items():
         for unit, limit in units.items():
             if limit and limit not in Limits.__struct_fields__:
-                yield f"constraints.{slot}.{unit}", f"no limit {limit}; there are {', '.join(Limits.__struct_fields__)}"
+                yield f"constraints.{slot}.{unit}", unknown("limit", limit, Limits.__struct_fields__)
     for figure, most in program.by_hand.items():
         yield from _known("figure of the hand", most, set(extension_names.HAND_LIMITS), f"by_hand.{figure}")
     pieces = {piece.skill for piece in program.pieces}
@@ -366,7 +367,7 @@ def _step_problems(step: ScriptStep, place: str, entries: int, bindings: set[str
     if (index, count) != (0, 0) and not (index >= 1 and count >= 1 and index + count - 1 <= entries):
         yield f"{place}.trim", f"[index, count] = [{index}, {count}] is outside the trimming stack of {entries} entries"
     if bindings is not None and step.to and step.to != "HERE" and step.to not in bindings:
-        yield f"{place}.to", f"no binding {step.to}; there are {', '.join(sorted(bindings))}"
+        yield f"{place}.to", unknown("binding", step.to, bindings)
     yield from _known("performer", step.who, extension_names.PERFORMERS, f"{place}.who")
     if step.space or step.to:
         yield from _known("space", step.space or "(none)", extension_names.SPACES, f"{place}.space")
@@ -381,9 +382,8 @@ def _step_problems(step: ScriptStep, place: str, entries: int, bindings: set[str
         yield from _expression(expression, f"{place}.args.{name}")
     if step.value:
         yield from _expression(step.value, f"{place}.value")
-        unknown = expressions.names(step.value) - bindings if bindings is not None else set()
-        if unknown:
-            yield f"{place}.value", f"no binding {', '.join(sorted(unknown))}"
+        for name in sorted(expressions.names(step.value) - bindings) if bindings is not None else ():
+            yield f"{place}.value", unknown("binding", name, bindings or ())
 
 
 def _binder_problems(program: BinderProgram) -> Problems:
@@ -398,7 +398,7 @@ def _binder_problems(program: BinderProgram) -> Problems:
                 yield f"stop_classes.{name}.stops", f"F is not complete without {wanted}"
     for op, name in program.hand.items():
         if name not in program.stop_classes:
-            yield f"hand.{op}", f"no stop class {name}"
+            yield f"hand.{op}", unknown("stop class", name, program.stop_classes)
     for do, action in program.actions.items():
         yield from _known("action", action, extension_names.ACTIONS, f"actions.{do}")
     for name, procedure in program.procedures.items():
@@ -422,12 +422,12 @@ def _analyzer_problems(program: AnalyzerProgram) -> Problems:
             yield f"outcomes.{row}", f"no cell for {', '.join(missing)}"
         for reason, name in cells.items():
             if name not in program.classes:
-                yield f"outcomes.{row}.{reason}", f"no class {name}; there are {', '.join(sorted(program.classes))}"
+                yield f"outcomes.{row}.{reason}", unknown("class", name, program.classes)
 
 
 def _known(what: str, name: str, known: Collection[str], place: str) -> Problems:
     if name not in known:
-        yield place, extension_names.unknown(what, name, known)
+        yield place, unknown(what, name, known)
 
 
 def _values(values: dict[str, str | float], place: str) -> Problems:

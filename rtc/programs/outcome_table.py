@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from rtc.language.alike import unknown
 from rtc.programs.compatibility import misfits, row_of
 from rtc.programs.loader import decode
 from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptFile, ScriptStep, TrimEntry
@@ -35,7 +36,7 @@ def outcomes(
     names = [script.lower(), *(branch.script for branch in rows)]
     found = next((s for name in names for s in elaborator.scripts if s.script == name), None)
     if found is None:
-        raise ProgramError(f"no script {script}; there are {', '.join(s.script for s in elaborator.scripts)}")
+        raise ProgramError(unknown("script", script, (s.script for s in elaborator.scripts)))
     for place, problem in misfits(elaborator, binder, analyzer):
         raise ProgramError(f"the programs are incompatible: {place}: {problem}")
     return list(_rows(found, elaborator, binder, analyzer))

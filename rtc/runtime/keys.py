@@ -22,6 +22,7 @@ from urllib.parse import urlsplit
 import msgspec
 import zmq
 
+from rtc.language.alike import unknown
 from rtc.protocol.outcomes import ClusterError, KeyTrouble
 from rtc.protocol.roles import MAY, TCP_ENDPOINTS, Role
 from rtc.runtime.settings import KEYS
@@ -178,10 +179,9 @@ class KeyRing:
                 _sync(self.path)
                 self._record(msgspec.structs.replace(known, revoked_at=time.time()))
                 return known
-        names = ", ".join(known.name for known in self.known()) or "none"
         before = [key for key in self.revoked() if key.name == name]
         when = f" (revoked {_date(before[-1].revoked_at)})" if before else ""
-        raise KeyTrouble(f"there is no key {name!r:.80}{when}; known are: {names}")
+        raise KeyTrouble(unknown("key", f"{name!r:.80}{when}", (key.name for key in self.known())))
 
     def _record(self, key: KnownKey) -> None:
         """Record a revoked key. A full disk does not matter: the key is revoked without this record."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import pybullet
 
+from rtc.language.alike import unknown
 from rtc.model.cells import parts
 from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import TICK_S, SpindleCommand, SpindleState
@@ -95,7 +96,7 @@ class Bolts:
     def strip(self, name: str, stripped: bool = True) -> str:
         """Strip a bolt, or mend it. Returns the reason of a refusal, or ''."""
         if name not in self._bolts:
-            return f"unknown bolt {name}; known: {', '.join(self._bolts) or 'none'}"
+            return unknown("bolt", name, self._bolts)
         self._bolts[name].stripped = stripped
         return ""
 

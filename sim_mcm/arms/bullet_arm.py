@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pybullet
 
+from rtc.language.alike import unknown
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
 from rtc.model.robot.finger_mass import finger_mass, require_stable
@@ -394,7 +395,7 @@ class BulletCell:
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
         if name not in self.world.objects:
-            return f"unknown object {name}"
+            return unknown("object", name, self.world.objects)
         holders = [arm for arm, names in self.held().items() if name in names]
         if holders:
             return f"{name} is held by {', '.join(holders)}"

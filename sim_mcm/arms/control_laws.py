@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 import pinocchio as pin
 
+from rtc.language.alike import unknown
 from rtc.model.robot.kinematics import ArmModel
 from rtc.plugins import registry
 from rtc.protocol.primitive import ControlLaw
@@ -78,7 +79,7 @@ def known() -> dict[str, Factory]:
 def make(law: ControlLaw, arm: ArmModel, laws: Mapping[str, Factory]) -> Law:
     """The law that a primitive names. Raises ValueError if it is unknown or rejects its figures."""
     if law.name != IMPEDANCE and law.name not in laws:
-        raise ValueError(f"unknown control law {law.name}; known are {', '.join(sorted({*laws, IMPEDANCE}))}")
+        raise ValueError(unknown("control law", law.name, [*laws, IMPEDANCE]))
     if not all(np.isfinite(value) for value in law.gains.values()):
         raise ValueError(f"control law {law.name}: a gain is not a finite number")
     load = law.load

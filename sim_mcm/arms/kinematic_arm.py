@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
+from rtc.language.alike import unknown
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
 from rtc.model.robot import hulls
@@ -152,7 +153,7 @@ class KinematicCell:
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
         if name not in self.poses or name not in {thing.name for thing in self.cell.objects}:
-            return f"unknown object {name}"
+            return unknown("object", name, self.poses)
         if name in self.carried:
             return f"{name} is held by {self.carried[name][0]}"
         before = self.poses[name]

@@ -102,16 +102,16 @@ def test_a_value_of_the_binder_is_changed_alone():
         ("script: s\ncase: 3\nsteps: [{do: hold, label: x, trim: [1, 2]}]", r"\$\.scripts\[\d+\]\.steps\[0\]\.trim"),
         (
             "script: s\ncase: 3\nsteps: [{do: move, label: x, to: Q}]",
-            r"\$\.scripts\[\d+\]\.steps\[0\]\.to: no binding",
+            r"\$\.scripts\[\d+\]\.steps\[0\]\.to: there is no binding",
         ),
         ("script: s\ncase: 1\nsteps: [{do: hold, label: x, args: {a: '2 +'}}]", r"steps\[0\]\.args\.a: '2 \+' is no"),
         (
             "script: s\ncase: 2\nsteps: [{do: hold, label: x}]\ntrimming_stack: [{n: 1, skill: grasp}]",
             r"scripts\[\d+\]\.trimming_stack: actions .* cannot be trimmed",
         ),
-        ("decision_tree: [{verb: V, script: nix}]", r"\$\.decision_tree\[\d+\]\.script: no script nix"),
+        ("decision_tree: [{verb: V, script: nix}]", r"\$\.decision_tree\[\d+\]\.script: there is no script nix"),
         ("decision_tree: [{verb: V, script: stow, when: [{of: 'a**2', at_least: 1}]}]", r"when\[0\]\.of"),
-        ("constraints: {SPEED: {m/s: velocity}}", r"\$\.constraints\.SPEED\.m/s: no limit velocity"),
+        ("constraints: {SPEED: {m/s: velocity}}", r"\$\.constraints\.SPEED\.m/s: there is no limit velocity"),
         ("- 1", r"\$: a program document is a map"),
         ("a: [", r"t\.yaml, line 2: "),
         ("scrpts: []", r"scrpts"),
@@ -183,7 +183,7 @@ def test_a_verb_means_its_likeliest_script():
 
 
 def test_an_unknown_script_is_reported():
-    with pytest.raises(ProgramError, match="no script waltz"):
+    with pytest.raises(ProgramError, match="there is no script waltz"):
         outcomes(*defaults(), "waltz")
 
 
@@ -208,7 +208,7 @@ PLAN = "plan: [{name: A, at: destination, solve: true}]"
         (
             GOOD.replace("move_free", "move_fast"),
             "",
-            r"line 7: .*steps\[1\].stop: no stop class move_fast; .*move_free",
+            r"line 7: .*steps\[1\].stop: there is no stop class move_fast; .*move_free",
         ),
         (GOOD.replace("move_task", "move_moon"), "", r"line 7: .*no space move_moon; there are move_both"),
         (
@@ -260,7 +260,9 @@ def test_a_script_that_asks_for_what_is_not_there_is_not_loaded(step, more, mess
 def test_the_line_is_that_of_the_file_whatever_it_brings():
     text = b"decision_tree:\n- {verb: STOW, script: stow}\n- verb: LIFT\n  script: nix\n"
 
-    with pytest.raises(ProgramError, match=r"^t\.yaml, line 4: \$\.decision_tree\[\d+\]\.script: no script nix"):
+    with pytest.raises(
+        ProgramError, match=r"^t\.yaml, line 4: \$\.decision_tree\[\d+\]\.script: there is no script nix"
+    ):
         loader.merge("elaborator", loader.default("elaborator"), "t.yaml", text, OTHERS)
 
 
@@ -454,5 +456,7 @@ def test_the_verbs_of_a_grammar_are_those_that_sentences_begin_with():
 
 def test_an_unknown_placeholder_in_the_words_of_a_failure_is_refused():
     text = b"classes: {late: {message: 'not done within {limitt} s'}}"
-    with pytest.raises(ProgramError, match=r"classes\.late\.message: no placeholder limitt; there are .*limit"):
+    with pytest.raises(
+        ProgramError, match=r"classes\.late\.message: there is no placeholder limitt; there are .*limit"
+    ):
         loader.merge("analyzer", loader.default("analyzer"), "t.yaml", text)

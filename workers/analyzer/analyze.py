@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import msgspec
 
+from rtc.language.alike import unknown
 from rtc.plugins import registry
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
@@ -90,7 +91,7 @@ def _assessed(task: AnalyzeTask) -> Assessment:
     """The verdict on the report. Raises Refused if the program lacks the row of the step."""
     row, report = row_of(task.step), task.report
     if row not in task.program.outcomes:
-        message = f"the analyzer has no row {row}; there are {', '.join(task.program.outcomes)}"
+        message = unknown("row of the analyzer's outcomes", row, task.program.outcomes)
         raise Refused.because(RefusalReason.PROGRAM, message, where=row, clears="LOAD a program that has it")
     wrong = violated(task) or ("dropped" if dropped(task) else "")
     if not wrong and report.reason in task.step.expect:
@@ -123,8 +124,7 @@ def _success_changes(task: AnalyzeTask) -> Changes:
     effect = task.step.args.get("effect")
     if isinstance(effect, str) and effect:
         if effect not in EFFECTS:
-            message = f"unknown effect {effect}; there are {', '.join(EFFECTS)}"
-            raise Refused.because(RefusalReason.PROGRAM, message, where=task.step.label)
+            raise Refused.because(RefusalReason.PROGRAM, unknown("effect", effect, EFFECTS), where=task.step.label)
         changes += EFFECTS[effect](task, Validity.VALID)
     changes += held_object_changes(task, changes, suspect=False)
     changes += pressed_on(task)

@@ -21,7 +21,7 @@ from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.protocol.units import in_words
 from rtc.world.model import World
 from workers.binder import assemble, look, replan, targets
-from workers.binder.bind_task import BindTask, refused_program
+from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
 from workers.binder.motion import bind_motion
 from workers.conditions import looking
 from workers.planning import suggestions
@@ -59,9 +59,9 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
 def _bound(task: BindTask) -> BoundStep:
     step, known = task.data.step, task.program.actions
     if step.who not in PERFORMERS:
-        raise refused_program(f"a step for {step.who}", f"performers of steps are {', '.join(PERFORMERS)}")
+        raise unknown_in_program("performer of steps", step.who, PERFORMERS)
     if step.do not in known:
-        raise refused_program(f"unknown action {step.do}", f"there are {', '.join(known)}")
+        raise unknown_in_program("action", step.do, known)
     return ACTIONS[known[step.do]](task)
 
 

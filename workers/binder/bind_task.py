@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+from rtc.language.alike import unknown
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -40,7 +42,7 @@ class BindTask:
         """The step under this stop class. Raises Refused, and ExpressionError for a figure that is not defined."""
         known = self.program.stop_classes
         if name not in known:
-            raise refused_program(f"no stop class {name}", f"there are {', '.join(known)}")
+            raise unknown_in_program("stop class", name, known)
         values = stop_conditions.figures_in_force(self.program, known[name], self.query, self.data, self.arm)
         return RuledTask(self.program, self.query, self.data, known[name], values)
 
@@ -51,6 +53,10 @@ class RuledTask(BindTask):
 
     stop_class: StopClass
     values: Values
+
+
+def unknown_in_program(kind: str, name: str, known: Iterable[str]) -> Refused:
+    return refused_program(unknown(kind, name, known), "LOAD a program that has it")
 
 
 def refused_program(message: str, clears: str) -> Refused:

@@ -13,7 +13,7 @@ from rtc.protocol.outcomes import Refused, StopReason, refuse_if
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.units import in_words
 from workers.binder import assemble, impact, targets, together
-from workers.binder.bind_task import BindTask, RuledTask, refused_program
+from workers.binder.bind_task import BindTask, RuledTask, unknown_in_program
 from workers.binder.impact import Keeping
 from workers.conditions import sharing
 from workers.conditions.stop_conditions import Values
@@ -45,7 +45,7 @@ def _target(task: RuledTask) -> Target:
     """Where the step goes, if the arm may go there."""
     step, query, clears = task.data.step, task.query, task.program.clears
     if step.space not in segments.SPACES:
-        raise refused_program(f"no space {step.space}", f"there are {', '.join(segments.SPACES)}")
+        raise unknown_in_program("space", step.space, segments.SPACES)
     refuse_if(certainty.why_uncertain(query, task.arm, step.args, clears))
     sharing.refuse_alone(query, task.arm, task.data.context.partner, clears)
     target = targets.target_of(task)

@@ -12,7 +12,7 @@ from rtc.protocol.primitive import Vector
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial import geometry
 from workers.binder import replan
-from workers.binder.bind_task import BindTask, refused_program
+from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
 from workers.conditions import stop_conditions
 from workers.planning import axes, step_target, suggestions, trust
 from workers.planning.motion.plan import Motion
@@ -39,7 +39,7 @@ def _bound(task: BindTask, name: str) -> Target:
 def binding(task: BindTask, name: str) -> Binding:
     known = task.data.bindings
     if name not in known:
-        raise refused_program(f"nothing binds {name}", f"there are {', '.join(known)}")
+        raise unknown_in_program("binding", name, known)
     return known[name]
 
 

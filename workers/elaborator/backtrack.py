@@ -20,6 +20,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from rtc.language.alike import unknown
 from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile
 from rtc.protocol.messages import Binding, PlannedPath, Step
@@ -101,7 +102,7 @@ def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor]:
 
 def _anchor(line: PlanLine, candidate: TaskCandidate) -> Anchor:
     if line.at not in ANCHORS:
-        raise _program(f"unknown plan anchor {line.at}; known are {', '.join(ANCHORS)} or an earlier line")
+        raise _program(unknown("plan anchor or earlier line", line.at, ANCHORS))
     return ANCHORS[line.at](candidate)
 
 
@@ -298,7 +299,7 @@ def _try(
         with _at_place(f"step {n} ({step.to})"):
             target = target_of(step, candidate.query, candidate.arm.name, thing, tcp, bound)
         if step.space not in segments.SPACES:
-            raise _program(f"step {n}: no space {step.space}; there are {', '.join(segments.SPACES)}")
+            raise _program(f"step {n}: {unknown('space', step.space, segments.SPACES)}")
         in_seat.refuse_other_way(candidate.query, candidate.arm.name, step.space, tcp, target.pose, clears)
         test = _Test(n, step, now, target, detours, first=here is start)
         if detours and test.first and step.space == "move_joint" and target.joints is not None:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from rtc.language.alike import nearest
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
 from rtc.protocol.messages import Script, ScriptContext, Step
@@ -121,7 +122,7 @@ def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, quer
             return make(program, values, thing, query)
     else:
         known = [_word(name) for name in (*program.settable, *program.not_settable, *_others(thing, query))]
-        like = suggestions.nearest(parsed.attribute or "", known)
+        like = nearest(parsed.attribute or "", known)
         if like and parsed.attribute not in known:
             raise suggestions.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
     return {f"{thing.name}.{attribute}": values[0] if len(values) == 1 else values}

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rtc.language.alike import MAX_NEAREST, nearest_words
+from rtc.language.alike import did_you_mean, nearest
 from rtc.protocol.outcomes import RefusalReason, Refused
-
-
-def nearest(name: str, known: Iterable[str]) -> list[str]:
-    """The known names that this one may misspell; else those that it abbreviates (RACK for RACK-1)."""
-    names = sorted(set(known))
-    return nearest_words(name, names) or [n for n in names if name and n.startswith(name)][:MAX_NEAREST]
 
 
 def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> Refused:
@@ -19,5 +13,5 @@ def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> Refu
     names = sorted(set(known))
     near = nearest(name, names)
     message = f"there is no {what} {name}" + ("" if names else "; there are none at all")
-    clears = f"did you mean {' or '.join(near)}?" if near else "use one of the names expected" if names else ""
+    clears = did_you_mean(near) or ("use one of the names expected" if names else "")
     return Refused.because(RefusalReason.NAME, message, where=where, nearest=near, expected=names, clears=clears)

@@ -15,6 +15,7 @@ import numpy as np
 
 from rtc.apps.authoring.hull import hull_of
 from rtc.apps.authoring.robot_file import PACKAGE, RobotFile, number, numbers, origin
+from rtc.language.alike import unknown
 from rtc.model.cells import urdf_values
 from rtc.model.cells.urdf_values import MOVING
 from rtc.model.robot.numeric_ik import MIN_JOINTS
@@ -149,7 +150,7 @@ def _deepest(robot: RobotFile) -> str:
 def _cut(robot: RobotFile, tip: str, notes: list[str]) -> None:
     """Remove everything beyond the tip, and every moving branch that is not on the way to it."""
     if tip not in robot.links:
-        raise ProgramError(f"{robot.path}: there is no link {tip}; there are {', '.join(robot.links)}")
+        raise ProgramError(f"{robot.path}: {unknown('link', tip, robot.links)}")
     way = set(robot.way_to(tip))
     gone: list[str] = []
     for joint in list(robot.joints):

@@ -21,6 +21,7 @@ import yaml
 from rtc.apps.authoring import self_collisions, words_and_keys
 from rtc.apps.authoring.adapt import GYRATION
 from rtc.apps.authoring.robot_file import RobotFile, kinematics, number
+from rtc.language.alike import unknown
 from rtc.model.cells import cell as cells
 from rtc.model.cells import extension, model_checks, urdf_values
 from rtc.model.cells.cell import Cell
@@ -125,7 +126,7 @@ def _fields(plain: Any) -> Iterator[tuple[str, str]]:
     types = get_type_hints(Cell)
     known = [name for name in Cell.__struct_fields__ if name != "texts"]
     parts: dict[str, Any] = {}
-    faults = [(key, f"unknown field; a cell has {', '.join(known)}") for key in plain if key not in types]
+    faults = [(key, unknown("field", key, known)) for key in plain if key not in types]
     faults += [(key, "is missing") for key in ("name", "arms") if key not in plain]
     for key, value in plain.items():
         if key in types:
@@ -166,10 +167,7 @@ def _unknown_fields(where: str, value: Any, kind: Any, message: str) -> list[tup
     if "unknown field" not in message or not isinstance(value, dict) or not hasattr(kind, "__struct_fields__"):
         return []
     strange = sorted(set(value) - set(kind.__struct_fields__))
-    return [
-        (f"{where}.{name}", f"there is no such field; there are {', '.join(kind.__struct_fields__)}")
-        for name in strange
-    ]
+    return [(f"{where}.{name}", unknown("field", name, kind.__struct_fields__)) for name in strange]
 
 
 # --- models --------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import typer
 
 from rtc.apps.cli.cluster import speed_of
 from rtc.apps.cli.output import cli_error, console, exits_with
+from rtc.language.alike import unknown
 
 DEMOS = ["grasp", "door", "faults"]  # modules of rtc.apps.demos, each with `run(console, speed, out) -> passed`
 
@@ -26,7 +27,7 @@ def demo(
     Example:  rtc demo grasp
     """
     if name not in DEMOS:
-        raise cli_error(f"there is no demo {name}; there are: {', '.join(DEMOS)}", 2)
+        raise cli_error(unknown("demo", name, DEMOS), 2)
     speed_of(speed)
     with exits_with(1):
         passed = import_module(f"rtc.apps.demos.{name}").run(console, speed, out)

@@ -11,6 +11,7 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.output import cli_error, console, table
+from rtc.language.alike import unknown
 
 CHECKOUT = Path(__file__).parents[3]
 INSTALLED = "share/doc/telerobot-rtc/docs/tutorial.md"  # end of its path in a wheel, see `data-files` of pyproject.toml
@@ -36,7 +37,7 @@ def docs(
     elif (path := found.get(page.removeprefix("docs/").removesuffix(".md"))) is not None:
         sys.stdout.write(f"{path}\n" if where else path.read_text())
     else:
-        raise cli_error(f"there is no page {page}; there are {', '.join(found)}", 2)
+        raise cli_error(unknown("page", page, found), 2)
 
 
 def pages() -> dict[str, Path]:

@@ -29,7 +29,7 @@ from rtc.drawing.scene import (
     degrees,
     true_scene,
 )
-from rtc.language.alike import nearest_words
+from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import KeyTrouble, TimedOut
@@ -129,11 +129,7 @@ def _camera(cell: Cell, wanted: str) -> str:
     others = {part.name for group in (cell.regions, cell.cameras) for part in group}
     if name in known and name not in others:
         return name
-    near = nearest_words(name, known) or nearest_words(wanted.lower(), VIEWS)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    raise cli_error(
-        f"--camera is {', '.join(VIEWS)}, or an arm, object, seat or place (rtc names); not {wanted}{hint}", 2
-    )
+    raise cli_error(unknown("view, arm, object, seat or place", wanted, [*VIEWS, *(set(known) - others)]), 2)
 
 
 # --- the picture ---------------------------------------------------------------------------------------

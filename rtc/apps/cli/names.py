@@ -12,7 +12,7 @@ from rich.text import Text
 from rtc.apps.cli.cluster_cell import cell_of
 from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, table
 from rtc.apps.cli.teach import with_taught
-from rtc.language.alike import nearest_words
+from rtc.language.alike import unknown
 from rtc.language.hands import hand_in_words
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Camera, Object, Place, Region, Seat
@@ -82,9 +82,7 @@ def kind_of(word: str) -> str:
     kind = OTHER_WORDS.get(kind, kind)
     match = next((name for name in KINDS if kind in (name, name.removesuffix("s"))), "")
     if word and not match:
-        near = nearest_words(kind, KINDS)
-        hint = f" (did you mean {near[0]}?)" if near else ""
-        raise cli_error(f"names has no kind {word}{hint}; the kinds are: {', '.join(KINDS)}", 2)
+        raise cli_error(unknown("kind", kind, KINDS), 2)
     return match
 
 

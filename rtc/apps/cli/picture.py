@@ -19,7 +19,7 @@ from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, t
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.drawing.scene import CameraPicture, believed, centimetres, degrees, true_scene
-from rtc.language.alike import nearest_words
+from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Camera
 from rtc.protocol import messages as m
@@ -115,9 +115,7 @@ def _named(cell: Cell, wanted: str) -> str:
         return name
     if not known:
         raise cli_error(f"the cell {cell.name} has no cameras; name some under `cameras:` in its file", 2)
-    near = nearest_words(name, known)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    raise cli_error(f"no camera {wanted}; the cameras are {', '.join(known)}{hint}", 2)
+    raise cli_error(unknown("camera", name, known), 2)
 
 
 # --- bodies in the picture -----------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_j
 from rtc.apps.cli.progress import print_result
 from rtc.client.client import Client
 from rtc.drawing.scene import centimetres, degrees
+from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.taught import arm_of
 from rtc.protocol.messages import Fact, Validity, View
@@ -323,5 +324,4 @@ def print_facts(facts: Iterable[Fact], units: JointUnits) -> None:
 
 
 def _unknown(key: str, world: WorldClient) -> typer.Exit:
-    locations = sorted({fact.key.partition(".")[0] for fact in world.view().facts})
-    return cli_error(f"nothing is known of {key}; known are: {', '.join(locations)}", 2)
+    return cli_error(unknown("fact or location", key, (fact.key.partition(".")[0] for fact in world.view().facts)), 2)

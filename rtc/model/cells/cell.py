@@ -17,6 +17,7 @@ from pathlib import Path
 import msgspec
 import msgspec.yaml
 
+from rtc.language.alike import unknown
 from rtc.model.cells import extension, model_checks
 from rtc.model.cells.parts import (
     Arm,
@@ -160,8 +161,10 @@ def file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:
     if path.suffix not in (".yaml", ".yml"):
         path = (path if (path / "cell.yaml").is_file() else CELLS / name_or_path) / "cell.yaml"
     if not path.is_file():
-        known = ", ".join(sorted(p.parent.name for p in CELLS.glob("*/cell.yaml")))
-        raise ProgramError(f"no cell {name_or_path}: there is no file {path}; cells of the project: {known}")
+        raise ProgramError(
+            unknown("cell", str(name_or_path), (p.parent.name for p in CELLS.glob("*/cell.yaml")))
+            + f"; there is no file {path}"
+        )
     return path
 
 
@@ -217,7 +220,7 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
             yield f"seats[{n}].way_out", "must be of unit length"
     for n, thing in enumerate(cell.objects):
         if thing.seat is not None and thing.seat not in seats:
-            yield f"objects[{n}].seat", f"no seat {thing.seat}; there are {', '.join(sorted(seats))}"
+            yield f"objects[{n}].seat", unknown("seat", thing.seat, seats)
         if thing.seat is not None and taken.setdefault(thing.seat, thing.name) != thing.name:
             yield f"objects[{n}].seat", f"{thing.seat} already holds {taken[thing.seat]}"
         if not thing.shapes:
@@ -230,7 +233,7 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
         for field in ("poses", "joints_deg"):
             for name in getattr(place, field):
                 if name not in arms:
-                    yield f"places[{n}].{field}.{name}", f"no arm {name}; there are {', '.join(sorted(arms))}"
+                    yield f"places[{n}].{field}.{name}", unknown("arm", name, arms)
         for name, joints in place.joints_deg.items():
             if len(joints) != len(arms[name].joints):
                 yield f"places[{n}].joints_deg.{name}", f"{len(arms[name].joints)} joints need as many values"
@@ -239,12 +242,12 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
                     f"places[{n}].joints_deg.{name}",
                     "a joint that slides needs metres, one that turns degrees, as home",
                 )
-    regions = sorted(region.name for region in cell.regions)
-    for field, known in (("safe_work_range", regions), ("avoid_task_region", regions)):
-        if (name := getattr(cell.maintain, field)) is not None and name not in known:
-            yield f"maintain.{field}", f"no region {name}; there are {', '.join(known)}"
+    regions = [region.name for region in cell.regions]
+    for field in ("safe_work_range", "avoid_task_region"):
+        if (name := getattr(cell.maintain, field)) is not None and name not in regions:
+            yield f"maintain.{field}", unknown("region", name, regions)
     if (name := cell.maintain.pose_during_motion) is not None and name not in cell.attitudes:
-        yield "maintain.pose_during_motion", f"no attitude {name}; there are {', '.join(sorted(cell.attitudes))}"
+        yield "maintain.pose_during_motion", unknown("attitude", name, cell.attitudes)
     yield from _blind_cameras(cell, arms)
     yield from _loose_tags(cell)
 
@@ -264,7 +267,7 @@ def _wrong_hinge(thing: Object, hinge: Hinge) -> Iterator[tuple[str, str]]:
 def _blind_cameras(cell: Cell, arms: Collection[str]) -> Iterator[tuple[str, str]]:
     for n, camera in enumerate(cell.cameras):
         if camera.arm is not None and camera.arm not in arms:
-            yield f"cameras[{n}].arm", f"no arm {camera.arm}; there are {', '.join(sorted(arms))}"
+            yield f"cameras[{n}].arm", unknown("arm", camera.arm, arms)
         try:
             _ = camera.pose
         except ValueError as error:
@@ -276,7 +279,7 @@ def _loose_tags(cell: Cell) -> Iterator[tuple[str, str]]:
     places: dict[int, int] = {}
     for n, tag in enumerate(cell.tags):
         if tag.body not in bodies:
-            yield f"tags[{n}].body", f"no seat or object {tag.body}; there are {', '.join(sorted(bodies))}"
+            yield f"tags[{n}].body", unknown("seat or object", tag.body, bodies)
         if (other := places.setdefault(tag.id, n)) != n:
             yield f"tags[{n}].id", f"{tag.id} is already the id of $.tags[{other}]"
 

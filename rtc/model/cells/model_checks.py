@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rtc.language.alike import unknown
 from rtc.model.cells import urdf_values
 from rtc.model.cells.parts import Arm
 from rtc.model.cells.urdf_values import MOVING
@@ -96,7 +97,7 @@ def _arm(arm: Arm, model: _Model, texts: Mapping[str, str]) -> Problems:
         "gripper.palm_link": ([arm.gripper.palm_link], model.links, "link"),
     }
     missing = [
-        (field, f"there is no {what} {name}; there are {', '.join(sorted(known))}")
+        (field, unknown(what, name, known))
         for field, (names, known, what) in fields.items()
         for name in names
         if name not in known

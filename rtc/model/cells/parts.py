@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from rtc.language.alike import unknown
 from rtc.model.cells import tag_family
 from rtc.spatial import geometry
 
@@ -348,4 +349,4 @@ def named(parts: Sequence[Named], name: str, what: str) -> Named:
     for part in parts:
         if part.name == name:
             return part
-    raise KeyError(f"no {what} {name}; there are {', '.join(p.name for p in parts)}")
+    raise KeyError(unknown(what, name, (part.name for part in parts)))

@@ -25,6 +25,7 @@ from typing import Generic, TypeVar
 
 import msgspec
 
+from rtc.language.alike import unknown
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
@@ -258,7 +259,7 @@ class Subsystem(ABC, Generic[Performer]):
     def _halt(self, order: m.HaltOrder, sender: bytes, now_s: float) -> Outgoing:
         """Stop the performers in scope at once, for any caller and any halt id; then answer."""
         if sender != BROKER and not self._knows_scope(order.scope):
-            words = f"unknown scope {order.scope}; known scopes are ALL, {', '.join(self.performers)}"
+            words = unknown("scope", order.scope, ["ALL", *self.performers])
             refusal = Refusal(reason=RefusalReason.NAME, message=words, expected=["ALL", *self.performers])
             return [(sender, m.Declined(request=order.halt, refusal=refusal))]
         reached = [name for name, one in self.performers.items() if self._is_reached(order.scope, name, one)]

@@ -38,7 +38,7 @@ from rtc.runtime.settings import LOCK, Settings, shell_command
         ("world watch --every nan", "less than or equal to"),
         ("trace x7", "'x7' is not the number of a command, such as C-7 or 7"),
         ("why C-7x", "'C-7x' is not the number of a command"),
-        ("names plaices", "names has no kind plaices (did you mean places?); the kinds are: arms, "),
+        ("names plaices", "there is no kind plaices; there are arms, "),
         ("inject displace MACS-NEW", "state --by, --turn or both"),
         ("inject displace MACS-NEW --by 1,2", "--by is 3 numbers with commas between them; not 1,2"),
         ("inject displace MACS-NEW --by nan,0,0", "--by is 3 numbers"),

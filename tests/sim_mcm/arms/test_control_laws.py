@@ -46,7 +46,7 @@ def test_torques_stay_within_what_the_motors_can(cell, model) -> None:
 @pytest.mark.parametrize(
     ("law", "words"),
     [
-        (ControlLaw(name="magic"), "unknown control law magic; known are impedance, position"),
+        (ControlLaw(name="magic"), "there is no control law magic; there are impedance, position"),
         (ControlLaw(gains={"wn": 5.0}), "outside 10 to 300"),
         (ControlLaw(gains={"kp": 5.0}), "knows the gain wn, not kp"),
         (ControlLaw(gains={"wn": float("inf")}), "not a finite number"),

@@ -70,7 +70,7 @@ def _bad(rig, make, kind: str) -> p.Primitive:
         ("nan", "not finite"),
         ("moving", "does not end at rest"),
         ("quick", r"velocity of joint_1 reaches 9 rad/s"),
-        ("law", "unknown control law magic; known are impedance, position"),
+        ("law", "there is no control law magic; there are impedance, position"),
         ("gain", "wn 500.0 rad/s is outside 10 to 300"),
         ("axis", "3 numbers are needed"),
         ("box", "centre: 7 numbers are needed"),

@@ -604,5 +604,5 @@ def test_a_command_that_moves_no_arm_reads_no_joints_of_another(bench):
 
 
 def test_a_program_that_senses_by_a_piece_there_is_not_does_not_check(bench):
-    with pytest.raises(ProgramError, match=r"\$\.senses\.joints: no piece crystal-ball; there are "):
+    with pytest.raises(ProgramError, match=r"\$\.senses\.joints: there is no piece crystal-ball; there are "):
         bench.load("elaborator", "senses: {joints: crystal-ball}")
