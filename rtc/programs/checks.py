@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
+from typing import Any, NamedTuple
 
 from rtc.language.alike import unknown
 from rtc.programs import expressions, extension_names
-from rtc.programs.compatibility import Problems
-from rtc.programs.schema import AnalyzerProgram, ElaboratorProgram, ScriptFile, ScriptStep
+from rtc.programs.schema import (
+    AnalyzerProgram,
+    BinderProgram,
+    BranchCondition,
+    ElaboratorProgram,
+    ScriptFile,
+    ScriptStep,
+    StopRow,
+)
+from rtc.protocol.messages import Limits
+from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.protocol.sentence import ParsedCommand
+
+Problems = Iterator[tuple[str, str]]  # place, problem
 
 PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 FIELDS = ParsedCommand.__struct_fields__
@@ -17,42 +29,109 @@ FIELDS = ParsedCommand.__struct_fields__
 _OPENS = "command|handoff|verify|set_value|cannot"
 
 
-def problems(program: ElaboratorProgram) -> Problems:
-    """The problems of an elaborator program, each with its place."""
-    for n, branch in enumerate(program.decision_tree):
-        for m, check in enumerate(branch.when):
-            place = f"decision_tree[{n}].when[{m}]"
-            for field in filter(None, (check.given, check.missing, *check.equals, *check.differs)):
-                yield from _known("field of a sentence", field.partition(".")[0], FIELDS, place)
+class PlacedStep(NamedTuple):
+    """A step of a script or piece, with its place in the program.
+
+    `bindings`: the names that a step of the script may refer to; None in a piece, which has those of its script.
+    `entries`: length of the trimming stack.
+    """
+
+    place: str
+    step: ScriptStep
+    bindings: set[str] | None = None
+    entries: int = 0
+
+
+def steps_of(program: ElaboratorProgram) -> Iterator[PlacedStep]:
+    """Every step of an elaborator program."""
     for n, script in enumerate(program.scripts):
-        yield from _script(script, f"scripts[{n}]")
+        bindings = {line.name for line in script.plan} | {step.name for step in script.steps if step.do == "let"}
+        for m, step in enumerate(script.steps):
+            yield PlacedStep(f"scripts[{n}].steps[{m}]", step, bindings, len(script.trimming_stack))
     for n, piece in enumerate(program.pieces):
         for m, step in enumerate(piece.steps):
-            yield from _step(step, f"pieces[{n}].steps[{m}]")
+            yield PlacedStep(f"pieces[{n}].steps[{m}]", step)
 
 
-def _script(script: ScriptFile, place: str) -> Problems:
+def _elaborator(program: ElaboratorProgram) -> Problems:
+    scripts = {script.script for script in program.scripts}
+    figures = {*extension_names.FIGURES, *(name for row in program.command_object_table for name in row.values)}
+    for n, branch in enumerate(program.decision_tree):
+        yield from known("script", branch.script, scripts, f"decision_tree[{n}].script")
+        for m, check in enumerate(branch.when):
+            place = f"decision_tree[{n}].when[{m}]"
+            yield from _bounds(check, place)
+            for field in filter(None, (check.given, check.missing, *check.equals, *check.differs)):
+                yield from known("field of a sentence", field.partition(".")[0], FIELDS, place)
+    for slot, units in program.constraints.items():
+        for unit, limit in units.items():
+            yield from known("limit", limit, ("", *Limits.__struct_fields__), f"constraints.{slot}.{unit}")
+    for figure, most in program.by_hand.items():
+        yield from known("figure of the hand", most, extension_names.HAND_LIMITS, f"by_hand.{figure}")
+    for attribute, skill in program.senses.items():
+        yield from known("piece", skill, {piece.skill for piece in program.pieces}, f"senses.{attribute}")
+    for n, script in enumerate(program.scripts):
+        yield from _script(script, f"scripts[{n}]", figures)
+    for placed in steps_of(program):
+        yield from _step(placed, figures)
+
+
+def _script(script: ScriptFile, place: str, figures: set[str]) -> Problems:
     for n, field in enumerate(script.uses):
-        yield from _known("field of a sentence", field, FIELDS, f"{place}.uses[{n}]")
+        yield from known("field of a sentence", field, FIELDS, f"{place}.uses[{n}]")
+    for n, need in enumerate(script.needs):
+        yield from known("condition of the world", need, extension_names.NEEDS, f"{place}.needs[{n}]")
     for section in ("resources", "writes"):
         for n, role in enumerate(getattr(script, section)):
             if role != role.upper():  # a name of the cell is in capitals
-                yield from _known("resource", role, extension_names.ROLES, f"{place}.{section}[{n}]")
+                yield from known("resource", role, extension_names.ROLES, f"{place}.{section}[{n}]")
+    if script.unsure_if is not None:
+        yield from _bounds(script.unsure_if, f"{place}.unsure_if")
+    planned: list[str] = []
+    for n, line in enumerate(script.plan):
+        yield from known("anchor", line.at, [*extension_names.ANCHORS, *planned], f"{place}.plan[{n}].at")
+        if line.along:
+            yield from known("axis", line.along, extension_names.PLAN_AXES, f"{place}.plan[{n}].along")
+        yield from _expression(line.by, f"{place}.plan[{n}].by", figures)
+        yield from known("earlier line", line.near, ("", *planned), f"{place}.plan[{n}].near")
+        planned.append(line.name)
+    for n, entry in enumerate(script.trimming_stack):
+        if entry.n != n + 1:
+            yield f"{place}.trimming_stack[{n}].n", f"entries are numbered in order from 1; this is number {n + 1}"
+    if script.trimming_stack and script.case < 3:
+        yield f"{place}.trimming_stack", "actions (cases 1 and 2) cannot be trimmed"
     poses = {line.name for line in script.plan if not line.solve}
-    poses |= {step.name for step in script.steps if step.do == "let"}
+    poses |= {"HERE", *(step.name for step in script.steps if step.do == "let")}
     for n, step in enumerate(script.steps):
-        yield from _step(step, f"{place}.steps[{n}]")
-        if (about := step.words.get("about", "HERE")) != "HERE":
-            yield from _known("pose of the plan (without solve)", about, poses, f"{place}.steps[{n}].words.about")
+        about = step.words.get("about", "HERE")
+        yield from known("pose of the plan (without solve)", about, poses, f"{place}.steps[{n}].words.about")
 
 
-def _step(step: ScriptStep, place: str) -> Problems:
+def _step(placed: PlacedStep, figures: set[str]) -> Problems:
+    place, step, bindings, entries = placed
     for field, text in (("label", step.label), *((f"words.{name}", text) for name, text in step.words.items())):
         for name in PLACEHOLDER.findall(text):
-            yield from _known("placeholder", name, extension_names.PLACEHOLDERS, f"{place}.{field}")
+            yield from known("placeholder", name, extension_names.PLACEHOLDERS, f"{place}.{field}")
     for name in step.words:
-        yield from _known("word that acts", name, extension_names.WORDS, f"{place}.words.{name}")
+        yield from known("word that acts", name, extension_names.WORDS, f"{place}.words.{name}")
     yield from _path(step, place)
+    index, count = step.trim
+    if (index, count) != (0, 0) and not (index >= 1 and count >= 1 and index + count - 1 <= entries):
+        yield f"{place}.trim", f"[index, count] = [{index}, {count}] is outside the trimming stack of {entries} entries"
+    if bindings is not None:
+        yield from known("binding", step.to, {"", "HERE", *bindings}, f"{place}.to")
+    yield from known("performer", step.who, extension_names.PERFORMERS, f"{place}.who")
+    if step.space or step.to:
+        yield from known("space", step.space or "(none)", extension_names.SPACES, f"{place}.space")
+    for name, source in step.keep.items():
+        yield from known("measured value", source, extension_names.KEPT, f"{place}.keep.{name}")
+    for word in ("effect", "missed"):
+        yield from known("effect", step.words.get(word, ""), ("", *extension_names.EFFECTS), f"{place}.words.{word}")
+    if "{" not in (axis := step.words.get("axis", "X")):
+        yield from known("axis", axis, extension_names.PLAN_AXES, f"{place}.words.axis")
+    for name, expression in step.args.items():
+        yield from _expression(expression, f"{place}.args.{name}", figures)
+    yield from _expression(step.value or None, f"{place}.value", bindings, "binding")
 
 
 def _path(step: ScriptStep, place: str) -> Problems:
@@ -83,28 +162,85 @@ def _path(step: ScriptStep, place: str) -> Problems:
         yield f"{place}.args.press_n", f"a {step.space} has no axis to press along"
 
 
-def failure_words(program: AnalyzerProgram) -> Problems:
-    """Unknown placeholders in the messages of failure classes."""
-    for name, row in program.classes.items():
+def _binder(program: BinderProgram) -> Problems:
+    yield from _values(program.values, "values")
+    for name, row in program.stop_classes.items():
+        yield from _values(row.values, f"stop_classes.{name}.values")
+        for n, stop in enumerate(row.stops):
+            yield from _stop_row(stop, f"stop_classes.{name}.stops[{n}]")
+        whens = {stop.when for stop in row.stops}
+        for wanted in ("goal-reached", "time-above"):
+            if wanted not in whens:
+                yield f"stop_classes.{name}.stops", f"F is not complete without {wanted}"
+    for op, name in program.hand.items():
+        yield from known("stop class", name, program.stop_classes, f"hand.{op}")
+    for do, action in program.actions.items():
+        yield from known("action", action, extension_names.ACTIONS, f"actions.{do}")
+    for name, procedure in program.procedures.items():
+        yield from known("procedure", procedure, extension_names.PROCEDURES, f"procedures.{name}")
+    for n, stop in enumerate(program.holding):
+        yield from _stop_row(stop, f"holding[{n}]")
+
+
+def _stop_row(stop: StopRow, where: str) -> Problems:
+    yield from known("predicate", stop.when, extension_names.PREDICATES, f"{where}.when")
+    yield from _expression(stop.limit, f"{where}.limit")
+    if (stop.reflex is Reflex.BACK_OFF) is not (stop.back_off_m > 0.0):
+        yield f"{where}.back_off_m", "a distance above 0 goes with the reflex back_off, and with no other"
+
+
+def _analyzer(program: AnalyzerProgram) -> Problems:
+    for name, failure in program.classes.items():
         fields = (("message", ()), ("clears", ()), ("again", ("target_cure",)), ("pressing", ("away", "leave")))
         for field, more in fields:
-            known = (*extension_names.FAILURE_PLACEHOLDERS, *more)
-            for word in PLACEHOLDER.findall(getattr(row, field)):
-                yield from _known("placeholder", word, known, f"classes.{name}.{field}")
+            placeholders = (*extension_names.FAILURE_PLACEHOLDERS, *more)
+            for word in PLACEHOLDER.findall(getattr(failure, field)):
+                yield from known("placeholder", word, placeholders, f"classes.{name}.{field}")
+    for row, cells in program.outcomes.items():
+        missing = [reason.value for reason in StopReason if reason not in cells]
+        if missing:
+            yield f"outcomes.{row}", f"no cell for {', '.join(missing)}"
+        for reason, name in cells.items():
+            yield from known("class", name, program.classes, f"outcomes.{row}.{reason}")
 
 
 def unknown_verbs(program: ElaboratorProgram, grammar: str) -> Problems:
     """Rows for a verb with which no sentence of this grammar begins."""
-    known = verbs(grammar)
+    possible = verbs(grammar)
     for section in ("decision_tree", "command_object_table"):
         for n, row in enumerate(getattr(program, section)):
-            yield from _known("verb of the language", row.verb, known, f"{section}[{n}].verb")
+            yield from known("verb of the language", row.verb, possible, f"{section}[{n}].verb")
 
 
 def verbs(grammar: str) -> set[str]:
     """The verbs of a grammar text, found without compiling it, which would take too long for the broker."""
     found = re.findall(rf"[:|]\s*([A-Z_]+)\b[^\n|:]*->\s*(?:{_OPENS})\b", grammar)
     return {verb.replace("_", "-") for verb in found}
+
+
+def _bounds(condition: BranchCondition, place: str) -> Problems:
+    for field in ("of", "at_least", "at_most"):
+        yield from _expression(getattr(condition, field), f"{place}.{field}")
+
+
+def _values(values: dict[str, str | float], place: str) -> Problems:
+    for name, expression in values.items():
+        yield from _expression(expression, f"{place}.{name}")
+
+
+def _expression(
+    text: str | float | None, place: str, names: Collection[str] | None = None, kind: str = "figure"
+) -> Problems:
+    """An expression without a value, or with a name that is not among `names`; None: it may have any names."""
+    if text is None:
+        return
+    try:
+        if problem := valueless(str(text)):
+            yield place, problem
+        for name in sorted(expressions.names(text)) if names is not None else ():
+            yield from known(kind, name, names or (), place)
+    except expressions.ExpressionError as error:
+        yield place, str(error)
 
 
 def valueless(expression: str) -> str:
@@ -123,6 +259,13 @@ def valueless(expression: str) -> str:
     return f"{expression!r} has no value: {complaint}"
 
 
-def _known(what: str, name: str, known: Collection[str], place: str) -> Iterator[tuple[str, str]]:
-    if name not in known:
-        yield place, unknown(what, name, known)
+def known(kind: str, name: str, names: Collection[str], place: str) -> Problems:
+    if name not in names:
+        yield place, unknown(kind, name, filter(None, names))
+
+
+CHECKS: dict[type[Any], Callable[[Any], Problems]] = {
+    ElaboratorProgram: _elaborator,
+    BinderProgram: _binder,
+    AnalyzerProgram: _analyzer,
+}

@@ -9,7 +9,7 @@ equal programs have equal digests. Each fault raises a ProgramError that names t
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,23 +17,19 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
-from rtc.language.alike import unknown
 from rtc.language.grammar import Grammar
 from rtc.model.cells import yaml_limits
-from rtc.programs import checks, expressions, extension_names
-from rtc.programs.compatibility import Problems, misfits
+from rtc.programs import checks
+from rtc.programs.compatibility import misfits
 from rtc.programs.schema import (
     AnalyzerProgram,
     BinderProgram,
     ElaboratorProgram,
     Program,
-    ScriptFile,
-    ScriptStep,
-    StopRow,
 )
 from rtc.programs.yaml_location import known_keys, line_of, line_of_key, path_of
-from rtc.protocol.messages import Limits, WorkerKind
-from rtc.protocol.outcomes import ProgramError, Reflex, StopReason
+from rtc.protocol.messages import WorkerKind
+from rtc.protocol.outcomes import ProgramError
 
 PROGRAMS = Path(__file__).parent / "default"
 GRAMMAR = Path(__file__).parents[1] / "language" / "command.lark"
@@ -257,7 +253,7 @@ def _checked(document: dict[str, Any], schema: type[P], source: str) -> P:
         program = msgspec.convert(document, schema, strict=True)
     except msgspec.ValidationError as error:
         raise ProgramError(f"{source}: {error}{_owner(document, str(error))}") from error
-    for place, problem in CHECKS[schema](program):
+    for place, problem in checks.CHECKS[schema](program):
         raise ProgramError(f"{source}: $.{place}: {problem}{_owner(document, place)}")
     return program
 
@@ -286,166 +282,3 @@ def _fits(programs: Mapping[WorkerKind, bytes], kind: WorkerKind, document: dict
         if kind is WorkerKind.ELABORATOR:
             raise ProgramError(f"{source}: $.{place}: {problem}{_owner(document, place)}")
         raise ProgramError(f"{source}: it is incompatible with the elaborator's program: {place}: {problem}")
-
-
-def _elaborator_problems(program: ElaboratorProgram) -> Problems:
-    scripts = {script.script for script in program.scripts}
-    for n, branch in enumerate(program.decision_tree):
-        if branch.script not in scripts:
-            yield f"decision_tree[{n}].script", unknown("script", branch.script, scripts)
-        for m, check in enumerate(branch.when):
-            for field in ("of", "at_least", "at_most"):
-                yield from _expression(getattr(check, field), f"decision_tree[{n}].when[{m}].{field}")
-    for slot, units in program.constraints.items():
-        for unit, limit in units.items():
-            if limit and limit not in Limits.__struct_fields__:
-                yield f"constraints.{slot}.{unit}", unknown("limit", limit, Limits.__struct_fields__)
-    for figure, most in program.by_hand.items():
-        yield from _known("figure of the hand", most, set(extension_names.HAND_LIMITS), f"by_hand.{figure}")
-    pieces = {piece.skill for piece in program.pieces}
-    for attribute, skill in program.senses.items():
-        yield from _known("piece", skill, pieces, f"senses.{attribute}")
-    yield from _figure_problems(program)
-    yield from checks.problems(program)
-    for n, script in enumerate(program.scripts):
-        yield from _script_problems(script, f"scripts[{n}]")
-    for n, piece in enumerate(program.pieces):
-        for m, step in enumerate(piece.steps):
-            yield from _step_problems(step, f"pieces[{n}].steps[{m}]", entries=0, bindings=None)
-
-
-def _figure_problems(program: ElaboratorProgram) -> Problems:
-    """Names in expressions without a value in the cell, the command-object table or a sentence."""
-    known = {*extension_names.FIGURES, *(name for row in program.command_object_table for name in row.values)}
-    sums: dict[str, str | float] = {}
-    for n, script in enumerate(program.scripts):
-        sums |= {f"scripts[{n}].plan[{m}].by": line.by for m, line in enumerate(script.plan)}
-    steps = {f"scripts[{n}]": script.steps for n, script in enumerate(program.scripts)}
-    steps |= {f"pieces[{n}]": piece.steps for n, piece in enumerate(program.pieces)}
-    for item, lines in steps.items():
-        for n, step in enumerate(lines):
-            sums |= {f"{item}.steps[{n}].args.{name}": value for name, value in step.args.items()}
-    for place, expression in sums.items():
-        for name in sorted(_names(expression)):
-            yield from _known("figure", name, known, place)
-
-
-def _names(expression: str | float) -> set[str]:
-    try:
-        return set(expressions.names(expression))
-    except expressions.ExpressionError:
-        return set()  # reported by the check of that expression
-
-
-def _script_problems(script: ScriptFile, place: str) -> Problems:
-    for n, need in enumerate(script.needs):
-        yield from _known("condition of the world", need, extension_names.NEEDS, f"{place}.needs[{n}]")
-    if script.unsure_if is not None:
-        for field in ("of", "at_least", "at_most"):
-            yield from _expression(getattr(script.unsure_if, field), f"{place}.unsure_if.{field}")
-    planned: set[str] = set()
-    for n, line in enumerate(script.plan):
-        yield from _known("anchor", line.at, [*extension_names.ANCHORS, *sorted(planned)], f"{place}.plan[{n}].at")
-        if line.along:
-            yield from _known("axis", line.along, extension_names.PLAN_AXES, f"{place}.plan[{n}].along")
-        yield from _expression(line.by, f"{place}.plan[{n}].by")
-        if line.near and line.near not in planned:
-            yield f"{place}.plan[{n}].near", f"no earlier line {line.near}"
-        planned.add(line.name)
-    for n, entry in enumerate(script.trimming_stack):
-        if entry.n != n + 1:
-            yield f"{place}.trimming_stack[{n}].n", f"entries are numbered in order from 1; this is number {n + 1}"
-    if script.trimming_stack and script.case < 3:
-        yield f"{place}.trimming_stack", "actions (cases 1 and 2) cannot be trimmed"
-    bindings = planned | {step.name for step in script.steps if step.do == "let"}
-    for n, step in enumerate(script.steps):
-        yield from _step_problems(step, f"{place}.steps[{n}]", len(script.trimming_stack), bindings)
-
-
-def _step_problems(step: ScriptStep, place: str, entries: int, bindings: set[str] | None) -> Problems:
-    index, count = step.trim
-    if (index, count) != (0, 0) and not (index >= 1 and count >= 1 and index + count - 1 <= entries):
-        yield f"{place}.trim", f"[index, count] = [{index}, {count}] is outside the trimming stack of {entries} entries"
-    if bindings is not None and step.to and step.to != "HERE" and step.to not in bindings:
-        yield f"{place}.to", unknown("binding", step.to, bindings)
-    yield from _known("performer", step.who, extension_names.PERFORMERS, f"{place}.who")
-    if step.space or step.to:
-        yield from _known("space", step.space or "(none)", extension_names.SPACES, f"{place}.space")
-    for name, source in step.keep.items():
-        yield from _known("measured value", source, extension_names.KEPT, f"{place}.keep.{name}")
-    for word in ("effect", "missed"):
-        if effect := step.words.get(word):
-            yield from _known("effect", effect, extension_names.EFFECTS, f"{place}.words.{word}")
-    if "{" not in (axis := step.words.get("axis", "X")):
-        yield from _known("axis", axis, extension_names.PLAN_AXES, f"{place}.words.axis")
-    for name, expression in step.args.items():
-        yield from _expression(expression, f"{place}.args.{name}")
-    if step.value:
-        yield from _expression(step.value, f"{place}.value")
-        for name in sorted(expressions.names(step.value) - bindings) if bindings is not None else ():
-            yield f"{place}.value", unknown("binding", name, bindings or ())
-
-
-def _binder_problems(program: BinderProgram) -> Problems:
-    yield from _values(program.values, "values")
-    for name, row in program.stop_classes.items():
-        yield from _values(row.values, f"stop_classes.{name}.values")
-        for n, stop in enumerate(row.stops):
-            yield from _stop_row(stop, f"stop_classes.{name}.stops[{n}]")
-        whens = {stop.when for stop in row.stops}
-        for wanted in ("goal-reached", "time-above"):
-            if wanted not in whens:
-                yield f"stop_classes.{name}.stops", f"F is not complete without {wanted}"
-    for op, name in program.hand.items():
-        if name not in program.stop_classes:
-            yield f"hand.{op}", unknown("stop class", name, program.stop_classes)
-    for do, action in program.actions.items():
-        yield from _known("action", action, extension_names.ACTIONS, f"actions.{do}")
-    for name, procedure in program.procedures.items():
-        yield from _known("procedure", procedure, extension_names.PROCEDURES, f"procedures.{name}")
-    for n, stop in enumerate(program.holding):
-        yield from _stop_row(stop, f"holding[{n}]")
-
-
-def _stop_row(stop: StopRow, where: str) -> Problems:
-    yield from _known("predicate", stop.when, extension_names.PREDICATES, f"{where}.when")
-    yield from _expression(stop.limit, f"{where}.limit")
-    if (stop.reflex is Reflex.BACK_OFF) is not (stop.back_off_m > 0.0):
-        yield f"{where}.back_off_m", "a distance above 0 goes with the reflex back_off, and with no other"
-
-
-def _analyzer_problems(program: AnalyzerProgram) -> Problems:
-    yield from checks.failure_words(program)
-    for row, cells in program.outcomes.items():
-        missing = [reason.value for reason in StopReason if reason not in cells]
-        if missing:
-            yield f"outcomes.{row}", f"no cell for {', '.join(missing)}"
-        for reason, name in cells.items():
-            if name not in program.classes:
-                yield f"outcomes.{row}.{reason}", unknown("class", name, program.classes)
-
-
-def _known(what: str, name: str, known: Collection[str], place: str) -> Problems:
-    if name not in known:
-        yield place, unknown(what, name, known)
-
-
-def _values(values: dict[str, str | float], place: str) -> Problems:
-    for name, expression in values.items():
-        yield from _expression(expression, f"{place}.{name}")
-
-
-def _expression(text: str | float | None, place: str) -> Problems:
-    if text is not None:
-        try:
-            if problem := checks.valueless(str(text)):
-                yield place, problem
-        except expressions.ExpressionError as error:
-            yield place, str(error)
-
-
-CHECKS: dict[type[Any], Callable[[Any], Problems]] = {
-    ElaboratorProgram: _elaborator_problems,
-    BinderProgram: _binder_problems,
-    AnalyzerProgram: _analyzer_problems,
-}
