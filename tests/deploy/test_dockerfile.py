@@ -59,7 +59,7 @@ def test_all_that_a_wheel_is_made_of_is_copied():
 
 
 def test_what_is_run_exists():
-    installs, adds_user = (shlex.split(line) for line in all_of("RUN"))
+    _, installs, adds_user = (shlex.split(line) for line in all_of("RUN"))
     assert installs[:2] == ["pip", "install"]
     assert installs[installs.index("-c") + 1] in copied()
     assert [option for option in installs if option.startswith("-")] == ["--no-cache-dir", "-c"]

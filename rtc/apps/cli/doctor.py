@@ -21,6 +21,7 @@ from rtc.apps.cli.log import from_cluster
 from rtc.apps.cli.output import AsJson, RunDir, console, emit_json, seconds
 from rtc.client.client import Client
 from rtc.client.past_runs import PREVIOUS, runs
+from rtc.model.robot import collision_checks, compiled
 from rtc.plugins import registry
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
@@ -129,6 +130,8 @@ def installation() -> Iterator[Finding]:
     absent = [name for name, version in versions.items() if not version]
     words = ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items())
     yield Finding("libraries", words, f"pip install {' '.join(absent)}" if absent else "")
+    slower = "" if compiled() else "planning takes about twice as long; install a C++ compiler, then rtc again"
+    yield Finding("collision checks", collision_checks(), slower)
     for extra in EXTRAS:
         yield Finding(f"extra for {extra}", missing(extra) or "installed")  # optional: no warning
     for group in registry.GROUPS:

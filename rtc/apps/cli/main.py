@@ -18,6 +18,7 @@ from rtc import __version__
 from rtc.apps.cli.interrupts import raise_at_interrupts
 from rtc.apps.cli.output import LEFT_RUNNING, NO_CLUSTER, cli_error, errors
 from rtc.apps.cli.stdio import OutputClosed, attach
+from rtc.model.robot import collision_checks
 from rtc.protocol.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
 
 #: command -> module of this package with its function (for a group: its app); in the order of the help
@@ -94,7 +95,7 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        print(f"rtc {__version__} (Python {platform.python_version()})")
+        print(f"rtc {__version__} (Python {platform.python_version()}; collision checks: {collision_checks()})")
         raise typer.Exit()
 
 

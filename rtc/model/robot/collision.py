@@ -1,7 +1,7 @@
 """Collision checks of arms, held objects and the rest of the cell.
 
 A `CollisionWorld` checks joint values in a scene (`rtc.model.robot.collision_scene`). Reuse one scene for many checks:
-setting it up takes about 0.2 ms, a check 20-40 us. The result names the two bodies. Geometry only: the caller decides
+setting it up takes about 0.2 ms, a check 7-40 us. The result names the two bodies. Geometry only: the caller decides
 which contacts are intended.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from rtc.model.cells import cell as cells
 from rtc.model.robot import bodies
+from rtc.model.robot.boxes import boxes_of
 from rtc.model.robot.collision_pairs import Pairs, PairTable
 from rtc.model.robot.collision_scene import AS_BUILT, Scene, in_hands
 from rtc.model.robot.levers import ball, levers, of_pairs
@@ -71,11 +72,10 @@ class PathCollision:
 
 
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
-GROUP = 3  # steps of a path, or its configurations in a search, that one check may prove free
+GROUP = 3  # steps of a path that one check of coal may prove free
 MIN_M = 0.0005  # by which a pair may come nearer between two measured distances at least
 FEW = 5  # pairs that are followed along a group
 SECTION = 120  # configurations of a path with the same wider margins
-MIN_GROUPED = 7  # a search checks a shorter line one by one
 PROBES = 7  # configurations of a path that may show at once that it is blocked
 STRIDE = 4  # configurations between two measurements of the room along a path
 WIDER_M = 1e-4  # tolerance of distances in the check of a group
@@ -131,8 +131,10 @@ class CollisionWorld:
             self._bodies.model, self._bodies.geometry, self._geometry_data
         )
         self._callback = pin.CollisionCallBackDefault(self._bodies.geometry, self._geometry_data, True)
+        self._hit = 0  # the pair that a check has found
+        self._left_out: set[int] = set()  # pairs that no check finds
         self._active = np.ones(len(self._bodies.pairs), dtype=bool)
-        self._wider = _WiderMargins(self._bodies)  # enough to prove that a group of configurations is free
+        self._wider = _WiderMargins(self._bodies)  # in place of boxes: prove that a group of configurations is free
         self._q = pin.neutral(self._bodies.model)
         self._scene: Scene | None = None
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
@@ -140,6 +142,7 @@ class CollisionWorld:
         self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
         self._apart: SeparationCheck | None = None  # made when it is first needed
         self._table = PairTable(self._bodies)
+        self._boxes = boxes_of(self._bodies)
         self._measure_bodies()
         self._put_in_force(self._table.of_scene(AS_BUILT))
         self._arrange(AS_BUILT)
@@ -165,9 +168,8 @@ class CollisionWorld:
         `DEEPER_M`. After separation it is checked like all others. So a world model with an error of millimetres can
         start a path in contact, but a path never moves deeper into contact.
 
-        Groups of neighbouring configurations are checked at once in their middle, with a margin as wide as any pair can
-        come nearer within the group (`rtc.model.robot.levers`). Only the pairs that are nearer than that are followed
-        along the group, by their distances. So the whole path is free, not only the configurations.
+        Boxes around the bodies prove most of the path free (`rtc.model.robot.boxes`). Elsewhere the pairs that they
+        leave undecided are followed by their distances. So the whole path is free, not only the configurations.
         """
         if not len(configurations):
             return None
@@ -176,28 +178,20 @@ class CollisionWorld:
         self._set({**others, arm: configurations[0]}, scene)
         slots, rows = self._bodies.arms[arm].joints, np.asarray(configurations, dtype=float)
         leaving: dict[int, float] = {}  # pair -> greatest distance so far
-        index, size, widened = 1, group, 0
+        index = 1
         try:
             self._q[slots] = rows[0]
             leaving.update(self._let_leave() if self._touches_any() else {})
+            parts = self._parts(slots, rows, group)
             while index < len(rows):
                 if not leaving:
-                    if index >= widened:
-                        size, widened = group, min(index + SECTION, len(rows))
-                        self._widen(slots, rows[index - 1 : widened], size)
-                    last = min(index + size, widened)
-                    part = rows[index - 1 : last]
-                    near = self._near_pairs(slots, part)
-                    if len(near) > FEW and size > 1:  # shorter groups, up to the end of this section
-                        size = 1
-                        self._widen(slots, rows[index - 1 : widened], size)
-                        continue
-                    found = self._first_too_near(slots, part, near) if near else None
+                    last, near = parts(index)
+                    found = self._first_too_near(slots, rows[index - 1 : last], near) if near else None
                     if found is None:
                         index = last
                         continue
                     place, pair = found
-                    self._put(slots, part, place)
+                    self._put(slots, rows[index - 1 : last], place)
                     hit = self._describe(pair)
                     if not self._touched_at(slots, rows[0], pair, hit, leaving):
                         return PathCollision(index - 1 + math.ceil(place), hit)
@@ -207,7 +201,7 @@ class CollisionWorld:
                 index += 1
         finally:
             for pair in leaving:
-                self._geometry_data.activateCollisionPair(pair)
+                self._count_again(pair)
         return None
 
     def probe(
@@ -221,7 +215,7 @@ class CollisionWorld:
         for n in _halfway(len(path)):
             self._q[slots] = path[n]
             if self._touches_any():
-                pair = self._callback.collisionPairIndex
+                pair = self._hit
                 found = self._describe(pair)
                 self._q[slots] = path[0]
                 self._place()
@@ -241,36 +235,27 @@ class CollisionWorld:
             return count if hit is None else hit.index
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
-        grouped = count >= MIN_GROUPED
-        if grouped:
-            self._widen(slots, configurations)
-        for first in range(0, count, GROUP):
-            n = self._first_hit(slots, configurations, first, grouped)
-            if n is not None:
-                return n
+        if self._touches_any():
+            return 0
+        parts, index = self._parts(slots, configurations, GROUP), 1
+        while index < count:
+            last, near = parts(index)
+            part = configurations[index - 1 : last]
+            if near and (found := self._first_too_near(slots, part, near)):
+                return index - 1 + math.ceil(found[0])
+            index = last
         return count
 
     def is_free(self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> bool:
-        """Whether no configuration is in collision. As `free_until`, but in an order that finds a collision sooner."""
-        count = len(configurations)
-        if scene.hung or count < MIN_GROUPED:
-            return self.free_until(arm, configurations, others, scene) == count
-        self._set({**others, arm: configurations[0]}, scene)
-        slots = self._bodies.arms[arm].joints
-        self._widen(slots, configurations)
-        return all(self._first_hit(slots, configurations, GROUP * n, True) is None for n in _spread(-(-count // GROUP)))
-
-    def _first_hit(self, slots: list[int], configurations: Array, first: int, grouped: bool) -> int | None:
-        """The first configuration in collision of the group that begins at `first`; None if all of it are free."""
-        group = configurations[first : first + GROUP]
-        self._q[slots] = group[len(group) // 2]
-        if grouped and not self._wider.touch(self._data, self._q):  # in the middle, for all of them
-            return None
-        for n, configuration in enumerate(group, first):
-            self._q[slots] = configuration
-            if self._touches_any():
-                return n
-        return None
+        """Whether the whole path is free, as for `free_until`. A few configurations are checked first."""
+        if not scene.hung:
+            self._set({**others, arm: configurations[0]}, scene)
+            slots = self._bodies.arms[arm].joints
+            for n in _halfway(len(configurations)):
+                self._q[slots] = configurations[n]
+                if self._touches_any():
+                    return False
+        return self.free_until(arm, configurations, others, scene) == len(configurations)
 
     def compare_arms(self, arm: str, other: str, scene: Scene) -> SeparationCheck:
         """Checks of the distance between two arms, each with what it holds in this scene. Both hands count as open."""
@@ -378,10 +363,46 @@ class CollisionWorld:
         """What is wrong with one configuration of a path and with the way to it; `leaving` is brought up to date."""
         self._q[slots] = rows[index]
         hit = self._ask()
-        while hit is not None and self._touched_at(slots, rows[0], self._callback.collisionPairIndex, hit, leaving):
+        while hit is not None and self._touched_at(slots, rows[0], self._hit, hit, leaving):
             self._q[slots] = rows[index]
             hit = self._ask()
         return hit or self._left(slots, rows[index - 1], rows[index], leaving)
+
+    def _parts(self, slots: list[int], rows: Array, group: int) -> Callable[[int], tuple[int, list[int]]]:
+        """Divides the way along these configurations into parts, each with the pairs that may be too near on it.
+
+        The function returns, for the configuration `index`, the part that begins with the one before it: (number of
+        the first configuration behind the part, pairs). `group`: steps that one check of coal may prove free.
+        """
+        if self._boxes is None:
+            return self._coal_parts(slots, rows, group)
+        boxes, levers = self._boxes, self._levers_of_pairs(slots)[self._pairs.numbers]
+
+        def part(index: int) -> tuple[int, list[int]]:
+            free, near = boxes.way(self._q, slots, rows[index - 1 :], levers)
+            return (index + free, []) if free else (index + 1, near)
+
+        return part
+
+    def _coal_parts(self, slots: list[int], rows: Array, group: int) -> Callable[[int], tuple[int, list[int]]]:
+        """As `_parts`, without boxes. Groups of neighbouring configurations are checked at once in their middle, with a
+        margin as wide as any pair can come nearer within the group (`rtc.model.robot.levers`)."""
+        size, widened = group, 0
+
+        def part(index: int) -> tuple[int, list[int]]:
+            nonlocal size, widened
+            if index >= widened:
+                size, widened = group, min(index + SECTION, len(rows))
+                self._widen(slots, rows[index - 1 : widened], size)
+            while True:
+                last = min(index + size, widened)
+                near = self._near_pairs(slots, rows[index - 1 : last])
+                if len(near) <= FEW or size == 1:
+                    return last, near
+                size = 1  # shorter groups, up to the end of this section
+                self._widen(slots, rows[index - 1 : widened], size)
+
+        return part
 
     def _near_pairs(self, slots: list[int], rows: Array) -> list[int]:
         """The pairs that may be too near on the way along these configurations."""
@@ -424,13 +445,34 @@ class CollisionWorld:
         return float(pin.computeDistance(self._bodies.geometry, self._geometry_data, pair).min_distance)
 
     def _touches_any(self) -> bool:
-        model = self._bodies.model
-        return bool(pin.computeCollisions(model, self._data, self._manager, self._callback, self._q))
+        """Whether a pair is too near at the present configuration; it is `_hit` then."""
+        bodies, data = self._bodies, self._geometry_data
+        if self._boxes is None:
+            touches = bool(pin.computeCollisions(bodies.model, self._data, self._manager, self._callback, self._q))
+            self._hit = self._callback.collisionPairIndex
+            return touches
+        near = [pair for pair in self._boxes.undecided(self._q) if pair not in self._left_out]
+        if near:
+            self._place()
+        for pair in near:
+            if pin.computeCollision(bodies.geometry, data, pair):
+                self._hit = pair
+                return True
+        return False
+
+    def _leave_out(self, pair: int) -> None:
+        """Let no check find this pair, until it is counted again."""
+        self._left_out.add(pair)
+        self._geometry_data.deactivateCollisionPair(pair)
+
+    def _count_again(self, pair: int) -> None:
+        self._left_out.discard(pair)
+        self._geometry_data.activateCollisionPair(pair)
 
     def _ask(self) -> Collision | None:
-        return self._describe(self._callback.collisionPairIndex) if self._touches_any() else None
+        return self._describe(self._hit) if self._touches_any() else None
 
-    def _widen(self, slots: list[int], configurations: Array, group: int = GROUP) -> None:
+    def _widen(self, slots: list[int], configurations: Array, group: int) -> None:
         """Sets the wider margins: by as much as each pair can come nearer within half a group of this many steps."""
         steps = np.abs(configurations[1:] - configurations[:-1]).max(axis=0, initial=0.0)
         nearer = 0.5 * group * (self._levers_of_pairs(slots) @ steps)
@@ -448,12 +490,16 @@ class CollisionWorld:
         """The pairs that are too near at the present configuration, with distances (m); `_ask` skips them."""
         leaving = {n: self._distance_m(n) for n in self._hits()}
         for pair in leaving:
-            self._geometry_data.deactivateCollisionPair(pair)
+            self._leave_out(pair)
         return leaving
 
     def _hits(self) -> list[int]:
         """All pairs that are too near at the present configuration."""
         data = self._geometry_data
+        if self._boxes is not None:
+            self._place()
+            near = self._boxes.undecided(self._q)
+            return [n for n in near if pin.computeCollision(self._bodies.geometry, data, n)]
         pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
         active = np.flatnonzero(self._pairs.active).tolist()
         return [n for n in active if data.collisionResults[n].isCollision()]
@@ -471,7 +517,7 @@ class CollisionWorld:
         if start_m > max(float(self._pairs.margin[pair]), 0.0) or hit.distance_m < start_m - DEEPER_M:
             return False
         leaving[pair] = hit.distance_m
-        self._geometry_data.deactivateCollisionPair(pair)
+        self._leave_out(pair)
         return True
 
     def _place(self) -> None:
@@ -499,7 +545,7 @@ class CollisionWorld:
             leaving[pair] = max(greatest_m, distance_m)
             if distance_m > max(float(self._pairs.margin[pair]), 0.0) + DEEPER_M:
                 del leaving[pair]
-                self._geometry_data.activateCollisionPair(pair)
+                self._count_again(pair)
         return None
 
     def _describe(self, pair: int) -> Collision:
@@ -560,6 +606,8 @@ class CollisionWorld:
         for n in self._table.pieces_of.get(owner, ()):
             item = self._bodies.geometry.geometryObjects[n]
             item.parentJoint, item.placement = parent, at * self._bodies.pieces[n].in_owner
+            if self._boxes is not None:
+                self._boxes.place(n)
         rows = self._table.owner == self._table.number.get(owner)
         if parent or self._levers[rows].any():
             self._levers[rows] = levers(self._bodies.model, parent, at.translation, self._radius_m.get(owner, 0.0))
@@ -585,6 +633,8 @@ class CollisionWorld:
             self._geometry_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
             self._active = pairs.active
         self._geometry_data.setSecurityMargins(self._bodies.geometry, pairs.margin_matrix)
+        if self._boxes is not None:
+            self._boxes.use(pairs.numbers, pairs.margin[pairs.numbers])
         self._pairs = pairs
 
     def _measure_bodies(self) -> None:
@@ -604,12 +654,6 @@ class CollisionWorld:
         self._built_pose: dict[str, Floats] = {seat.name: seat.frame.pose for seat in self.cell.seats}
         self._built_pose |= {thing.name: self.cell.object_pose(thing.name) for thing in self.cell.objects}
         self._built_pose |= {region.name: region.frame.pose for region in self.cell.regions}
-
-
-@cache
-def _spread(count: int) -> list[int]:
-    """The numbers below `count`: every eighth first, then those between."""
-    return list(dict.fromkeys((*range(4, count, 8), *range(2, count, 4), *range(1, count, 2), *range(count))))
 
 
 @cache

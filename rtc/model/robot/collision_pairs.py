@@ -16,6 +16,7 @@ class Pairs:
     """The pairs to check in a scene and their margins (m), by pair and as matrices [piece][piece]."""
 
     active: np.ndarray
+    numbers: np.ndarray  # of the active ones
     margin: np.ndarray
     active_matrix: np.ndarray
     margin_matrix: np.ndarray
@@ -64,7 +65,7 @@ class PairTable:
             by_arm = np.isin(carrier, [self.number[arm] for arm in self._bodies.arms])
             two_arms = by_arm[first] & by_arm[second] & (carrier[first] != carrier[second])
             margin = np.where(two_arms, np.maximum(margin, scene.arms_apart_m), margin)
-        return Pairs(active, margin, self.as_matrix(active), self.as_matrix(margin))
+        return Pairs(active, np.flatnonzero(active), margin, self.as_matrix(active), self.as_matrix(margin))
 
     def _keeps_distance(self, scene: Scene, carrier: np.ndarray) -> np.ndarray:
         """Mask of the pairs that a clearance applies to: two bodies that move apart, or a held one and its own arm.

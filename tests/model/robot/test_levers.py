@@ -58,7 +58,7 @@ def test_a_group_that_is_proven_free_is_free(cell, home):
         start = np.asarray(home[arm.name]) + rng.uniform(-1.2, 1.2, 6)
         path = start + np.outer(np.arange(30), rng.uniform(-0.025, 0.025, 6))
         world.check({**home, arm.name: start}, AS_BUILT)
-        world._widen(slots, path)
+        world._widen(slots, path, GROUP)
         for n in range(1, len(path), GROUP):
             group = path[n : n + GROUP]
             world._q[slots] = group[len(group) // 2]

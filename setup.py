@@ -1,0 +1,16 @@
+"""The compiled part of the build; everything else stands in pyproject.toml. Without a compiler it is left out."""
+
+from pybind11.setup_helpers import Pybind11Extension
+from setuptools import setup
+
+setup(
+    ext_modules=[
+        Pybind11Extension(
+            "rtc.model.robot._boxes",
+            ["rtc/model/robot/_boxes.cpp"],
+            cxx_std=17,
+            extra_compile_args=["-O3"],
+            optional=True,
+        )
+    ]
+)

@@ -1,0 +1,150 @@
+"""Boxes never call a pair apart that coal finds too near, and they decide most of what is free."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from rtc.model.cells.cell import Cell
+from rtc.model.robot import collision, compiled
+from rtc.model.robot.collision import CollisionWorld
+from rtc.model.robot.collision_scene import AttachedBody, Held, Scene
+from rtc.spatial import geometry
+
+CELLS = ("swapout", "servicing", "panda", "gantry")
+IN_HAND = geometry.make_pose((0.0, 0.0, 0.15), geometry.LEVEL)
+STEPS = 40  # of a way
+TIGHTER_M = 0.05
+MAX_UNDECIDED = 1.5  # pairs in a free posture, on average; the hulls of a Panda's wrist are one
+
+needs_boxes = pytest.mark.skipif(not compiled(), reason="installed without a compiler")
+
+
+@pytest.fixture(scope="module", params=CELLS)
+def shadowed(request: pytest.FixtureRequest) -> CollisionWorld:
+    return CollisionWorld(Cell.load(request.param))
+
+
+@pytest.fixture(scope="module")
+def coal_alone() -> Iterator[CollisionWorld]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(collision, "boxes_of", lambda bodies: None)
+        yield CollisionWorld(Cell.load("swapout"))
+
+
+def scenes(cell: Cell) -> list[Scene]:
+    """Of the first arm: empty hand; with clearances; with each movable object in the hand; at each hinge."""
+    arm = cell.arms[0].name
+    found = [Scene(), Scene(moving=arm, clearance_m=0.02, pose_tolerance_m={cell.arms[-1].name: 0.01})]
+    for thing in cell.objects:
+        if not thing.fixed:
+            found.append(Scene(moving=arm, clearance_m=0.005, held={thing.name: Held(arm, IN_HAND)}))
+    return found
+
+
+def postures(world: CollisionWorld, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    low, high = world._bodies.model.lowerPositionLimit, world._bodies.model.upperPositionLimit
+    slots = {name: one.joints for name, one in world._bodies.arms.items()}
+    return {name: rng.uniform(low[joints], high[joints]) for name, joints in slots.items()}
+
+
+def coal_finds(world: CollisionWorld) -> bool:
+    """What coal says of the present configuration without boxes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(world, "_boxes", None)
+        return world._touches_any()
+
+
+def test_with_a_compiler_the_boxes_are_compiled() -> None:
+    assert compiled() or shutil.which("c++") is None
+
+
+@needs_boxes
+def test_no_posture_that_coal_refuses_is_called_apart(shadowed: CollisionWorld) -> None:
+    rng, free, undecided = np.random.default_rng(1), 0, 0
+    for scene in scenes(shadowed.cell):
+        for _ in range(150):
+            shadowed._set(postures(shadowed, rng), scene)
+            near, hit = shadowed._boxes.undecided(shadowed._q), coal_finds(shadowed)
+            assert near or not hit
+            if not hit:
+                free, undecided = free + 1, undecided + len(near)
+    assert 0 < undecided < MAX_UNDECIDED * free
+
+
+@needs_boxes
+def test_margins_that_are_too_small_would_be_noticed(shadowed: CollisionWorld) -> None:
+    """The test above can fail: boxes with smaller margins call postures apart that coal refuses."""
+    rng, wrong = np.random.default_rng(2), 0
+    scene = Scene(clearance_m=TIGHTER_M)
+    for _ in range(300):
+        shadowed._set(postures(shadowed, rng), scene)
+        pairs = shadowed._pairs
+        shadowed._boxes.use(pairs.numbers, pairs.margin[pairs.numbers] - TIGHTER_M)
+        wrong += not shadowed._boxes.undecided(shadowed._q) and coal_finds(shadowed)
+        shadowed._boxes.use(pairs.numbers, pairs.margin[pairs.numbers])
+    assert wrong > 0
+
+
+@needs_boxes
+def test_no_posture_on_a_way_that_is_proven_free_is_refused_by_coal(shadowed: CollisionWorld) -> None:
+    """Nor between its rows. The parts that are not proven hold the pair that is too near."""
+    rng, proven = np.random.default_rng(3), 0
+    arm = shadowed.cell.arms[0].name
+    slots = shadowed._bodies.arms[arm].joints
+    for scene, _ in itertools.product(scenes(shadowed.cell)[:4], range(12)):
+        others = postures(shadowed, rng)
+        rows = others[arm] + np.linspace(0.0, 1.0, 6)[:, None] * rng.uniform(-0.4, 0.4, len(slots))
+        shadowed._set({**others, arm: rows[0]}, scene)
+        levers = shadowed._levers_of_pairs(slots)[shadowed._pairs.numbers]
+        free, near = shadowed._boxes.way(shadowed._q, slots, rows, levers)
+        assert bool(near) == (free < len(rows) - 1)
+        proven += free
+        for place in np.linspace(0.0, free, STEPS if free else 1)[: STEPS if free else 0]:
+            shadowed._put(slots, rows, place)
+            assert not coal_finds(shadowed)
+    assert proven > 0
+
+
+@needs_boxes
+def test_a_door_in_the_hand_is_where_the_hand_has_turned_it() -> None:
+    cell = Cell.load("servicing")
+    world, rng = CollisionWorld(cell), np.random.default_rng(4)
+    door = next(thing for thing in cell.objects if thing.hinge is not None)
+    assert door.hinge is not None
+    arm, home = cell.arms[1].name, cell.object_pose(door.name)
+    hung = AttachedBody(arm, home, (0.0, 0.0, 1.0), (0.0, 2.0), (0.0, 0.4, 0.0))
+    scene = Scene(moving=arm, hung={door.name: hung})
+    for _ in range(200):
+        world._set(postures(world, rng), scene)
+        world._turn_hung(scene)
+        assert world._boxes.undecided(world._q) or not coal_finds(world)
+
+
+@needs_boxes
+def test_paths_have_the_same_verdicts_without_boxes(coal_alone: CollisionWorld) -> None:
+    """The same paths are free, searches stop at the same configuration, and a hit names the same bodies."""
+    with_boxes = CollisionWorld(coal_alone.cell)
+    rng, hits = np.random.default_rng(5), 0
+    for number in range(120):
+        others = {arm.name: np.asarray(arm.home_rad) for arm in coal_alone.cell.arms}
+        rows = others["RIGHT-ARM"] + np.outer(np.arange(50), rng.uniform(-0.02, 0.02, 6))
+        scene = Scene(moving="RIGHT-ARM", clearance_m=0.005 * (number % 3))
+        found, expected = (one.check_path("RIGHT-ARM", rows, others, scene) for one in (with_boxes, coal_alone))
+        assert (found is None) == (expected is None)
+        if found is not None and expected is not None:
+            hits += 1
+            assert found.index == expected.index
+            assert {found.collision.body_a, found.collision.body_b} == {
+                expected.collision.body_a,
+                expected.collision.body_b,
+            }
+        assert with_boxes.is_free("RIGHT-ARM", rows, others, scene) == (found is None)
+        assert with_boxes.free_until("RIGHT-ARM", rows, others, scene) == coal_alone.free_until(
+            "RIGHT-ARM", rows, others, scene
+        )
+    assert 10 < hits < 110
