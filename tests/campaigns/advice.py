@@ -59,7 +59,7 @@ class Answer(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """`no sentence`: the advice has none. `same advice`: it was given twice in a row, so it does not lead out."""
+    """`no sentence`: the advice has none. `same advice`: it was given before, so it does not lead out."""
 
     end: Literal["reached", "no sentence", "same advice", "too many obstacles"]
     given: list[str]
@@ -86,7 +86,7 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
     Each step is done if one of its alternatives succeeds; the aim is given after at most four sentences.
     """
     given: list[str] = []
-    history = [f"{aim}: {answer}"]
+    history, advised = [f"{aim}: {answer}"], {answer.clears}
     for _ in range(MAX_OBSTACLES):
         advice, left = answer.clears, MAX_SENTENCES
         for step in steps(advice, "", truth):
@@ -103,8 +103,9 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
         history.append(f"again: {answer}")
         if answer.succeeded:
             return Followed("reached", given, history)
-        if answer.clears == advice:
+        if answer.clears in advised:
             return Followed("same advice", given, history)
+        advised.add(answer.clears)
     return Followed("too many obstacles", given, history)
 
 

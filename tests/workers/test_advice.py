@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from sim_mcm.arms.kinematic_arm import KinematicCell
@@ -72,6 +74,13 @@ def test_advice_that_clears_one_obstacle_after_the_other_reaches_the_aim() -> No
 def test_the_same_advice_twice_does_not_lead_out() -> None:
     scene = Obstacles("RETRACT LEFT-ARM")
     scene.say = lambda sentence: scene.answer() if sentence == "STOW RIGHT-ARM" else Answer(True, "", "")
+    assert follow(scene) == "same advice"
+
+
+def test_two_advices_in_turn_do_not_lead_out() -> None:
+    scene = Obstacles()
+    turns = itertools.cycle(["LOCATE MACS-NEW", "RETRACT LEFT-ARM"])
+    scene.answer = lambda: Answer(False, "blocked", next(turns))
     assert follow(scene) == "same advice"
 
 
