@@ -24,17 +24,19 @@ from rtc.protocol import wire
 from rtc.protocol.messages import (
     AllEnded,
     BrokerToSupervisor,
+    Declined,
     KillProcess,
     ProcessExited,
+    ProcessHello,
     ProcessRow,
     ProcessTable,
     RequestWorkers,
     RetireWorker,
     Shutdown,
     SpawnWorker,
-    SupervisorHello,
 )
 from rtc.protocol.outcomes import ClusterError, WireError
+from rtc.protocol.versions import VERSION
 from rtc.runtime.process import Every, Process, adopt_orphans, inbox, now_s, send
 from rtc.runtime.process_table import in_words
 
@@ -123,7 +125,7 @@ class Supervisor:
 
         This phase does not restart processes.
         """
-        self._send(SupervisorHello())
+        self._send(ProcessHello(name="supervisor", protocol=VERSION))
         adopt_orphans()  # workers are forked by their fork server
         self._start_waiting()
         report_due = Every(REPORT_WAITING_S, now_s() + REPORT_WAITING_S)
@@ -329,7 +331,7 @@ class Supervisor:
             self._show(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
             self._changes = True
             if child.spec.name == "broker" and self._up:
-                self._send(SupervisorHello())
+                self._send(ProcessHello(name="supervisor", protocol=VERSION))
 
     def _exited(self, child: Child) -> None:
         """Reports the death to the broker first, because work of the process waits for it."""
@@ -445,6 +447,8 @@ class Supervisor:
                     self._retire(child)
             case RequestWorkers():
                 self._ask_more(order)
+            case Declined(refusal=refusal):
+                self._show(f"the broker refuses the supervisor: {refusal.message}")
             case Shutdown():
                 self._show("the broker asks the cluster to end")
                 self._me.stop()

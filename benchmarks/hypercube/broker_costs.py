@@ -37,6 +37,7 @@ from broker.router.loop import SNAPSHOT_EVENTS, Router
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
+from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.runtime.handover import Handover
 from rtc.runtime.process import Every, Process, freeze_heap, open_socket, real_time
 from rtc.runtime.settings import Settings, prepare_run_dir
@@ -116,12 +117,14 @@ class BrokerBench:
         return open_socket(self.context, zmq.DEALER, settings.endpoint(endpoint), identity=identity)
 
     def _greet(self, settings: Settings) -> None:
-        self.client.send_multipart(wire.frames(m.ClientHello(client="load", arrays=True)))
+        self.client.send_multipart(wire.frames(m.ClientHello(protocol=VERSION, client="load", abilities=[ARRAYS])))
         for message in self.instant.hello():
             self.subsystem.send_multipart(wire.frames(message))
         for kind, sockets in self.workers.items():
             for n, socket in enumerate(sockets):
-                hello = m.WorkerHello(name=_name(kind, n), node=KINDS.index(kind) + 4 * n, kind=kind, pid=os.getpid())
+                hello = m.WorkerHello(
+                    protocol=VERSION, name=_name(kind, n), node=KINDS.index(kind) + 4 * n, kind=kind, pid=os.getpid()
+                )
                 socket.send_multipart(wire.frames(hello))
         end_s = time.monotonic() + START_LIMIT_S
         while len(self.router.core.registry.workers) < sum(map(len, self.workers.values())):

@@ -17,6 +17,7 @@ import zmq
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.runtime.process import inbox, open_socket
 from rtc.runtime.settings import Settings
 
@@ -37,7 +38,7 @@ class LoadClient:
             self._context, zmq.DEALER, settings.endpoint("front"), identity="load", queue_length=100_000
         )
         self._read = wire.reader_of_many(m.BrokerToClient)
-        self._socket.send_multipart(wire.frames(m.ClientHello(client="load", arrays=True)))
+        self._socket.send_multipart(wire.frames(m.ClientHello(protocol=VERSION, client="load", abilities=[ARRAYS])))
         self._numbers = count(1)
         self._sent_at_s: dict[str, float] = {}
         self.outcomes: Counter[OutcomeKind] = Counter()

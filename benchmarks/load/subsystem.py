@@ -17,6 +17,7 @@ from benchmarks.load.trivial import PERFORMERS, SUBSYSTEM, performer
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import StopReason, WireError
+from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.runtime import process
 from rtc.runtime.process import Every, inbox, now_s
 from rtc.runtime.settings import Settings
@@ -48,7 +49,12 @@ class Instant:
 
     def hello(self) -> list[m.Message]:
         hello = m.SubsystemHello(
-            name=SUBSYSTEM, pid=self.pid, performers=self.performers, outstanding=list(self.kept), arrays=True
+            protocol=VERSION,
+            name=SUBSYSTEM,
+            pid=self.pid,
+            performers=self.performers,
+            outstanding=list(self.kept),
+            abilities=[ARRAYS],
         )
         return [hello, *(report for report, _ in self.kept.values())]
 

@@ -15,6 +15,7 @@ import zmq
 
 from benchmarks.load.trivial import FUNCTIONS, asleep, busy
 from rtc.protocol.messages import WorkerHello, WorkerKind
+from rtc.protocol.versions import VERSION
 from rtc.runtime import process
 from rtc.runtime.settings import Settings
 from rtc.world.client import WorldClient
@@ -48,7 +49,7 @@ def work(run_dir: Path, kind: WorkerKind, node: int, *, busy_s: float = 0.0, asl
             function = function._replace(body=asleep(function.body, asleep_s))
         socket = me.socket(zmq.DEALER, settings.endpoint("workers"), identity=name)
         world = WorldClient(settings.endpoint("world"), me.context)
-        hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid())
+        hello = WorkerHello(protocol=VERSION, name=name, node=node, kind=kind, pid=os.getpid())
         shell = WorkerLoop(me, hello, function, socket, world, lambda cell: cell)
         process.freeze_heap()
         gc.set_threshold(50_000, 20, 20)

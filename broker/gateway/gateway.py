@@ -31,6 +31,7 @@ from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason, RtcError, WireError
 from rtc.protocol.roles import TCP_ENDPOINTS, Role, a_role, admits, may_send, refuse_planner
 from rtc.protocol.sentence import ParsedCommand
+from rtc.protocol.versions import VERSION
 from rtc.runtime import handover, process
 from rtc.runtime.halt_admission import read_order
 from rtc.runtime.keys import KeyRing, KnownKey
@@ -67,6 +68,7 @@ class Gateway:
         self._admission = Admission(me, handshakes, ring, self._endpoints, self._halts, self._cut_removed)
         self._commands: dict[str, OrderedDict[str, None]] = {}  # public key of a planner -> its own C-n
         self._broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="gate", poll=False)
+        send(self._broker, m.ProcessHello(name="gate", protocol=VERSION))
         self._reported: dict[str, int] = {}  # counters as last sent
         self._report, self._tidy, self._probe = Every(REPORT_S), Every(TIDY_S), Every(PROBE_S)
         self._search, self._search_until_s = Every(SEARCH_EVERY_S), 0.0
@@ -202,7 +204,7 @@ class Gateway:
         link.last_seen_s = now
         if isinstance(message, m.ClientHello):
             link.behind_s = now - message.at_s if message.at_s > 0 else link.behind_s
-            parts = wire.frames(m.ClientHello(client=link.name, arrays=message.arrays))
+            parts = wire.frames(msgspec.structs.replace(message, client=link.name, at_s=0.0))
         elif isinstance(message, m.WorkerHello) and message.instance:
             node = node_of(link.name)
             self._endpoints.send(endpoint, session, wire.frames(m.WorkerAddress(name=link.name, node=node)))

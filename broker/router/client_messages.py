@@ -18,6 +18,7 @@ from broker.router.shutdown import Shutdown
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.runtime.process import Every
 
 QUERIES_PER_S = 100  # of one client: replies are large, and are buffered while the client does not read
@@ -96,7 +97,7 @@ class ClientMessages:
     # --- queries --------------------------------------------------------------------------------------
 
     def _greet(self, peer: bytes, message: m.ClientHello, now: float) -> None:
-        self._egress.clients.set_arrays(peer, message.arrays)
+        self._egress.clients.set_arrays(peer, ARRAYS in message.abilities)
         self._welcome(peer)
 
     def _send_status(self, peer: bytes, message: m.StatusQuery, now: float) -> None:
@@ -116,6 +117,7 @@ class ClientMessages:
             late_results=core.late_results,
             injected=core.injected,
             strayed=core.strayed,
+            versions=core.versions,
         )
         self._egress.answer(peer, m.StatusReply(request=message.request, status=status(view, core.clock())))
 
@@ -162,7 +164,9 @@ class ClientMessages:
         self._decline(peer, message, RefusalReason.STATE, words, clears)
 
     def _welcome(self, peer: bytes) -> None:
-        self._egress.answer(peer, m.Welcome(cluster=self._core.settings.run, pid=os.getpid(), arrays=True))
+        self._egress.answer(
+            peer, m.Welcome(cluster=self._core.settings.run, pid=os.getpid(), protocol=VERSION, abilities=[ARRAYS])
+        )
 
     def _decline(self, peer: bytes, message: Any, reason: RefusalReason, words: str, clears: str) -> None:
         refusal = Refusal(reason=reason, message=words, clears=clears)

@@ -7,7 +7,7 @@ from broker.decisions.state import LinkState
 from broker.dispatch.autoscaler import Autoscaler
 from broker.dispatch.more_workers import MoreWorkers
 from broker.dispatch.worker_registry import LostJob
-from broker.router.core import Core
+from broker.router.core import Core, peer_of
 from broker.router.egress import Egress
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -62,6 +62,8 @@ class Health:
         core = self._core
         for process in core.processes:
             ready_since_s = max(core.began_s, process.get("since_s", now))
+            if core.versions.is_refused("workers", peer_of(process["name"])):
+                continue  # another process of this version would be refused too
             if process.get("state") == "ready" and core.registry.never_registered(process["name"], ready_since_s, now):
                 process["state"] = "hung"
                 self._kill(process["name"], process["pid"], "hung: it has not sent anything to this broker")
@@ -99,6 +101,8 @@ class Health:
 
     def _restart_deaf(self, name: str, pid: int, silent_s: float, now: float) -> None:
         """Have a subsystem restarted whose connection is lost although its process runs."""
+        if self._core.versions.is_refused("subsystems", self._core.subsystem_peer(name)):
+            return
         for row in self._core.processes:
             if row["name"] == name and row["pid"] == pid and row.get("state") == "ready":
                 self.subsystem_seen_s[name] = now  # so that it is ordered once per period

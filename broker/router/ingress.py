@@ -95,16 +95,32 @@ class Ingress:
                 self._handle(name, source, peer, one, now)
             return
         for message in messages:
+            refusal = self._core.versions.refusal_of(name, peer, message, now)
+            if refusal is not None:
+                self._refuse(name, peer, message, refusal)
+                continue
             try:
                 source.handle(peer, message, now)
             except WireError as error:
                 self._drop(name, peer, parts, error)
 
+    def _refuse(self, name: str, peer: bytes, message: Any, refusal: Refusal) -> None:
+        """Answer a peer of another version: its hello, and each request, so that no client waits for an answer."""
+        if self._count("version") and isinstance(message, m.Hello):
+            self._core.me.log.warning("refused on %s: %s", name, refusal.message)
+        request = getattr(message, "request", "")
+        if request or isinstance(message, m.Hello):
+            send(self._core.sockets[name], m.Declined(request=request, refusal=refusal), peer)
+
+    def _count(self, name: str) -> bool:
+        """Count a dropped message. True if it is worth a line in the log: a flood must not fill it."""
+        self._core.dropped[name] += 1
+        return self._core.dropped[name] <= WARNINGS or self._core.dropped[name] % 1000 == 0
+
     def _drop(self, name: str, peer: bytes, parts: Sequence[bytes], error: WireError) -> None:
         """Count and log an invalid message. A client gets a refusal."""
         core = self._core
-        core.dropped[name] += 1
-        if core.dropped[name] <= WARNINGS or core.dropped[name] % 1000 == 0:
+        if self._count(name):
             core.me.log.warning("dropped a message on %s from %r: %s", name, peer[:40], error)
         if name in ("front", "halt"):
             refusal = Refusal(reason=RefusalReason.SENTENCE, message=f"not a message of this protocol: {error}")

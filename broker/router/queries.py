@@ -14,10 +14,11 @@ from broker.decisions.state import ArmMotion, Command, State
 from broker.dispatch.worker_registry import Worker, WorkerRegistry
 from broker.persistence.journal import number
 from broker.router.hosts import hosts, requests_for_more
+from broker.router.peer_versions import PeerVersions
 from rtc.protocol import messages as m
 from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.wire import PROTOCOL
+from rtc.protocol.versions import VERSION
 from rtc.runtime.settings import Settings
 
 COMMANDS_SHOWN = 200
@@ -42,6 +43,7 @@ class BrokerView:
     late_results: Mapping[str, int]  # by worker
     injected: Mapping[str, Sequence[str]]  # faults in simulated subsystems
     strayed: Mapping[str, Mapping[str, str]]  # arms that moved without a primitive, by subsystem
+    versions: PeerVersions
 
 
 def status(view: BrokerView, now: float) -> dict[str, Any]:
@@ -49,7 +51,8 @@ def status(view: BrokerView, now: float) -> dict[str, Any]:
     return {
         "cluster": view.settings.run,
         "run_dir": view.settings.run_dir,
-        "version": PROTOCOL.decode(),
+        "protocol": VERSION,
+        "refused": view.versions.rows(now),
         "uptime_s": now - (state.began_at_s or view.began_s),
         "broker_uptime_s": now - view.began_s,
         "seq": state.seq,

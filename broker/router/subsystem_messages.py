@@ -25,6 +25,7 @@ from broker.router.supervisor_messages import count_dropped
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.protocol.primitive_id import command_of
+from rtc.protocol.versions import ARRAYS, PAUSES
 from rtc.runtime.handover import PROTECTED_NAMES
 from rtc.runtime.process import Every, send
 
@@ -60,7 +61,7 @@ class SubsystemMessages:
 
     def _connect(self, name: str, peer: bytes, message: m.SubsystemHello, now: float) -> None:
         _check_name(name, message.name)
-        self._egress.subsystems.set_arrays(peer, message.arrays)
+        self._egress.subsystems.set_arrays(peer, ARRAYS in message.abilities)
         known = self._core.state.subsystems.get(name)
         if known is None or known.pid != message.pid:
             self._core.strayed.pop(name, None)
@@ -76,7 +77,7 @@ class SubsystemMessages:
                 queues=message.queues,
                 outstanding=message.outstanding,
                 at_rest=message.at_rest,
-                pauses=message.pauses,
+                pauses=PAUSES in message.abilities,
                 paused=message.paused,
             )
         )

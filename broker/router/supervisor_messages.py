@@ -37,7 +37,7 @@ class SupervisorMessages:
         self._core.supervised = True
         HANDLERS[type(message)](self, message, now)
 
-    def _connect(self, message: m.SupervisorHello, now: float) -> None:
+    def _connect(self, message: m.ProcessHello, now: float) -> None:
         self._core.me.log.info("the supervisor is connected")
 
     def _exited(self, message: m.ProcessExited, now: float) -> None:
@@ -66,7 +66,7 @@ def count_dropped(core: Core, message: m.UnreadableMessages, sockets: Collection
 
 
 HANDLERS: dict[type, Callable[[SupervisorMessages, Any, float], None]] = {
-    m.SupervisorHello: SupervisorMessages._connect,
+    m.ProcessHello: SupervisorMessages._connect,
     m.ProcessExited: SupervisorMessages._exited,
     m.Shutdown: SupervisorMessages._end_cluster,
     m.ProcessTable: SupervisorMessages._replace_table,

@@ -88,7 +88,7 @@ class Client:
     Raises NoCluster, within a second, if no broker answers; if its supervisor lives, the client waits some seconds for
     the restart. Raises KeyTrouble for an invalid key file, ValueError for an invalid name or source. Every wait
     outlasts a restart of the broker. If the cluster is gone or another one has taken over the run directory, waits
-    raise NoCluster; create a new Client.
+    raise NoCluster; create a new Client. RequestDeclined: the cluster speaks another version of the protocol.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Client:
         if need_broker:
             try:
                 self._connection.connect(str(self.run_dir), self._restarting, self._liveness.restarting)
-            except NoCluster:
+            except (NoCluster, RequestDeclined):
                 self.close()
                 raise
 
@@ -393,8 +393,10 @@ class Client:
             if (message := self._connection.recv(left_s)) is not None:
                 self._requests.take(message)
             self._liveness.check(self._connection.unanswered, self._connection.replaced)
-            if refused := self._connection.key_refused:
-                raise NoCluster(refused)
+            if key_refused := self._connection.key_refused:
+                raise NoCluster(key_refused)
+            if self._connection.refused is not None:
+                raise RequestDeclined(self._connection.refused)
 
     def _query(self, message: Any, answer: type[Answer], within_s: float = ANSWER_S) -> Answer:
         """Send a query; repeat it for `within_s` while the broker declines it for overload."""

@@ -22,6 +22,7 @@ import zmq
 
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import NoCluster, Refusal, RefusalReason, RequestDeclined, WireError
+from rtc.protocol.versions import ARRAYS, VERSION, misfit
 from rtc.protocol.wire import MAX_BYTES, frames, reader_of_many, together
 from rtc.runtime.keys import Endpoints
 from rtc.runtime.link import WATCHED, LinkState
@@ -52,6 +53,7 @@ class BrokerConnection:
         self._cluster = cluster
         self.welcome: m.Welcome | None = None
         self.replaced = False  # another cluster has taken the place of ours: nothing is sent to it
+        self.refused: Refusal | None = None  # of our hello, or of the broker's: another version of the protocol
         self.unanswered = 0  # number of probes without an answer
         self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
         self._resend = False  # send all open requests again after the next Welcome
@@ -77,7 +79,7 @@ class BrokerConnection:
     def connect(self, run_dir: str, restarting: Callable[[], bool], report: Callable[[], None]) -> m.Welcome:
         """Wait for the Welcome. While `restarting()`, call `report` once and wait longer, at most RESTART_S.
 
-        Raises NoCluster if the broker does not answer in time.
+        Raises NoCluster if the broker does not answer in time, RequestDeclined if it speaks another version.
         """
         began_s = time.monotonic()
         limit_s = began_s + (REMOTE_HELLO_S if self._far else HELLO_S)
@@ -95,6 +97,8 @@ class BrokerConnection:
                     f"no broker answers in {run_dir}; look at `rtc status`, or start a cluster with: rtc up -d"
                 )
             self.recv(left_s)
+            if self.refused is not None:
+                raise RequestDeclined(self.refused)
         return self.welcome
 
     def send(self, request: str, message: m.ClientToBroker) -> None:
@@ -104,7 +108,7 @@ class BrokerConnection:
         parts = self._parts(message)
         if isinstance(message, ACTS) and self.welcome is None and not self._cluster:
             self._resend = True  # sent after the Welcome: it names the cluster
-        elif self.welcome is not None and self.welcome.arrays:
+        elif self.welcome is not None and ARRAYS in self.welcome.abilities:
             self._unsent.append(msgspec.Raw(parts[-1]))
         else:
             self._send_frames(parts)
@@ -143,6 +147,8 @@ class BrokerConnection:
             self._take_welcome(message)
         if isinstance(message, m.Accepted):
             self._keep_number(message)
+        if isinstance(message, m.Declined) and not message.request and message.refusal.reason is RefusalReason.VERSION:
+            self.refused = message.refusal
         if isinstance(message, LAST_ANSWERS):
             self._open.pop(message.request, None)
         return message
@@ -190,7 +196,9 @@ class BrokerConnection:
             self._send_frames(parts)
 
     def _send_hello(self) -> None:
-        self._send_frames(frames(m.ClientHello(client=self.name, at_s=time.monotonic(), arrays=True)))
+        self._send_frames(
+            frames(m.ClientHello(client=self.name, at_s=time.monotonic(), protocol=VERSION, abilities=[ARRAYS]))
+        )
 
     def _probe(self) -> None:
         """Send a hello; its Welcome makes us repeat all open requests. Without a connection this waits for the next."""
@@ -199,6 +207,10 @@ class BrokerConnection:
             self._send_hello()
 
     def _take_welcome(self, welcome: m.Welcome) -> None:
+        if words := misfit("this cluster", welcome.protocol, "this program"):
+            clears = "use the version of rtc that the cluster was started with"
+            self.refused = Refusal(reason=RefusalReason.VERSION, message=words, clears=clears)
+            return
         another = self._cluster not in ("", welcome.cluster)
         if another and (
             self.welcome is not None or self._open

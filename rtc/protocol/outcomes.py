@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from types import MappingProxyType
+from typing import Any
 
 import msgspec
 
@@ -139,6 +140,7 @@ class RefusalReason(StrEnum):
     POISON = "poison"  # the job killed its worker too often
     PROGRAM = "program"  # a program is invalid, or lacks an entry
     TIMEOUT = "timeout"  # no answer within the limit
+    VERSION = "version"  # the two sides speak different versions of the protocol
 
 
 class OutcomeKind(StrEnum):
@@ -238,7 +240,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc
     peak_torque_nm: float | None = None
     sighting: Sighting | None = None  # of a camera
     partner: Measured | None = None  # of the second arm of the same primitive; the peaks above are then those of both
-    others: dict[str, object] = {}  # items of installed packages, by name
+    others: dict[str, Any] = {}  # items of installed packages, by name
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):

@@ -14,8 +14,9 @@ import msgspec
 import zmq
 
 from rtc.protocol import wire
-from rtc.protocol.messages import ToWorld, UnreadableMessages, WorldChange
+from rtc.protocol.messages import ProcessHello, ToWorld, UnreadableMessages, WorldChange
 from rtc.protocol.outcomes import WireError
+from rtc.protocol.versions import VERSION
 from rtc.runtime import damaged_database, fork_server, handover, process
 from rtc.runtime.memory_guard import MemoryGuard
 from rtc.runtime.process import Every, Process, inbox, now_s, send
@@ -55,6 +56,7 @@ def _live(me: Process, given: handover.Handover, store: Store) -> None:
     _begin(me, given, store)
     socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, bounds=BOUNDS["world"])
     broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="world", poll=False)
+    send(broker, ProcessHello(name="world", protocol=VERSION))
     server = Server(store, given.lease_key, lambda: _fixed(settings))
     store.saved = lambda version: given.save_counters("world", BORN, version)
     process.freeze_heap()

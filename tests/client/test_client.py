@@ -27,6 +27,7 @@ from rtc.protocol.outcomes import (
     RequestDeclined,
     TimedOut,
 )
+from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.protocol.wire import frames, reader, reader_of_many, together
 from rtc.runtime.settings import Settings
 
@@ -125,7 +126,7 @@ def obliging(message: m.ClientToBroker) -> list[object]:
     """Accepts every sentence under the number its text ends with, and ends it at once."""
     match message:
         case m.ClientHello():
-            return [m.Welcome(cluster="test", pid=1)]
+            return [m.Welcome(protocol=VERSION, cluster="test", pid=1)]
         case m.CommandText(request=request, text=text):
             command = f"C-{text.split()[-1]}"
             note = m.ProgressNote(seq=1, at_s=0.0, command=command, phase=m.Phase.PARSING)
@@ -208,8 +209,8 @@ def test_submit_then_wait(broker: SmallBroker, run_dir: Path) -> None:
 def test_sentences_and_answers_travel_together_where_the_broker_reads_arrays(run_dir: Path) -> None:
     def modern(message: m.ClientToBroker) -> list[object]:
         if isinstance(message, m.ClientHello):
-            assert message.arrays
-            return [m.Welcome(cluster="test", pid=1, arrays=True)]
+            assert ARRAYS in message.abilities
+            return [m.Welcome(protocol=VERSION, cluster="test", pid=1, abilities=[ARRAYS])]
         return obliging(message)
 
     broker = SmallBroker(run_dir, modern)
@@ -222,6 +223,24 @@ def test_sentences_and_answers_travel_together_where_the_broker_reads_arrays(run
     assert broker.parcels == [1, 3, 1]
     assert [outcome.text for outcome in outcomes] == texts
     assert notes == ["C-1", "C-2", "C-3"]
+
+
+def test_a_broker_of_another_version_is_refused(run_dir: Path) -> None:
+    broker = SmallBroker(run_dir, lambda _: [m.Welcome(cluster="test", pid=1, protocol=VERSION + 1)])
+    with pytest.raises(RequestDeclined) as declined:
+        Client(run_dir)
+    broker.stop()
+    assert declined.value.refusal.reason is RefusalReason.VERSION
+    assert {str(VERSION), str(VERSION + 1)} <= set(str(declined.value).split())
+
+
+def test_a_client_that_the_broker_refuses_says_so(run_dir: Path) -> None:
+    refusal = Refusal(reason=RefusalReason.VERSION, message="two versions")
+    broker = SmallBroker(run_dir, lambda _: [m.Declined(request="", refusal=refusal)])
+    with pytest.raises(RequestDeclined) as declined:
+        Client(run_dir)
+    broker.stop()
+    assert declined.value.refusal == refusal
 
 
 @pytest.mark.parametrize("parallel", [True, False])
@@ -309,7 +328,9 @@ def test_a_new_broker_receives_the_same_requests_again(run_dir: Path) -> None:
 
 
 def of_cluster(name: str, answer: Answer) -> Answer:
-    return lambda message: [m.Welcome(cluster=name, pid=1)] if isinstance(message, m.ClientHello) else answer(message)
+    return lambda message: (
+        [m.Welcome(protocol=VERSION, cluster=name, pid=1)] if isinstance(message, m.ClientHello) else answer(message)
+    )
 
 
 def test_another_cluster_in_its_place_receives_nothing_of_what_was_sent_to_the_old_one(run_dir: Path) -> None:

@@ -20,11 +20,11 @@ from rtc.protocol import wire
 from rtc.protocol.messages import (
     KillProcess,
     ProcessExited,
+    ProcessHello,
     ProcessTable,
     RetireWorker,
     Shutdown,
     SpawnWorker,
-    SupervisorHello,
     SupervisorToBroker,
     WorkerKind,
 )
@@ -134,7 +134,7 @@ def alive(pid):
 
 def test_all_are_started_and_the_broker_is_informed(cluster):
     it = cluster(spec("world", GOOD), spec("binder@2", GOOD, 2)).go()
-    it.recv(SupervisorHello)
+    it.recv(ProcessHello)
     table = it.recv_table(lambda t: True)
     assert {name: row["state"] for name, row in table.items()} == {"world": "ready", "binder@2": "ready"}
     assert all(alive(row["pid"]) for row in table.values())

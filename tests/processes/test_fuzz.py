@@ -18,6 +18,7 @@ from rtc.client.client import Client
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.versions import VERSION
 from rtc.runtime.settings import Settings
 from tests.campaigns.fuzz import Others, attacked
 from tests.campaigns.hostile import ACCEPTED, IMPOSTORS, Attacker, heavy_messages, stream_garbage
@@ -99,8 +100,8 @@ def test_after_an_impostor_has_gone_all_is_well(
     Here only the owner of the directory can be one.
     """
     hello: dict[str, Any] = {
-        "workers": m.WorkerHello(name=name.decode(), node=0, kind=m.WorkerKind.PARSER, pid=1),
-        "subsystems": m.SubsystemHello(name=name.decode(), pid=1, performers=["LEFT-ARM"]),
+        "workers": m.WorkerHello(protocol=VERSION, name=name.decode(), node=0, kind=m.WorkerKind.PARSER, pid=1),
+        "subsystems": m.SubsystemHello(protocol=VERSION, name=name.decode(), pid=1, performers=["LEFT-ARM"]),
         "supervisor": m.ProcessTable(processes=[]),
     }
     impostor = context.socket(zmq.DEALER)

@@ -28,6 +28,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import ClusterError, NoCluster, OutcomeKind, Refusal, RefusalReason, RequestDeclined
 from rtc.protocol.roles import TCP_ENDPOINTS, Role
+from rtc.protocol.versions import VERSION
 from rtc.runtime.keys import KeyFile, KeyRing, endpoint_address
 from rtc.runtime.process_table import processes
 from tests.campaigns.fuzz import Others
@@ -40,7 +41,11 @@ SEED = 3
 PAUSE = threading.Event()
 STOW = "STOW RIGHT-ARM"
 AWAY = "MOVE RIGHT-ARM TO JOINTS -40 110 -160 0 50 0 DEG JOINT-MOTION"
-FRONT_WORDS = (m.ClientHello(client="x"), m.CommandText(request="r", text=STOW), m.StatusQuery(request="s"))
+FRONT_WORDS = (
+    m.ClientHello(protocol=VERSION, client="x"),
+    m.CommandText(request="r", text=STOW),
+    m.StatusQuery(request="s"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +209,7 @@ def test_a_late_result_of_an_earlier_connection_is_refused_and_counted(
 ) -> None:
     """A worker takes a job and loses its connection; the job is done by another worker, and then its result comes."""
     key = KeyFile.load(new_key("worker"))
-    hello = m.WorkerHello(name="binder@18", node=18, kind=m.WorkerKind.BINDER, pid=1)
+    hello = m.WorkerHello(protocol=VERSION, name="binder@18", node=18, kind=m.WorkerKind.BINDER, pid=1)
     first = Peer(context, key, "workers")
     first.send(hello)
     with Client(run_dir) as here:
@@ -302,6 +307,7 @@ SLOW_WORKER = """
 import sys
 from workers import __main__ as workers
 from workers.runtime import start
+from rtc.protocol.versions import VERSION
 made = start.WorldClient
 start.WorldClient = lambda *given, **more: sys.stdin.readline() and made(*given, **more)
 workers.main()
@@ -331,9 +337,9 @@ def test_a_subsystem_comes_under_the_name_of_its_key_alone(
 ) -> None:
     endpoint = Peer(context, KeyFile.load(new_key("subsystem", "TOOLS")), "subsystems")
     with Client(run_dir) as here:
-        endpoint.send(m.SubsystemHello(name="MCM", pid=1, performers=["LEFT-ARM"]))
-        endpoint.send(m.SubsystemHello(name="OTHER", pid=1, performers=[]))
-        endpoint.send(m.SubsystemHello(name="TOOLS", pid=1, performers=["TOOL-1"]))
+        endpoint.send(m.SubsystemHello(protocol=VERSION, name="MCM", pid=1, performers=["LEFT-ARM"]))
+        endpoint.send(m.SubsystemHello(protocol=VERSION, name="OTHER", pid=1, performers=[]))
+        endpoint.send(m.SubsystemHello(protocol=VERSION, name="TOOLS", pid=1, performers=["TOOL-1"]))
         wait_for(lambda: "TOOLS" in {row["name"] for row in here.status()["subsystems"]})
 
         names = {row["name"]: row["performers"] for row in here.status()["subsystems"]}

@@ -22,6 +22,7 @@ from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
+from rtc.protocol.versions import VERSION
 from rtc.protocol.wire import PROTOCOL, frames, reader
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.spatial import geometry
@@ -319,7 +320,7 @@ def test_no_bytes_stop_it(mcm, swing) -> None:
         broker.socket.send_multipart([b"MCM", *parts])
         estop.send_multipart(parts)
         bench.send_multipart(parts)
-    broker.socket.send_multipart([b"MCM", *frames(m.SubsystemHello(name="X", pid=1, performers=[]))])
+    broker.socket.send_multipart([b"MCM", *frames(m.SubsystemHello(protocol=VERSION, name="X", pid=1, performers=[]))])
 
     assert estop.poll(LIMIT_S * 1000)
     declined = reader(m.FromHalt)(estop.recv_multipart())

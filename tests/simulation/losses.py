@@ -17,6 +17,7 @@ from broker.persistence.journal import SCHEMA, Journal
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.versions import VERSION
 from rtc.runtime.handover import Handover
 from rtc.world import server
 from rtc.world.lease import DOUBT, sign
@@ -119,7 +120,7 @@ def _stranger(cluster: LossyCluster) -> None:
     cluster.log("a stranger calls itself MCM")
     line = network.Dealer(cluster.clock, b"MCM", lambda parts: None)
     cluster.attach("subsystems", line)
-    line.send(wire.frames(m.SubsystemHello(name="MCM", pid=1, performers=list(ARMS))))
+    line.send(wire.frames(m.SubsystemHello(protocol=VERSION, name="MCM", pid=1, performers=list(ARMS))))
     for halt in ("stop-C-1", "stop-C-2", "H-0"):
         rest = m.HaltAtRest(halt=halt, subsystem="MCM", at_s=0.0, at_rest=True, performers=list(ARMS))
         line.send(wire.frames(rest))

@@ -16,6 +16,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import ControlLaw
+from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.subsystems.base.subsystem import BROKER, REPEAT_S
 from rtc.subsystems.motion.arm import HandCommand, Motion, Sample, Traits
 from rtc.subsystems.motion.subsystem import McmSubsystem
@@ -67,7 +68,7 @@ class Worker:
 
     def _send_hello(self) -> None:
         self._hello_sent_s = self.cluster.clock.now_s
-        self._send(m.WorkerHello(name=self.name, node=self.node, kind=self.kind, pid=self.pid))
+        self._send(m.WorkerHello(protocol=VERSION, name=self.name, node=self.node, kind=self.kind, pid=self.pid))
 
     def _beat(self) -> None:
         if not self.alive or self.cluster.over:
@@ -329,7 +330,7 @@ class Client:
         self._met = 0
         self.line = Dealer(cluster.clock, name.encode(), self._receive, self._connected)
         cluster.attach("front", self.line)
-        self._send(m.ClientHello(client=name, arrays=True))
+        self._send(m.ClientHello(protocol=VERSION, client=name, abilities=[ARRAYS]))
         cluster.clock.after(self.PROBE_S, self._look)
 
     def submit(self, text: str) -> None:
@@ -340,7 +341,7 @@ class Client:
 
     def repeat(self) -> None:
         self._received_at_s = self.cluster.clock.now_s
-        self._send(m.ClientHello(client=self.name, arrays=True))
+        self._send(m.ClientHello(protocol=VERSION, client=self.name, abilities=[ARRAYS]))
         open_ones = [
             msgspec.structs.replace(sentence, known_as=self.command_of.get(request, ""))
             for request, sentence in self.open.items()

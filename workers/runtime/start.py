@@ -15,6 +15,7 @@ import zmq
 from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import WorkerHello, WorkerKind
 from rtc.protocol.outcomes import ClusterError
+from rtc.protocol.versions import VERSION
 from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.link import Link
@@ -34,7 +35,7 @@ def work(settings: Settings, kind: WorkerKind, node: int, prepared: Preloaded) -
     name = f"{kind}@{node}"
     process.show_name(name)
     with process.start(name, ".") as me:
-        hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid())
+        hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid(), protocol=VERSION)
         run(me, settings, hello, prepared)
 
 
@@ -50,6 +51,7 @@ def join(key: KeyFile, kind: WorkerKind, node: int | None, contact: BrokerContac
         kind=kind,
         pid=os.getpid(),
         instance=os.urandom(8).hex() if node is None else "",
+        protocol=VERSION,
     )
     try:
         why = run(me, key, hello, preload([kind], cell=None), contact)

@@ -27,6 +27,7 @@ from rtc.protocol.messages import (
     Assessment,
     BrokerToWorker,
     CancelJobs,
+    Declined,
     Heartbeat,
     Job,
     JobBatch,
@@ -219,10 +220,17 @@ class WorkerLoop:
                     self._bodies.append(body)
                 self._answered()
             case Shutdown(why=why):
-                self._retiring = True
-                if self._contact is not None:
-                    why = why or "see logs/gate.log of the cluster"
-                    self._why = f"the cluster rejects {self._hello.name}: {why}"
+                self._retire(why or "see logs/gate.log of the cluster")
+            case Declined(refusal=refusal) if self._contact is None:  # a restart would not help: it waits
+                self._me.log.error("the broker refuses this worker: %s", refusal.message)
+            case Declined(refusal=refusal):
+                self._retire(refusal.message)
+
+    def _retire(self, why: str) -> None:
+        """End when the queue is empty. `why`: for a remote worker, which reports it to the program that started it."""
+        self._retiring = True
+        if self._contact is not None:
+            self._why = f"the cluster rejects {self._hello.name}: {why}"
 
     def _answered(self) -> None:
         """The broker knows this worker. The gateway alone sends empty JobBatches and Drops too."""

@@ -203,6 +203,8 @@ def show_status(report: dict[str, Any]) -> None:
             f"silent for {seconds(silent_s)}: a process that dies is not started again, and the table below is as old"
         )
         console.print(Text("supervisor: ", style="bold red") + Text(words))
+    for row in report.get("refused", []):
+        console.print(Text("refused: ", style="bold red") + Text(f"{row['message']} ({age(row['ago_s'])} ago)"))
     for row in report.get("processes") or []:
         for note in row.get("notes") or []:
             console.print(Text(f"{row['name']}: ", style="bold red") + Text(note))

@@ -15,6 +15,7 @@ import zmq
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import WireError
+from rtc.protocol.versions import VERSION
 from rtc.runtime.keys import Endpoints
 from rtc.runtime.process import Every, Process, inbox, now_s, send
 from rtc.runtime.run_dir import supervised
@@ -63,8 +64,7 @@ class Feed:
         self._telemetry = self._subscribe(endpoints, "telemetry") if telemetry else None
         name = "" if endpoints.far else f"observer-{os.getpid()}~{uuid.uuid4().hex[:8]}"
         self._front = me.socket(zmq.DEALER, endpoints.endpoint("front"), identity=name, secure=endpoints.secure)
-        if endpoints.far:
-            send(self._front, m.ClientHello(client=f"observer-{os.getpid()}", at_s=now_s()))
+        send(self._front, m.ClientHello(client=f"observer-{os.getpid()}", at_s=now_s(), protocol=VERSION))
         self._world: zmq.Socket[bytes] | None = None
         if world:
             self._world = me.socket(zmq.DEALER, endpoints.endpoint("world"), secure=endpoints.secure)

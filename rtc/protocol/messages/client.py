@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from rtc.protocol.messages.shared import PROGRAM_BYTES, Heartbeat, Message, Name, Shutdown, WorkerKind
+from rtc.protocol.messages.shared import PROGRAM_BYTES, Heartbeat, Hello, Message, Name, Shutdown, WorkerKind
 from rtc.protocol.outcomes import Measured, NotSucceeded, Outcome, OutcomeKind, Refusal
 
 SHOWN = 60  # characters of a sentence in `repr`
@@ -56,21 +56,19 @@ class ProgramQuery(Message, frozen=True, kw_only=True):
     kind: WorkerKind | None = None  # None: the document of the cell
 
 
-class ClientHello(Message, frozen=True, kw_only=True):
+class ClientHello(Hello, frozen=True, kw_only=True):
     """First message of a client; its name `client` survives reconnects. The answer is Welcome."""
 
     client: Name
     at_s: float = 0.0  # the client's clock, from which a gateway computes the offset; 0 = unknown
-    arrays: bool = False  # it also reads arrays of messages; else each message travels alone
 
 
 # --- broker -> client ---
 
 
-class Welcome(Message, frozen=True, kw_only=True):
+class Welcome(Hello, frozen=True, kw_only=True):
     cluster: str  # the run's id
     pid: int
-    arrays: bool = False  # the broker reads arrays of messages too
 
 
 class Accepted(Message, frozen=True, kw_only=True):
@@ -79,7 +77,9 @@ class Accepted(Message, frozen=True, kw_only=True):
 
 
 class Declined(Message, frozen=True, kw_only=True):
-    """The request was not accepted (not a command's outcome): unknown command, queue full, bad message."""
+    """The request was not accepted (not a command's outcome): unknown command, queue full, bad message.
+
+    To any process, without a `request`: its hello is refused, because of its name or its version of the protocol."""
 
     request: str
     refusal: Refusal

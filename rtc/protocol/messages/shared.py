@@ -18,6 +18,15 @@ PROGRAM_BYTES = 128 << 10  # maximum size of a program file; the longest default
 Name = Annotated[str, msgspec.Meta(max_length=200)]  # characters
 
 
+class Hello(Message, frozen=True, kw_only=True):
+    """The first message of a process to the broker, and the broker's first to a client (Welcome).
+
+    The receiver refuses a `protocol` other than its own with Declined, and ignores abilities that it does not know."""
+
+    protocol: int = 1  # that is rtc 0.1, which states none; others state rtc.protocol.versions.VERSION
+    abilities: Annotated[list[Name], msgspec.Meta(max_length=100)] = []  # of rtc.protocol.versions
+
+
 class WorkerKind(StrEnum):
     """The four kinds of worker; the position of a kind gives the two low bits of a node's cube address."""
 

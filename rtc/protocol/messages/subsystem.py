@@ -7,12 +7,12 @@ from typing import Annotated, Any
 import msgspec
 
 from rtc.protocol.messages.client import Declined
-from rtc.protocol.messages.shared import Heartbeat, Message, Name, UnreadableMessages
+from rtc.protocol.messages.shared import Heartbeat, Hello, Message, Name, UnreadableMessages
 from rtc.protocol.outcomes import Measured, Reflex, Sighting, StopReason
 from rtc.protocol.primitive import Primitive
 
 
-class SubsystemHello(Message, frozen=True, kw_only=True):
+class SubsystemHello(Hello, frozen=True, kw_only=True):
     """A subsystem is ready. `outstanding`: primitives it executes or whose report is not acknowledged."""
 
     name: Name  # MCM, S&P
@@ -22,8 +22,6 @@ class SubsystemHello(Message, frozen=True, kw_only=True):
     queues: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
     outstanding: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
     at_rest: bool = True
-    arrays: bool = False  # as in ClientHello
-    pauses: bool = False  # it obeys SetPaused; else its commands pause between two steps only
     paused: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []  # primitives that it was ordered to pause
 
 
@@ -192,6 +190,6 @@ SubsystemToBroker = (
     | Strayed
     | UnreadableMessages
 )
-BrokerToSubsystem = Execute | SetPaused | HaltOrder | ReportAck | Declined  # Declined: the name is in use
+BrokerToSubsystem = Execute | SetPaused | HaltOrder | ReportAck | Declined  # Declined: its hello is refused
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined

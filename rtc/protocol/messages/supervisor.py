@@ -6,11 +6,14 @@ from typing import Annotated, NotRequired, TypedDict
 
 import msgspec
 
-from rtc.protocol.messages.shared import Message, Name, Shutdown, UnreadableMessages, WorkerKind
+from rtc.protocol.messages.client import Declined
+from rtc.protocol.messages.shared import Hello, Message, Name, Shutdown, UnreadableMessages, WorkerKind
 
 
-class SupervisorHello(Message, frozen=True, kw_only=True):
-    """The supervisor is connected, and expects the broker's orders."""
+class ProcessHello(Hello, frozen=True, kw_only=True):
+    """The supervisor, the world database or the gateway is connected. The supervisor expects the broker's orders."""
+
+    name: Name
 
 
 class ProcessExited(Message, frozen=True, kw_only=True):
@@ -115,6 +118,6 @@ class RequestWorkers(Message, frozen=True, kw_only=True):
     registered_before: int  # workers of this kind on other machines
 
 
-# UnreadableMessages, GatewayReport: from other processes
-SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | UnreadableMessages | GatewayReport
-BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | RequestWorkers | Shutdown | AllEnded
+# ProcessHello, UnreadableMessages, GatewayReport: also from other processes
+SupervisorToBroker = ProcessHello | ProcessExited | ProcessTable | Shutdown | UnreadableMessages | GatewayReport
+BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | RequestWorkers | Shutdown | AllEnded | Declined

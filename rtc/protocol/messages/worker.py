@@ -6,7 +6,8 @@ from typing import Annotated
 
 import msgspec
 
-from rtc.protocol.messages.shared import NODES, Heartbeat, Message, Name, Shutdown, WorkerKind
+from rtc.protocol.messages.client import Declined
+from rtc.protocol.messages.shared import NODES, Heartbeat, Hello, Message, Name, Shutdown, WorkerKind
 from rtc.protocol.outcomes import Refusal
 
 
@@ -45,7 +46,7 @@ class ProgramBody(Message, frozen=True, kw_only=True):
     body: bytes | None  # None: unknown program
 
 
-class WorkerHello(Message, frozen=True, kw_only=True):
+class WorkerHello(Hello, frozen=True, kw_only=True):
     """A worker is ready. `node` is its address in the cube, `name` "binder@2".
 
     With an `instance` the gateway assigns the address and answers WorkerAddress; `node` is then the address that the
@@ -107,4 +108,4 @@ class ProgramWanted(Message, frozen=True, kw_only=True):
 
 
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted | WorkerGone
-BrokerToWorker = JobBatch | CancelJobs | ProgramBody | Shutdown | WorkerAddress | Heartbeat
+BrokerToWorker = JobBatch | CancelJobs | ProgramBody | Shutdown | WorkerAddress | Heartbeat | Declined

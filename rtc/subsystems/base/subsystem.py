@@ -31,6 +31,7 @@ from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.protocol.primitive_id import MAX_CHARACTERS, is_name
+from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.runtime.halt_admission import HaltRateLimiter
 
 BROKER = b""  # not a possible identity of a caller at a halt socket
@@ -156,7 +157,8 @@ class Subsystem(ABC, Generic[Performer]):
             queues=list(self.performers) if self._queues else [],
             outstanding=self.outstanding,
             at_rest=self.at_rest,
-            arrays=True,
+            protocol=VERSION,
+            abilities=[ARRAYS],
         )
 
     def tick(self, now_s: float) -> Outgoing:

@@ -13,6 +13,7 @@ import msgspec
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import FAULT_SCOPE, FaultScope, StopReason
 from rtc.protocol.primitive import Primitive, StartAfter
+from rtc.protocol.versions import ARRAYS, PAUSES
 from rtc.subsystems.base.subsystem import BROKER, Outgoing, Report, Reports, Subsystem, in_scope
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface
 from rtc.subsystems.motion.executor import Executor
@@ -55,7 +56,7 @@ class McmSubsystem(Subsystem[Executor]):
         return m.Strayed(arms={executor.name: executor.strayed for executor in self._all if executor.strayed})
 
     def _hello(self) -> m.SubsystemHello:
-        return msgspec.structs.replace(super()._hello(), pauses=True, paused=self._paused)
+        return msgspec.structs.replace(super()._hello(), abilities=[ARRAYS, PAUSES], paused=self._paused)
 
     # --- of one arm --------------------------------------------------------------------------------------
 

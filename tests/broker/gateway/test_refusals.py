@@ -15,6 +15,7 @@ import zmq
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.roles import Role
+from rtc.protocol.versions import VERSION
 from rtc.runtime.keys import KeyFile, KeyRing, endpoint_address
 from rtc.runtime.process import now_s
 from tests.broker.gateway.test_worker_addresses import BINDER, LIMIT_MS, Cluster, Worker
@@ -22,9 +23,9 @@ from tests.broker.gateway.test_worker_addresses import BINDER, LIMIT_MS, Cluster
 HERE = "127.0.0.1"
 OUT_S = 1.0  # a revoked key is out within this time
 MUTE_MS = 1_200  # longer than OUT_S
-HELLO = m.WorkerHello(name="binder@18", node=18, kind=BINDER, pid=1)
+HELLO = m.WorkerHello(protocol=VERSION, name="binder@18", node=18, kind=BINDER, pid=1)
 RESULTS = m.ResultBatch(name="binder@18", results=[m.JobCrashed(id="C-1/1", attempt=1, evidence="late")])
-read_report = wire.reader(m.GatewayReport | m.UnreadableMessages)
+read_report = wire.reader(m.GatewayReport | m.UnreadableMessages | m.ProcessHello)
 
 
 class Reported(Cluster):
@@ -47,7 +48,7 @@ class Reported(Cluster):
             report = read_report(self._reports.recv_multipart()[1:])
             if isinstance(report, m.UnreadableMessages):
                 self.counts = report.counts
-            elif (row := next(filter(wanted, report.peers), None)) is not None:
+            elif isinstance(report, m.GatewayReport) and (row := next(filter(wanted, report.peers), None)) is not None:
                 return row
         raise AssertionError("not reported as wanted")
 
@@ -149,7 +150,11 @@ def test_a_key_of_another_role_is_refused_at_the_handshake(cluster: Reported, ro
 
 @pytest.mark.parametrize(
     "message",
-    [m.CommandText(request="r", text="STOW LEFT-ARM"), m.HaltOrder(halt="H-1"), m.ClientHello(client="x")],
+    [
+        m.CommandText(request="r", text="STOW LEFT-ARM"),
+        m.HaltOrder(halt="H-1"),
+        m.ClientHello(protocol=VERSION, client="x"),
+    ],
     ids=lambda message: type(message).__name__,
 )
 def test_a_worker_that_speaks_as_a_client_is_refused(cluster: Reported, message: m.Message) -> None:
@@ -215,7 +220,7 @@ def test_a_holder_that_sends_without_end_is_out_within_a_second(cluster: Reporte
     if role is Role.OPERATOR:
         endpoint, socket = "front", cluster.context.socket(zmq.ROUTER)
         socket.bind(cluster.settings.endpoint("front"))
-        hello, message = m.ClientHello(client="x"), m.StatusQuery(request="s")
+        hello, message = m.ClientHello(protocol=VERSION, client="x"), m.StatusQuery(request="s")
     key = cluster.new_key(role, "leaver")
     stop = threading.Event()
 

@@ -15,6 +15,7 @@ from broker.gateway.sessions import PEERS_OF_KEY
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.roles import Role
+from rtc.protocol.versions import VERSION
 from rtc.runtime.keys import KeyFile, KeyRing
 from rtc.runtime.process import Process
 from rtc.runtime.settings import Settings
@@ -31,7 +32,7 @@ class Worker:
     def __init__(self, context: zmq.Context[Any], key: KeyFile, instance: str = "", kind: m.WorkerKind = BINDER):
         self._context, self._key = context, key
         self._sockets: list[Any] = []  # earlier ones stay connected
-        self.hello = m.WorkerHello(name=kind.value, node=None, kind=kind, pid=1, instance=instance)
+        self.hello = m.WorkerHello(protocol=VERSION, name=kind.value, node=None, kind=kind, pid=1, instance=instance)
         self.connect()
 
     def connect(self) -> None:
@@ -54,7 +55,12 @@ class Worker:
     def join(self, node: int | None = None) -> Any:
         if node is not None:
             self.hello = m.WorkerHello(
-                name=f"{self.hello.kind}@{node}", node=node, kind=self.hello.kind, pid=1, instance=self.hello.instance
+                protocol=VERSION,
+                name=f"{self.hello.kind}@{node}",
+                node=node,
+                kind=self.hello.kind,
+                pid=1,
+                instance=self.hello.instance,
             )
         self.send(self.hello)
         return self.recv()
@@ -151,7 +157,7 @@ def test_an_explicit_address_takes_it_from_an_assigned_worker_that_then_gets_ano
     assigned = cluster.worker("a")
     assert assigned.join().node == 18
     chosen = cluster.worker()
-    chosen.hello = m.WorkerHello(name="binder@18", node=18, kind=BINDER, pid=2)
+    chosen.hello = m.WorkerHello(protocol=VERSION, name="binder@18", node=18, kind=BINDER, pid=2)
     chosen.send(chosen.hello)
     assert [cluster.recv()[1].pid for _ in range(2)] == [1, 2]
 

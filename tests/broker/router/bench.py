@@ -19,6 +19,7 @@ from broker.router.loop import Router
 from rtc.programs import loader
 from rtc.protocol import messages as m
 from rtc.protocol import wire
+from rtc.protocol.versions import VERSION
 from rtc.runtime.handover import Handover
 from rtc.runtime.settings import Settings
 
@@ -109,9 +110,9 @@ ANSWERS: dict[str, Any] = {
     "supervisor": m.BrokerToSupervisor,
 }  # fmt: skip
 
-MCM = m.SubsystemHello(name="MCM", pid=1, performers=["RIGHT-ARM", "LEFT-ARM"])
+MCM = m.SubsystemHello(protocol=VERSION, name="MCM", pid=1, performers=["RIGHT-ARM", "LEFT-ARM"])
 
-PARSER = m.WorkerHello(name="parser@0", node=0, kind=m.WorkerKind.PARSER, pid=7)
+PARSER = m.WorkerHello(protocol=VERSION, name="parser@0", node=0, kind=m.WorkerKind.PARSER, pid=7)
 
 
 def forwarded(bench: Bench) -> list[Any]:

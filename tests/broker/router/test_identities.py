@@ -7,6 +7,7 @@ import pytest
 from broker.decisions.events import HaltCalled
 from rtc.protocol import messages as m
 from rtc.protocol import wire
+from rtc.protocol.versions import VERSION
 from rtc.runtime.handover import Handover
 from tests.broker.router.bench import SETTINGS, Bench
 
@@ -16,7 +17,7 @@ OURS = f"MCM@{TOKEN}".encode()
 
 SUPERVISOR = f"supervisor@{TOKEN}".encode()
 
-HELLO = m.SubsystemHello(name="MCM", pid=7, performers=["LEFT-ARM"])
+HELLO = m.SubsystemHello(protocol=VERSION, name="MCM", pid=7, performers=["LEFT-ARM"])
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def supervised() -> Bench:
 
 
 def test_a_stranger_that_calls_itself_mcm_is_refused_in_words(supervised: Bench) -> None:
-    stranger = m.SubsystemHello(name="MCM", pid=8, performers=["LEFT-ARM"])
+    stranger = m.SubsystemHello(protocol=VERSION, name="MCM", pid=8, performers=["LEFT-ARM"])
     (refused,) = supervised.send("subsystems", b"MCM", stranger, m.Heartbeat(name="MCM"))
     assert "pid 7" in refused.refusal.message
     assert supervised.state.subsystems["MCM"].pid == 7

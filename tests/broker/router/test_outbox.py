@@ -8,6 +8,7 @@ import msgpack
 
 from rtc.protocol import messages as m
 from rtc.protocol import wire
+from rtc.protocol.versions import ARRAYS, VERSION
 from tests.broker.router.bench import Bench, Socket
 
 
@@ -20,7 +21,7 @@ def kinds(body: Any) -> Any:
 
 
 def test_a_client_that_reads_arrays_gets_all_of_a_turn_in_one(bench: Bench) -> None:
-    bench.send("front", b"ann", m.ClientHello(client="ann", arrays=True))
+    bench.send("front", b"ann", m.ClientHello(protocol=VERSION, client="ann", abilities=[ARRAYS]))
     front = bench.sockets["front"]
     for n in range(3):
         front.put([b"ann", *wire.frames(m.CommandText(request=str(n), text="X", progress=False))])
@@ -32,8 +33,8 @@ def test_a_client_that_reads_arrays_gets_all_of_a_turn_in_one(bench: Bench) -> N
 
 
 def test_a_hello_without_arrays_takes_the_word_back(bench: Bench) -> None:
-    bench.send("front", b"ann", m.ClientHello(client="ann", arrays=True))
-    bench.send("front", b"ann", m.ClientHello(client="ann"))
+    bench.send("front", b"ann", m.ClientHello(protocol=VERSION, client="ann", abilities=[ARRAYS]))
+    bench.send("front", b"ann", m.ClientHello(protocol=VERSION, client="ann"))
     front = bench.sockets["front"]
     for n in range(2):
         front.put([b"ann", *wire.frames(m.CommandText(request=str(n), text="X", progress=False))])

@@ -11,6 +11,7 @@ from rtc.programs.sandbox import CheckRequest, CheckResult
 from rtc.protocol import messages as m
 from rtc.protocol.digest import digest
 from rtc.protocol.outcomes import RefusalReason
+from rtc.protocol.versions import VERSION
 from tests.broker.router.bench import Bench
 
 
@@ -43,7 +44,7 @@ def test_no_one_waits_for_a_program_that_is_checked(slow: Bench) -> None:
     (reply,) = slow.send("front", b"bob", m.StatusQuery(request="q"))
     assert isinstance(reply, m.StatusReply)
     Slow.started[0].checked = CheckResult(error="mine.lark: it takes more than 3 s")
-    (declined,) = slow.send("front", b"ann", m.ClientHello(client="ann"))[1:]
+    (declined,) = slow.send("front", b"ann", m.ClientHello(protocol=VERSION, client="ann"))[1:]
     assert declined.refusal.message == "mine.lark: it takes more than 3 s"
 
 

@@ -19,6 +19,7 @@ from broker.decisions.state import State
 from broker.router.client_messages import QUERIES_PER_S
 from rtc.protocol import messages as m
 from rtc.protocol import wire
+from rtc.protocol.versions import VERSION
 from tests.broker.router.bench import ENDPOINTS, MCM, PARSER, SETTINGS, Bench
 from tests.campaigns import hostile
 
@@ -60,7 +61,11 @@ def test_unreadable_messages_are_counted_by_endpoint(bench: Bench) -> None:
 def test_the_heartbeat_of_a_remote_worker_is_returned(bench: Bench) -> None:
     beat = m.Heartbeat(name="parser@16", at_s=7.0)
     assert bench.send("workers", b"parser@16", beat) == [m.JobBatch(jobs=[])]  # the request for a hello
-    bench.send("workers", b"parser@16", m.WorkerHello(name="parser@16", node=16, kind=m.WorkerKind.PARSER, pid=7))
+    bench.send(
+        "workers",
+        b"parser@16",
+        m.WorkerHello(protocol=VERSION, name="parser@16", node=16, kind=m.WorkerKind.PARSER, pid=7),
+    )
     assert bench.send("workers", b"parser@16", beat) == [beat]
     assert bench.send("workers", b"parser@16", m.Heartbeat(name="parser@16")) == []
 

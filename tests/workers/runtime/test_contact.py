@@ -15,8 +15,9 @@ import zmq
 
 from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.outcomes import ClusterError
+from rtc.protocol.outcomes import ClusterError, Refusal, RefusalReason
 from rtc.protocol.roles import Role
+from rtc.protocol.versions import VERSION
 from rtc.runtime.keys import KeyRing
 from rtc.runtime.process import Process, now_s, send
 from rtc.world.client import WorldClient
@@ -24,7 +25,7 @@ from workers.runtime import health
 from workers.runtime.contact import BrokerContact, Systemd
 from workers.runtime.worker_loop import WorkerLoop
 
-HELLO = m.WorkerHello(name="parser", node=None, kind=m.WorkerKind.PARSER, pid=1, instance="a")
+HELLO = m.WorkerHello(protocol=VERSION, name="parser", node=None, kind=m.WorkerKind.PARSER, pid=1, instance="a")
 LONG_S, SHORT_S = 1000.0, 0.2
 LIMIT_MS = 10_000
 
@@ -186,6 +187,14 @@ def test_a_rejected_worker_ends_with_the_reason(broker: Broker) -> None:
     broker.send(m.Shutdown(why="the key w1 has 32 workers already"))
     broker.thread.join(10)
     assert "has 32 workers" in broker.why[0]
+
+
+def test_a_remote_worker_of_another_version_ends_with_the_reason(broker: Broker) -> None:
+    broker.start()
+    refusal = Refusal(reason=RefusalReason.VERSION, message="parser speaks version 3, this cluster version 2")
+    broker.send(m.Declined(request="", refusal=refusal))
+    broker.thread.join(10)
+    assert refusal.message in broker.why[0]
 
 
 def test_the_health_file_shows_the_age_of_the_last_answer(broker: Broker, tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ from rtc.protocol.messages import (
     WorldChange,
 )
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.protocol.versions import VERSION
 from rtc.runtime.process import Process, send
 from rtc.world.__main__ import serve
 from rtc.world.client import WorldClient
@@ -41,7 +42,7 @@ from workers.runtime import worker_loop as shells
 from workers.runtime.worker_loop import WorkerLoop
 
 KEY = b"k" * 32
-HELLO = WorkerHello(name="parser@0", node=0, kind=WorkerKind.PARSER, pid=1)
+HELLO = WorkerHello(protocol=VERSION, name="parser@0", node=0, kind=WorkerKind.PARSER, pid=1)
 
 
 class Function:
