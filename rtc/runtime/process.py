@@ -33,7 +33,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypedDict, Unpack
 
 import zmq
 
@@ -58,6 +58,19 @@ Secure = Callable[[zmq.Socket[Any]], None] | None  # sets the keys of a socket b
 _libc = ctypes.CDLL(None)  # opened at import: between fork and exec little may be done
 
 
+class SocketOptions(TypedDict, total=False):
+    """How to open a socket; none need be stated."""
+
+    bind: bool  # else it connects
+    identity: str
+    queue_length: int
+    bounds: Bounds | None  # limits per peer of a bound socket
+    secure: Secure  # called with the socket before it binds or connects
+    # A ROUTER gives an identity to the newest peer that uses it, so a restarted process is served at once (the
+    # default); if False, the older peer keeps the identity.
+    handover: bool
+
+
 class Process:
     """Sockets, wake-up pipe and stop flag of one process. Made by `start`; directly only in tests."""
 
@@ -80,38 +93,13 @@ class Process:
         self._watched = zmq.Poller()  # holds our stdout if it is a pipe to a supervisor
 
     def socket(
-        self,
-        kind: int,
-        endpoint: str,
-        *,
-        bind: bool = False,
-        identity: str = "",
-        queue_length: int = QUEUE_LENGTH,
-        bounds: Bounds | None = None,
-        poll: bool = True,
-        secure: Secure = None,
-        handover: bool = True,
+        self, kind: int, endpoint: str, *, poll: bool = True, **options: Unpack[SocketOptions]
     ) -> zmq.Socket[bytes]:
-        """A socket on `endpoint` with limited queues, polled by `wait` unless `poll` is False.
-
-        `bounds`: limits per peer of a bound socket. `handover`: a ROUTER gives an identity to the newest peer that uses
-        it, so a restarted process is served at once. Without it the older peer keeps the identity. `secure` is called
-        with the socket before it binds or connects. Raises `zmq.ZMQError` when the endpoint cannot be bound.
-        """
-        made = open_socket(
-            self.context,
-            kind,
-            endpoint,
-            bind=bind,
-            identity=identity,
-            queue_length=queue_length,
-            bounds=bounds,
-            secure=secure,
-            handover=handover,
-        )
+        """A socket of `open_socket`, polled by `wait` unless `poll` is False."""
+        made = open_socket(self.context, kind, endpoint, **options)
         if poll:
             self.poller.register(made, zmq.POLLIN)
-        if bind and endpoint.startswith(IPC):
+        if options.get("bind") and endpoint.startswith(IPC):
             self._bound[made] = (endpoint, _inode(endpoint), _inode(os.path.dirname(endpoint)))
         return made
 
@@ -263,20 +251,15 @@ def log_to_stderr(level: int = logging.INFO) -> None:
 
 
 def open_socket(
-    context: zmq.Context[Any],
-    kind: int,
-    endpoint: str,
-    *,
-    bind: bool = False,
-    identity: str = "",
-    queue_length: int = QUEUE_LENGTH,
-    bounds: Bounds | None = None,
-    secure: Secure = None,
-    handover: bool = True,
+    context: zmq.Context[Any], kind: int, endpoint: str, **options: Unpack[SocketOptions]
 ) -> zmq.Socket[bytes]:
-    """A socket with limits: length of its queues, size of a frame, time to linger, interval of reconnecting."""
+    """A socket with limits: length of its queues, size of a frame, time to linger, interval of reconnecting.
+
+    Raises `zmq.ZMQError` when the endpoint cannot be bound.
+    """
     made: zmq.Socket[bytes] = context.socket(kind)
-    bounds = bounds or Bounds(wire.MAX_BYTES, queue_length, queue_length)
+    length = options.get("queue_length", QUEUE_LENGTH)
+    bounds = options.get("bounds") or Bounds(wire.MAX_BYTES, length, length)
     made.setsockopt(zmq.MAXMSGSIZE, bounds.frame)
     made.setsockopt(zmq.RCVHWM, bounds.unread)
     made.setsockopt(zmq.SNDHWM, bounds.unsent)
@@ -284,12 +267,12 @@ def open_socket(
     made.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
     made.setsockopt(zmq.RECONNECT_IVL_MAX, RECONNECT_MAX_MS)
     if kind == zmq.ROUTER:
-        made.setsockopt(zmq.ROUTER_HANDOVER, int(handover))
-    if identity:
+        made.setsockopt(zmq.ROUTER_HANDOVER, int(options.get("handover", True)))
+    if identity := options.get("identity"):
         made.setsockopt(zmq.IDENTITY, identity.encode())
-    if secure is not None:
+    if (secure := options.get("secure")) is not None:
         secure(made)
-    if bind:
+    if options.get("bind"):
         made.bind(endpoint)
     else:
         made.connect(endpoint)
