@@ -85,25 +85,54 @@ def _follow(context: DecisionContext) -> None:
 
 
 def on_command(context: DecisionContext, event: CommandReceived) -> None:
-    state = context.state
-    key = request_key(event.client, event.request)
-    if known := state.requests.get(key):
+    """Accept a sentence and begin with it, or decline it. A request that is known is answered as before."""
+    state, halt = context.state, halt_scope(event.text)
+    if known := state.requests.get(request_key(event.client, event.request)):
         context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=known)))
         if known in state.ended:
             context.effects.append(TellClient(client=event.client, message=state.ended[known].message))
         return
-    if not halt_scope(event.text):
-        if journal_loss.is_lost(state, event):
-            journal_loss.end_lost(context, event)
-            return
-        if refusal := journal_loss.unknown_number(state, event):
-            declined = Declined(request=event.request, refusal=refusal)
-            context.effects.append(TellClient(client=event.client, message=declined))
-            return
-    live = state.live.get(event.client, 0)
-    if live >= LIVE_PER_CLIENT or len(state.commands) >= MAX_COMMANDS:
-        _decline(context, event, live)
+    lost = not halt and journal_loss.is_lost(state, event)
+    if not lost and (refusal := _refusal_of(context, event, halt)):
+        context.effects.append(
+            TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal))
+        )
         return
+    command = _accept(context, event)
+    if lost:
+        journal_loss.end_lost(context, command)
+    elif halt:
+        control.halt_sentence(context, command, halt)
+    elif 0 < event.sent_at_s <= state.halted_at_s.get("ALL", 0.0):
+        message = "sent before HALT ALL, so it does not start after it"
+        termination.end(context, command, PendingOutcome(OutcomeKind.HALTED, message, StopReason.HALT))
+    else:
+        state.intake_order.setdefault(command.client, {})[command.id] = False
+        context.create_job(command, WorkerKind.PARSER, {"text": command.text})
+        context.enter(command, Phase.PARSING)
+
+
+def _refusal_of(context: DecisionContext, event: CommandReceived, halt: str | None) -> Refusal | None:
+    """Why a sentence is declined; None if it is not. `halt`: the scope of a halt, which is obeyed nevertheless."""
+    state = context.state
+    if not halt and (refusal := journal_loss.unknown_number(state, event)):
+        return refusal
+    live = state.live.get(event.client, 0)
+    if live < LIVE_PER_CLIENT and len(state.commands) < MAX_COMMANDS:
+        return None
+    context.count("declined")
+    message = f"{len(state.commands)} commands are live, {live} of them yours; the limit is " + (
+        f"{LIVE_PER_CLIENT} of one client" if live >= LIVE_PER_CLIENT else f"{MAX_COMMANDS} in all"
+    )
+    if halt:
+        halt_request.order(context, f"declined-{state.counts['declined']}", halt, context.now)
+        message = f"{halt} is halted, but rest is not confirmed: {message}"
+    return Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
+
+
+def _accept(context: DecisionContext, event: CommandReceived) -> Command:
+    """The command of a sentence, with its number, which its client is informed of."""
+    state = context.state
     command = Command(
         id=journal_loss.new_number(state, event),
         client=event.client,
@@ -124,31 +153,10 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
     if state.crowded:
         context.count("unwatched")
     state.commands[command.id] = command
-    state.live[event.client] = live + 1
-    state.requests[key] = command.id
+    state.live[event.client] = state.live.get(event.client, 0) + 1
+    state.requests[request_key(event.client, event.request)] = command.id
     context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
-    if named := halt_scope(event.text):
-        control.halt_sentence(context, command, named)
-    elif 0 < event.sent_at_s <= state.halted_at_s.get("ALL", 0.0):
-        message = "sent before HALT ALL, so it does not start after it"
-        termination.end(context, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
-    else:
-        state.intake_order.setdefault(command.client, {})[command.id] = False
-        context.create_job(command, WorkerKind.PARSER, {"text": command.text})
-        context.enter(command, Phase.PARSING)
-
-
-def _decline(context: DecisionContext, event: CommandReceived, live: int) -> None:
-    """Decline a command above the limits. A halt is obeyed nevertheless."""
-    context.count("declined")
-    message = f"{len(context.state.commands)} commands are live, {live} of them yours; the limit is " + (
-        f"{LIVE_PER_CLIENT} of one client" if live >= LIVE_PER_CLIENT else f"{MAX_COMMANDS} in all"
-    )
-    if named := halt_scope(event.text):
-        halt_request.order(context, f"declined-{context.state.counts['declined']}", named, context.now)
-        message = f"{named} is halted, but rest is not confirmed: {message}"
-    refusal = Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
-    context.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
+    return command
 
 
 def on_client_gone(context: DecisionContext, event: ClientGone) -> None:

@@ -66,4 +66,4 @@ def on_strayed(context: DecisionContext, event: ArmStrayed) -> None:
     context.dispatch(command.job)
     state.resources.take(command.id, {event.arm: True})
     message = f"{words}; its facts are suspect until they are read again: the next command of the arm reads them"
-    end(context, command, OutcomeKind.FAILED, message=message, defer_analysis=True)
+    end(context, command, PendingOutcome(OutcomeKind.FAILED, message), defer_analysis=True)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from broker.decisions.command.termination import end
 from broker.decisions.context import DecisionContext
-from broker.decisions.effects import PublishNote, TellClient
+from broker.decisions.effects import PublishNote
 from broker.decisions.events import CommandReceived, JournalLost, Stimulus
-from broker.decisions.state import Command, PendingOutcome, State, request_key
-from rtc.protocol.messages import Accepted, Phase, ProgressNote
+from broker.decisions.state import Command, PendingOutcome, State
+from rtc.protocol.messages import Phase, ProgressNote
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 
 JOB_NUMBER_GAP = 10_000  # offset of job numbers after the loss, so that they differ from lost ones
@@ -69,25 +69,13 @@ def new_number(state: State, event: CommandReceived) -> str:
     return f"C-{number}"
 
 
-def end_lost(context: DecisionContext, event: CommandReceived) -> None:
-    """End a lost command as failed, under the number known to the client if it is free."""
-    state = context.state
-    command = Command(
-        id=new_number(state, event),
-        client=event.client,
-        request=event.request,
-        text=event.text,
-        source=event.source,
-        progress=event.progress,
-        halt_if_lost=event.halt_if_lost,
-        accepted_at_s=event.at_s,
-        phase=Phase.HELD,
+def end_lost(context: DecisionContext, command: Command) -> None:
+    """End a lost command as failed."""
+    end(
+        context,
+        command,
+        PendingOutcome(OutcomeKind.FAILED, f"{context.state.lost}: how far it came is not known; {CLEARS}"),
     )
-    state.commands[command.id] = command
-    state.live[event.client] = state.live.get(event.client, 0) + 1
-    state.requests[request_key(event.client, event.request)] = command.id
-    context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
-    end(context, command, OutcomeKind.FAILED, message=f"{state.lost}: how far it came is not known; {CLEARS}")
 
 
 def publish(context: DecisionContext) -> None:

@@ -159,8 +159,8 @@ class DeferredAnalysis(msgspec.Struct, kw_only=True):
     """Row of its transition table."""
 
 
-class PendingOutcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The outcome of a command that cannot end at once (HALTING, CLOSING)."""
+class PendingOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
+    """How a command ends, or will end (HALTING, CLOSING)."""
 
     kind: OutcomeKind
     message: str

@@ -59,7 +59,7 @@ def finish_closing(context: DecisionContext, command: Command, product: Any) -> 
         refusal = Refusal(reason=RefusalReason.STATE, message=ending.message, clears=clears)
     elif clears and ending.kind is OutcomeKind.LOST_SUBSYSTEM and refusal is not None:
         refusal = msgspec.structs.replace(refusal, clears=f"{WHEN_BACK}: {clears}; {AGAIN}")
-    end(context, command, ending.kind, message=ending.message, stop=ending.stop, refusal=refusal)
+    end(context, command, msgspec.structs.replace(ending, refusal=refusal))
 
 
 def retry_last_analysis(context: DecisionContext, command: Command, loss: JobLost) -> None:
@@ -87,6 +87,5 @@ def defer_closing_analysis(context: DecisionContext, command: Command, refusal: 
 def _end_deferred(context: DecisionContext, command: Command, consequence: str) -> None:
     assert command.pending_outcome is not None
     context.stop_timer(command)
-    ending = command.pending_outcome
-    message = f"{ending.message}; {consequence}"
-    end(context, command, ending.kind, message=message, stop=ending.stop, refusal=ending.refusal, defer_analysis=True)
+    message = f"{command.pending_outcome.message}; {consequence}"
+    end(context, command, msgspec.structs.replace(command.pending_outcome, message=message), defer_analysis=True)

@@ -53,21 +53,21 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
     ending = PendingOutcome(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
     for target in targets:
         context.enqueue_stimulus(target, stimulus, ending if stimulus is Stimulus.STOP else None)
-    end(context, command, OutcomeKind.SUCCEEDED, message=words)
+    end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, words))
 
 
 def halt_sentence(context: DecisionContext, command: Command, scope: str) -> None:
     """Start a HALT sentence; end it at once if its scope is unknown or has moved nothing."""
     if scope != "ALL" and not subsystem_of(context, scope) and not in_scope(context, scope):
         if has_ended(context, scope):
-            end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} has already ended: it moves nothing")
+            end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, f"{scope} has already ended: it moves nothing"))
         else:
             refuse(context, command, no_target(context, scope, command.id))
         return
     target = context.state.commands.get(scope)
     if target is not None and not target.subsystem:
         context.enqueue_stimulus(scope, Stimulus.STOP, halted(scope))
-        end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} had moved nothing yet")
+        end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, f"{scope} had moved nothing yet"))
         return
     on_sentence(context, command, scope)
 
@@ -76,7 +76,7 @@ def end_halt(context: DecisionContext, command: Command, settled: Settled) -> No
     """End a HALT sentence. It has touched nothing itself."""
     del context.state.halt_sentences[command.id]
     outcome, context.node = settled
-    end(context, command, outcome.kind, message=outcome.message, stop=outcome.stop)
+    end(context, command, outcome)
 
 
 def _given_after(other: Command, command: Command) -> bool:

@@ -10,7 +10,7 @@ from broker.decisions import deferred_analysis
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import JobLost
-from broker.decisions.state import Command
+from broker.decisions.state import Command, PendingOutcome
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 QUARANTINED = "the names it touched stay quarantined until the world database is updated"
@@ -20,7 +20,7 @@ SUSPECT = "the facts about what it moved become suspect"
 def fail_unavailable(context: DecisionContext, command: Command, refusal: Refusal) -> None:
     """A job before a motion could not be done: refused before the first primitive, failed after it."""
     if command.primitives:
-        end(context, command, OutcomeKind.FAILED, message=refusal.message, refusal=refusal)
+        end(context, command, PendingOutcome(OutcomeKind.FAILED, refusal.message, refusal=refusal))
     else:
         refuse(context, command, refusal)
 
@@ -39,7 +39,7 @@ def schedule_analysis_retry(context: DecisionContext, command: Command, refusal:
         f"the result could not be analysed within {deferred_analysis.LIMIT_S:.0f} s: {refusal.message}; {QUARANTINED}"
     )
     refusal = Refusal(reason=refusal.reason, message=message, clears="wait until the world database is back")
-    end(context, command, OutcomeKind.FAILED, message=message, refusal=refusal, defer_analysis=True)
+    end(context, command, PendingOutcome(OutcomeKind.FAILED, message, refusal=refusal), defer_analysis=True)
     deferred_analysis.on_unavailable(context, command.id)
 
 
@@ -59,7 +59,7 @@ def retry_lost_analysis(context: DecisionContext, command: Command, loss: JobLos
     if poison := dispatch_again(context, command, loss):
         give_up = has_moved(command)
         message = f"{poison.message}; {SUSPECT}" if give_up else poison.message
-        end(context, command, OutcomeKind.FAILED, message=message, refusal=poison, defer_analysis=give_up)
+        end(context, command, PendingOutcome(OutcomeKind.FAILED, message, refusal=poison), defer_analysis=give_up)
         if give_up:
             deferred_analysis.on_given_up(context, command.id)
 

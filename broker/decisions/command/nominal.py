@@ -25,6 +25,7 @@ from broker.decisions.state import (
     LinkState,
     PendingOutcome,
     ScriptHead,
+    Subsystem,
     queues_of,
 )
 from rtc.protocol import wire
@@ -47,7 +48,7 @@ def on_elaborated(context: DecisionContext, command: Command, product: msgspec.R
     halted = [r for r in script.resources if context.state.halted_at_s.get(r, -1.0) > command.given_at_s]
     if halted:
         message = f"{halted[0]} was halted after this command was given"
-        end(context, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
+        end(context, command, PendingOutcome(OutcomeKind.HALTED, message, StopReason.HALT))
         return
     if not claim_or_wait(context, command, claim):
         return
@@ -65,7 +66,7 @@ def next_step(context: DecisionContext, command: Command, remark: str = "") -> N
     if not actions.refs and command.given_up is not None:
         end_given_up(context, command)
     elif not actions.refs:
-        end(context, command, OutcomeKind.SUCCEEDED, message=remark)
+        end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, remark))
     elif command.pause_wanted:
         context.enter(command, Phase.PAUSED, "paused between two steps")
     else:
@@ -88,6 +89,7 @@ def bind_step(context: DecisionContext, command: Command, note: str = "") -> Non
 
 
 def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
+    """Continue with what the binder made of the step: a primitive, a report at once, or bindings alone."""
     assert command.actions is not None
     result = read_bound(product)
     command.actions.assign(result.bindings)
@@ -104,27 +106,33 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
     subsystem = context.state.subsystems.get(result.subsystem)
     if subsystem is None or subsystem.link is LinkState.LOST:
         lost = f"{result.subsystem} is not connected; this step moved nothing: give the sentence again when it is back"
-        end(context, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
+        end(context, command, PendingOutcome(OutcomeKind.LOST_SUBSYSTEM, lost, StopReason.SUBSYSTEM_LOST))
         return
     primitive = read_primitive(result.primitive)
+    if message := _fault(context, command, result, primitive, subsystem):
+        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
+    elif primitive.paths and context.state.motions_begun != command.motions_seen[0]:
+        bind_step(context, command, "another arm has begun to move meanwhile: planned again beside it")
+    else:
+        begin(context, command, result, primitive)
+
+
+def _fault(
+    context: DecisionContext, command: Command, result: BoundHead, primitive: Primitive, subsystem: Subsystem
+) -> str:
+    """Why the primitive that the binder made may not be sent; empty if it may."""
     held = context.state.resources.held.get(command.id, {})
     queues = subsystem.queues
     unclaimed = next((p for p in primitive.performers if not (held.get(p) or (p in held and p in queues))), "")
     if unclaimed:
-        message = f"the step moves {unclaimed}, which its script has not claimed"
-        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
-        return
+        return f"the step moves {unclaimed}, which its script has not claimed"
     if not belongs_to(primitive.id, command.id, command.primitives + 1, context.state.life):
-        message = f"the binder made a primitive called {primitive.id[:40]!r}, which is not the next one of {command.id}"
-        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
-        return
-    if result.evaluation == NIL:
-        message = "the binder made a primitive without an evaluation for the analyzer"
-        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
-        return
-    if primitive.paths and context.state.motions_begun != command.motions_seen[0]:
-        bind_step(context, command, "another arm has begun to move meanwhile: planned again beside it")
-        return
+        return f"the binder made a primitive called {primitive.id[:40]!r}, which is not the next one of {command.id}"
+    return "" if result.evaluation != NIL else "the binder made a primitive without an evaluation for the analyzer"
+
+
+def begin(context: DecisionContext, command: Command, result: BoundHead, primitive: Primitive) -> None:
+    """Send a primitive that was accepted. The command executes it from now on."""
     command.primitives += 1
     command.primitive = primitive.id
     command.primitive_body = result.primitive
@@ -210,8 +218,7 @@ def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw
     elif command.given_up is not None:
         end_given_up(context, command, assessment.message)
     else:
-        failed = failure(assessment)
-        end(context, command, failed.kind, message=failed.message, stop=failed.stop, refusal=failed.refusal)
+        end(context, command, failure(assessment))
 
 
 def failure(assessment: AssessmentHead) -> PendingOutcome:

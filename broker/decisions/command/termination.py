@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from itertools import islice
 
+import msgspec
+
 from broker.decisions import deferred_analysis
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import CancelJob, ReportEnd
@@ -15,33 +17,24 @@ from broker.decisions.resources import Quarantine
 from broker.decisions.state import Command, PendingOutcome, Result, request_key
 from rtc.protocol import wire
 from rtc.protocol.messages import CommandEnded, CommandRecord, Phase
-from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, StopReason
+from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal
 
 ENDED_KEPT = 4096  # minimum number of stored results, for clients that ask again
 FORGOTTEN_AT_ONCE = 512  # results deleted together: the search for a dict's oldest key slows down with deletions
 UNCONFIRMED = (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM)
 
 
-def end(
-    context: DecisionContext,
-    command: Command,
-    kind: OutcomeKind,
-    *,
-    message: str = "",
-    stop: StopReason | None = None,
-    refusal: Refusal | None = None,
-    defer_analysis: bool = False,
-) -> None:
+def end(context: DecisionContext, command: Command, ending: PendingOutcome, *, defer_analysis: bool = False) -> None:
     """End a command: release its resources and report its outcome. This is the only way to ENDED.
 
     `defer_analysis`: the last analysis continues after the command has ended; the names it will write stay quarantined.
     """
-    state = context.state
+    state, kind = context.state, ending.kind
     outcome = Outcome(
         kind=kind,
-        message=message,
-        stop=stop,
-        refusal=refusal,
+        message=ending.message,
+        stop=ending.stop,
+        refusal=ending.refusal,
         step=command.step_words if kind is not OutcomeKind.SUCCEEDED else "",
         trims=command.actions.trim_labels if command.actions else [],
         steps_done=command.steps_done,
@@ -50,7 +43,7 @@ def end(
     if defer_analysis:
         deferred_analysis.defer(context, command)
     command.job = None
-    context.enter(command, Phase.ENDED, f"{kind}: {message}" if message else f"{kind}")
+    context.enter(command, Phase.ENDED, f"{kind}: {ending.message}" if ending.message else f"{kind}")
     in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
     granted = state.resources.release(command.id, in_doubt, frozenset(command.performers))
     context.leave_space_line(command)
@@ -116,21 +109,22 @@ def refuse(context: DecisionContext, command: Command, refusal: Refusal) -> None
     if command.given_up is not None:
         end_given_up(context, command, refusal.message)
         return
-    end(context, command, OutcomeKind.REFUSED, message=refusal.message, refusal=refusal)
+    end(context, command, PendingOutcome(OutcomeKind.REFUSED, refusal.message, refusal=refusal))
 
 
 def end_given_up(context: DecisionContext, command: Command, after: str = "") -> None:
     """End with the cause of the give-up. `after`: message of a later failure."""
     cause = command.given_up
     assert cause is not None
-    message = f"{cause.message}; after that: {after}" if after else cause.message
-    end(context, command, cause.kind, message=message, stop=cause.stop, refusal=cause.refusal)
+    if after:
+        cause = msgspec.structs.replace(cause, message=f"{cause.message}; after that: {after}")
+    end(context, command, cause)
 
 
 def stop(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
     """End a command for which nothing moves. A result that is still under way becomes stale."""
     cancel(context, command)
-    end(context, command, ending.kind, message=ending.message, stop=ending.stop)
+    end(context, command, ending)
 
 
 def cancel(context: DecisionContext, command: Command) -> None:
