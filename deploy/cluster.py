@@ -30,7 +30,7 @@ from deploy import hypercube
 from deploy.child import Spec
 from deploy.directory import Directory, claim_path
 from deploy.more_workers import MoreCommand
-from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Supervisor
+from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Hooks, Supervisor
 from rtc.client.halt import HaltLine
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.runtime import fork_server, handover, process, process_table
@@ -163,19 +163,16 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
         with process.start("supervisor", run_dir) as me:
             process.real_time_io(me.context, RANK)
             process.raise_priority(RANK, NICENESS)
-            supervisor = Supervisor(
-                me,
-                specs(settings, given.fd),
-                logs,
-                settings.endpoint("supervisor"),
+            hooks = Hooks(
                 new_worker=lambda address: new_worker(settings, address, given.fd),
-                identity=given.identity("supervisor"),
                 show=show,
                 save=report.save,
                 look=directory.look,
                 halt=lambda: _halt_arms(settings),
                 more=MoreCommand(settings.more, logs / "more.log") if settings.more else None,
             )
+            endpoint, identity = settings.endpoint("supervisor"), given.identity("supervisor")
+            supervisor = Supervisor(me, specs(settings, given.fd), logs, endpoint, hooks, identity=identity)
             files[process_table.FILE] = lambda: report.save(supervisor.table())
             try:
                 _start(supervisor, settings)

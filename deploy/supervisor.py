@@ -76,12 +76,21 @@ class StoppedWork:
         return len(self.commands) > SHOWN
 
 
-class Supervisor:
-    """Call `start`, `run` and `stop`, and `stop` also after an exception.
+@dataclass(frozen=True)
+class Hooks:
+    """What a supervisor calls outside of its processes."""
 
-    `show` gets each line for people; `save` gets the process table after each change. `look` checks the run directory
-    every second: it returns the files written again, and a reason to end the cluster or "".
-    """
+    new_worker: Callable[[int], Spec | None]  # for this node
+    show: Callable[[str], None] = lambda line: None  # a line for people
+    save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None  # the process table, after each change
+    # The run directory, every second: the files written again, and a reason to end the cluster or "".
+    look: Callable[[float], tuple[list[str], str]] = lambda now: ([], "")
+    halt: Callable[[], list[str]] = list  # stops the arms, and returns those that were in motion
+    more: MoreCommand | None = None  # runs the user's command line for more workers
+
+
+class Supervisor:
+    """Call `start`, `run` and `stop`, and `stop` also after an exception."""
 
     def __init__(
         self,
@@ -89,22 +98,13 @@ class Supervisor:
         specs: Sequence[Spec],
         logs: Path,
         broker: str,
-        *,
-        new_worker: Callable[[int], Spec | None],
-        show: Callable[[str], None] = lambda line: None,
-        save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None,
+        hooks: Hooks,
         policy: Policy = DEFAULT,
         identity: str = "supervisor",
-        look: Callable[[float], tuple[list[str], str]] = lambda now: ([], ""),
-        halt: Callable[[], list[str]] = lambda: [],
-        more: MoreCommand | None = None,
     ) -> None:
         self._me = me
         self._logs = logs
-        self._new_worker, self._print, self._save = new_worker, show, save
-        self._look = look
-        self._halt = halt
-        self._more = more  # runs the user's command line for more workers; None = there is none
+        self._hooks, self._more = hooks, hooks.more
         self._all_ended: AllEnded | None = None
         self._policy = policy
         self._children = {spec.name: Child(spec, logs / f"{spec.name}.log") for spec in specs}
@@ -167,7 +167,7 @@ class Supervisor:
         """
         self._all_ended = None
         self._send(Shutdown())
-        arms = self._halt()
+        arms = self._hooks.halt()
         broker = self._children.get("broker")
         if broker is None or broker.state is ProcessState.FAILED:
             return StoppedWork(arms=arms)
@@ -277,7 +277,7 @@ class Supervisor:
                 self._kill_hung(child, why)
 
     def _look_at_directory(self, now: float) -> None:
-        again, why = self._look(now)
+        again, why = self._hooks.look(now)
         if again:
             self._show(f"{', '.join(again)} was deleted: written again")
         if why and not self._me.stopping:
@@ -396,7 +396,7 @@ class Supervisor:
     def _save_table(self) -> None:
         """Saves the table for people. On a full disk it is saved later."""
         try:
-            self._save(self.table())
+            self._hooks.save(self.table())
         except OSError as error:
             if not self._unsaved:
                 self._show(f"the process table cannot be saved until there is room again: {error}")
@@ -406,7 +406,7 @@ class Supervisor:
 
     def _show(self, line: str) -> None:
         with contextlib.suppress(OSError):  # a full disk or a closed output
-            self._print(line)
+            self._hooks.show(line)
 
     def table(self) -> list[ProcessRow]:
         return [
@@ -438,7 +438,7 @@ class Supervisor:
                     child.signal(signal.SIGKILL)
             case SpawnWorker(kind=kind):
                 taken = {c.spec.node for c in self._children.values() if c.spec.node is not None}
-                spec = self._new_worker(hypercube.next_free(kind, taken))
+                spec = self._hooks.new_worker(hypercube.next_free(kind, taken))
                 if spec is not None:
                     self._children[spec.name] = Child(spec, self._logs / f"{spec.name}.log")
             case RetireWorker(name=name):

@@ -15,7 +15,7 @@ import zmq
 from deploy import child
 from deploy.child import Spec
 from deploy.restarts import DEFAULT, Policy
-from deploy.supervisor import Supervisor
+from deploy.supervisor import Hooks, Supervisor
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     KillProcess,
@@ -60,9 +60,11 @@ class Cluster:
             specs,
             path,
             endpoint,
-            new_worker=new_worker or (lambda address: spec(f"new@{address}", GOOD, address)),
-            show=self.lines.append,
-            save=self.saved.append,
+            Hooks(
+                new_worker=new_worker or (lambda address: spec(f"new@{address}", GOOD, address)),
+                show=self.lines.append,
+                save=self.saved.append,
+            ),
             policy=policy,
         )
         self.thread = threading.Thread()
@@ -474,7 +476,8 @@ def test_a_full_disk_costs_words_but_no_process(cluster, tmp_path, monkeypatch):
         lines.append(what)
         raise full
 
-    it.supervisor._save = it.supervisor._print = no_room
+    hooks = it.supervisor._hooks
+    it.supervisor._hooks = replace(hooks, save=no_room, show=no_room)
     (tmp_path / "binder@2.log").unlink()
     (tmp_path / "binder@2.log").symlink_to("/dev/full")
     os.kill(table["binder@2"]["pid"], signal.SIGKILL)
@@ -482,7 +485,7 @@ def test_a_full_disk_costs_words_but_no_process(cluster, tmp_path, monkeypatch):
     for _ in range(3):
         it.recv_table(lambda t: True)
     assert len([line for line in lines if "No space left" in line]) == 1
-    it.supervisor._save = it.saved.append  # there is room again
+    it.supervisor._hooks = hooks  # there is room again
     it.recv_table(lambda t: it.saved[-1] == list(t.values()))
     assert it.saved[-1] == list(table.values())
 
