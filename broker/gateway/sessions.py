@@ -77,6 +77,11 @@ class Sessions:
             self._count_stale(key, peer, message)
             self._request_hello(endpoint, session)
             return None
+        return self._admit(endpoint, key, peer, message, link)
+
+    def _admit(self, endpoint: str, key: KnownKey, peer: Peer, message: Any, link: Link | None) -> Link | None:
+        """The link of a peer that has sent a hello; None: it is refused, or waits. `link`: of its connection so far."""
+        session = peer.session
         if isinstance(message, m.WorkerHello) and message.instance:
             message = self._with_address(key, message)
         name = _internal_name(key, message)
