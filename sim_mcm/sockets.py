@@ -22,7 +22,7 @@ from rtc.runtime.halt_admission import read_order
 from rtc.runtime.process import Every, Process, inbox, send
 from rtc.runtime.settings import BOUNDS, NO_HANDOVER, Settings
 from rtc.subsystems.base.broker_link import BrokerLink
-from rtc.subsystems.base.subsystem import BROKER, InvalidOrder, Outgoing
+from rtc.subsystems.base.subsystem import BROKER, Order, Outgoing
 
 # Maximum numbers of messages read from one socket per tick; they bound the tick's duration. ZeroMQ serves callers in
 # turn, so a flood by one caller delays another by one message.
@@ -81,7 +81,7 @@ class Sockets:
                 refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)
                 send(self._estop, m.Declined(request="", refusal=refusal), caller)
 
-    def orders(self, now_s: float) -> Iterator[m.Execute | m.SetPaused | m.HaltOrder | m.ReportAck | InvalidOrder]:
+    def orders(self, now_s: float) -> Iterator[Order]:
         """Messages of the broker. An Execute that does not decode becomes an InvalidOrder, so that it is answered."""
         if self._link.socket in self._ready:
             yield from self._link.orders(now_s)

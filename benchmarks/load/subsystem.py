@@ -40,7 +40,9 @@ class Instant:
             return [report]
         if isinstance(message, m.ReportAck):
             self.kept.pop(message.primitive, None)
-            return [] if message.primitive else self.hello()
+            return []
+        if isinstance(message, m.HelloWanted):
+            return self.hello()
         about: dict[str, Any] = {"halt": message.halt, "subsystem": SUBSYSTEM}
         return [
             m.HaltStarted(received_at_s=now, decelerating_at_s=now, moving=[], **about),

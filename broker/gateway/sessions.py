@@ -158,15 +158,9 @@ class Sessions:
         return hello
 
     def _request_hello(self, endpoint: str, session: bytes) -> None:
-        """Request a hello message, as the broker does.
-
-        To a worker an empty JobBatch is that request, to a subsystem a ReportAck without a primitive; a client is
-        refused.
-        """
-        if endpoint == "workers":
-            self._endpoints.send(endpoint, session, wire.frames(m.JobBatch(jobs=[])))
-        elif endpoint == "subsystems":
-            self._endpoints.send(endpoint, session, wire.frames(m.ReportAck(primitive="")))
+        """Request a hello message, as the broker does. A client is refused."""
+        if endpoint != "front":
+            self._endpoints.send(endpoint, session, wire.frames(m.HelloWanted()))
         else:
             self._endpoints.count("nameless", "a message before a ClientHello")
             words = "over tcp send ClientHello first"

@@ -86,8 +86,8 @@ class SubsystemMessages:
         known = self._core.state.subsystems.get(name)
         if message.own_s and known is not None:  # the number of known ones is bounded
             self._core.timers.set_own_time(name, message.own_s)
-        if known is None or known.link is not LinkState.CONNECTED:  # an empty acknowledgement requests a hello message
-            send(self._core.sockets["subsystems"], m.ReportAck(primitive=""), peer)
+        if known is None or known.link is not LinkState.CONNECTED:
+            send(self._core.sockets["subsystems"], m.HelloWanted(), peer)
 
     def _started(self, name: str, peer: bytes, message: m.Started, now: float) -> None:
         self._core.enqueue(PrimitiveStarted(at_s=now, subsystem=name, primitive=message.primitive))

@@ -65,8 +65,7 @@ class WorkerMessages:
         send(self._core.sockets["workers"], m.ProgramBody(digest=message.digest, body=body), peer)
 
     def _request_hello(self, peer: bytes) -> None:
-        """An empty batch requests a hello message from a worker that is not registered."""
-        send(self._core.sockets["workers"], m.JobBatch(jobs=[]), peer)
+        send(self._core.sockets["workers"], m.HelloWanted(), peer)
 
 
 def _finished(node: str, result: m.JobDone, now: float) -> Event:

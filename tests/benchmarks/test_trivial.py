@@ -66,7 +66,7 @@ def test_the_instant_subsystem_keeps_a_report_until_it_is_acknowledged(bound):
     assert instant.hello()[0].outstanding == ["C-1.1"]
     assert instant.handle(m.ReportAck(primitive="C-1.1"), 2.0) == []
     assert instant.overdue(9.0) == []
-    assert [type(x) for x in instant.handle(m.ReportAck(primitive=""), 2.0)] == [m.SubsystemHello]
+    assert [type(x) for x in instant.handle(m.HelloWanted(), 2.0)] == [m.SubsystemHello]
 
 
 def test_a_halt_is_answered_at_once():

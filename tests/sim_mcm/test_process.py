@@ -120,7 +120,7 @@ def test_a_primitive_from_execute_to_acknowledgement(mcm, swing) -> None:
     assert first.reason is StopReason.GOAL
 
     broker.send(m.ReportAck(primitive="C-1.1"))
-    broker.send(m.ReportAck(primitive=""))
+    broker.send(m.HelloWanted())
     assert broker.recv(m.SubsystemHello, lambda hello: hello.outstanding == []).outstanding == []
 
     mcm.process.send_signal(signal.SIGTERM)

@@ -85,7 +85,7 @@ class Worker:
         if self.hung:
             return
         match read_worker(parts):
-            case m.JobBatch(jobs=[]):
+            case m.HelloWanted():
                 if self.cluster.clock.now_s - self._hello_sent_s >= self.HELLO_AGAIN_S:
                     self.queue.clear()
                     self._send_hello()

@@ -29,6 +29,7 @@ from rtc.protocol.messages import (
     CancelJobs,
     Declined,
     Heartbeat,
+    HelloWanted,
     Job,
     JobBatch,
     JobCrashed,
@@ -199,7 +200,7 @@ class WorkerLoop:
 
     def _handle(self, message: BrokerToWorker) -> None:
         match message:
-            case JobBatch(jobs=[]):
+            case HelloWanted():
                 if now_s() - self._hello_sent_s >= HELLO_AGAIN_S:  # otherwise the last hello crossed this request
                     self._begin_anew()
             case JobBatch(jobs=jobs):
@@ -233,7 +234,7 @@ class WorkerLoop:
             self._why = f"the cluster rejects {self._hello.name}: {why}"
 
     def _answered(self) -> None:
-        """The broker knows this worker. The gateway alone sends empty JobBatches and Drops too."""
+        """The broker knows this worker. The gateway alone sends other messages too."""
         if self._contact is not None:
             if self._contact.worker != self._hello.name:
                 self._me.log.info("joined as %s", self._hello.name)

@@ -27,6 +27,10 @@ class Hello(Message, frozen=True, kw_only=True):
     abilities: Annotated[list[Name], msgspec.Meta(max_length=100)] = []  # of rtc.protocol.versions
 
 
+class HelloWanted(Message, frozen=True, kw_only=True):
+    """The sender does not know the receiver, a worker or a subsystem, which must send its hello again."""
+
+
 class WorkerKind(StrEnum):
     """The four kinds of worker; the position of a kind gives the two low bits of a node's cube address."""
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import msgspec
 
 from rtc.protocol.messages.client import Declined
-from rtc.protocol.messages.shared import Heartbeat, Hello, Message, Name, UnreadableMessages
+from rtc.protocol.messages.shared import Heartbeat, Hello, HelloWanted, Message, Name, UnreadableMessages
 from rtc.protocol.outcomes import Measured, Reflex, Sighting, StopReason
 from rtc.protocol.primitive import Primitive
 
@@ -190,6 +190,8 @@ SubsystemToBroker = (
     | Strayed
     | UnreadableMessages
 )
-BrokerToSubsystem = Execute | SetPaused | HaltOrder | ReportAck | Declined  # Declined: its hello is refused
+BrokerToSubsystem = (
+    Execute | SetPaused | HaltOrder | ReportAck | HelloWanted | Declined
+)  # Declined: its hello is refused
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined

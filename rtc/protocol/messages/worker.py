@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 
 from rtc.protocol.messages.client import Declined
-from rtc.protocol.messages.shared import NODES, Heartbeat, Hello, Message, Name, Shutdown, WorkerKind
+from rtc.protocol.messages.shared import NODES, Heartbeat, Hello, HelloWanted, Message, Name, Shutdown, WorkerKind
 from rtc.protocol.outcomes import Refusal
 
 
@@ -108,4 +108,4 @@ class ProgramWanted(Message, frozen=True, kw_only=True):
 
 
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted | WorkerGone
-BrokerToWorker = JobBatch | CancelJobs | ProgramBody | Shutdown | WorkerAddress | Heartbeat | Declined
+BrokerToWorker = JobBatch | CancelJobs | ProgramBody | Shutdown | WorkerAddress | Heartbeat | HelloWanted | Declined

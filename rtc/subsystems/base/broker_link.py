@@ -18,7 +18,7 @@ from rtc.protocol.outcomes import WireError
 from rtc.protocol.wire import reader, split
 from rtc.runtime.process import Every, Process, inbox, send
 from rtc.runtime.settings import Settings
-from rtc.subsystems.base.subsystem import InvalidOrder, Outgoing
+from rtc.subsystems.base.subsystem import InvalidOrder, Order, Outgoing
 
 PER_TURN = 20  # maximum number of messages read at once
 LOG_EVERY_S = 1.0
@@ -39,7 +39,7 @@ class BrokerLink:
         self.dropped: Counter[str] = Counter()  # messages that did not decode
         self._log_due = Every(LOG_EVERY_S)
 
-    def orders(self, now_s: float) -> Iterator[m.Execute | m.SetPaused | m.HaltOrder | m.ReportAck | InvalidOrder]:
+    def orders(self, now_s: float) -> Iterator[Order]:
         """The messages of the broker."""
         for parts in chain.from_iterable(map(split, inbox(self.socket, PER_TURN))):
             try:

@@ -61,6 +61,9 @@ class InvalidOrder(msgspec.Struct, frozen=True):
     why: str
 
 
+Order = m.Execute | m.SetPaused | m.HaltOrder | m.ReportAck | m.HelloWanted | InvalidOrder
+
+
 class Halt(msgspec.Struct):
     """One halt and the callers that wait for its answers."""
 
@@ -118,16 +121,14 @@ class Subsystem(ABC, Generic[Performer]):
     def idle(self) -> bool:
         return not any(map(self._primitives, self.performers.values()))
 
-    def handle(
-        self, message: m.Execute | m.SetPaused | m.HaltOrder | m.ReportAck | InvalidOrder, sender: bytes, now_s: float
-    ) -> Outgoing:
+    def handle(self, message: Order, sender: bytes, now_s: float) -> Outgoing:
         if isinstance(message, m.HaltOrder):
             return self._halt(message, sender, now_s)
         if isinstance(message, m.ReportAck):
-            if not message.primitive:  # without an id: the broker asks for a hello
-                return self.hello()
             self._kept.pop(message.primitive, None)
             return []
+        if isinstance(message, m.HelloWanted):
+            return self.hello()
         if isinstance(message, m.SetPaused):
             self._pace(message)
             return []

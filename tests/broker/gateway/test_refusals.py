@@ -175,7 +175,7 @@ def test_results_from_before_a_cut_are_refused_and_the_worker_must_register(clus
     worker.connect()
     worker.send(RESULTS)
 
-    assert worker.recv() == m.JobBatch(jobs=[])  # the request for a hello
+    assert worker.recv() == m.HelloWanted()
     row = cluster.refused("w1")
     assert (row.refused, "binder@18" in row.refusal) == (1, True)
     assert cluster.broker_gets_nothing()

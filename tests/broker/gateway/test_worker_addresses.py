@@ -162,7 +162,7 @@ def test_an_explicit_address_takes_it_from_an_assigned_worker_that_then_gets_ano
     assert [cluster.recv()[1].pid for _ in range(2)] == [1, 2]
 
     assigned.send(m.Heartbeat(name="binder@18"))
-    assert assigned.recv() == m.JobBatch(jobs=[])  # the request for a hello
+    assert assigned.recv() == m.HelloWanted()
     assert assigned.join(18).node == 22
 
 

@@ -60,7 +60,7 @@ def test_unreadable_messages_are_counted_by_endpoint(bench: Bench) -> None:
 
 def test_the_heartbeat_of_a_remote_worker_is_returned(bench: Bench) -> None:
     beat = m.Heartbeat(name="parser@16", at_s=7.0)
-    assert bench.send("workers", b"parser@16", beat) == [m.JobBatch(jobs=[])]  # the request for a hello
+    assert bench.send("workers", b"parser@16", beat) == [m.HelloWanted()]
     bench.send(
         "workers",
         b"parser@16",

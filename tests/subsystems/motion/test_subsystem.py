@@ -117,7 +117,7 @@ def test_hello_tells_what_is_under_way_and_says_kept_reports_again(bench, swing)
     bench.handle(m.Execute(primitive=swing("C-8.1", OTHER)))
     bench.tick(10)
 
-    (_, hello), *reports = bench.handle(m.ReportAck(primitive=""))  # a broker that does not know us
+    (_, hello), *reports = bench.handle(m.HelloWanted())  # a broker that does not know us
 
     assert isinstance(hello, m.SubsystemHello)
     assert hello.performers == [ARM, OTHER]

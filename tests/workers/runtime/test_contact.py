@@ -140,7 +140,7 @@ def test_requests_for_a_hello_are_not_answers_of_the_broker(broker: Broker) -> N
     while not broker.why:
         if broker.socket.poll(100):
             broker.recv()
-            broker.send(m.JobBatch(jobs=[]))
+            broker.send(m.HelloWanted())
             broker.send(m.CancelJobs(jobs=[]))
         broker.thread.join(0)
     assert "has not answered" in broker.why[0]

@@ -14,6 +14,7 @@ from rtc.protocol.messages import (
     Assessment,
     CancelJobs,
     Heartbeat,
+    HelloWanted,
     Job,
     JobBatch,
     JobCrashed,
@@ -106,7 +107,7 @@ class Broker:
             if not isinstance(message, Heartbeat):
                 return message
             if self.asks:
-                self.send(JobBatch(jobs=[]))
+                self.send(HelloWanted())
         raise AssertionError("the worker sent only heartbeats")
 
     def recv_heartbeat(self):
@@ -335,7 +336,7 @@ def test_a_broker_begun_anew_gets_a_hello_and_no_work_of_the_old_one(at):
     at.broker.provide()
     assert at.function.began.wait(10)
     for _ in range(3):  # it has received three heartbeats of a stranger
-        at.broker.send(JobBatch(jobs=[]))
+        at.broker.send(HelloWanted())
     at.broker.give("new", first=7)
     at.function.go_on.set()
     received = [at.broker.recv(), at.broker.recv(), at.broker.recv()]
