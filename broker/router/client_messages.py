@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -19,7 +18,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.versions import ARRAYS, VERSION
-from rtc.runtime.process import Every
+from rtc.runtime.allowance import Allowance
 
 QUERIES_PER_S = 100  # of one client: replies are large, and are buffered while the client does not read
 CELL = "cell"  # its place among the programs
@@ -33,8 +32,7 @@ read_ended = wire.decoder(m.CommandEnded)
 class ClientMessages:
     def __init__(self, core: Core, egress: Egress, health: Health, shutdown: Shutdown) -> None:
         self._core, self._egress, self._health, self._shutdown = core, egress, health, shutdown
-        self._queries: Counter[bytes] = Counter()  # of each client in this second
-        self._second = Every(1.0)
+        self._queries = Allowance(QUERIES_PER_S)  # of each client
 
     def receive(self, peer: bytes, message: Any, now: float) -> None:
         kind = type(message)
@@ -143,10 +141,7 @@ class ClientMessages:
     # --- refusals -------------------------------------------------------------------------------------
 
     def _exceeds_rate(self, peer: bytes, message: Any, now: float) -> bool:
-        if self._second.due(now):
-            self._queries.clear()
-        self._queries[peer] += LOAD_QUERIES if isinstance(message, m.ProgramText) else 1
-        if self._queries[peer] <= QUERIES_PER_S:
+        if self._queries.take(now, peer, LOAD_QUERIES if isinstance(message, m.ProgramText) else 1):
             return False
         self._core.dropped["questions"] += 1
         words = f"a client may ask {QUERIES_PER_S} times a second; a program counts as {LOAD_QUERIES}"

@@ -12,7 +12,8 @@ from broker.router.event_stream import EventStream
 from broker.router.outbox import Outbox
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.runtime.process import Every, send
+from rtc.runtime.allowance import Allowance
+from rtc.runtime.process import send
 from rtc.world.lease import sign
 
 REFUSALS_PER_S = 100  # maximum number of refused requests published per second; others are counted as dropped
@@ -24,8 +25,7 @@ class Egress:
     def __init__(self, core: Core) -> None:
         self._core = core
         self._now = core.clock()  # time of the batch that is performed
-        self._refusals, self._second = 0, Every(1.0)  # published in this second
-        self._notes, self._note_second = 0, Every(1.0)
+        self._refusals, self._notes = Allowance(REFUSALS_PER_S), Allowance(NOTES_PER_S)
         self._crowded = False  # NOTES_PER_S are published in this second
         self.topics: set[bytes] = set()  # prefixes that the subscribers of the event stream want
         self.clients = Outbox(lambda: core.sockets["front"])
@@ -36,8 +36,7 @@ class Egress:
     def perform(self, effects: Iterable[do.Effect]) -> None:
         """Perform effects in order. Their events must be in the journal."""
         self._now, perform = self._core.clock(), self._perform
-        if self._notes and self._note_second.due(self._now):
-            self._notes = 0
+        if self._crowded and self._notes.take(self._now, cost=0):
             self._set_crowded(False)
         for effect in effects:
             perform[type(effect)](effect)
@@ -127,8 +126,7 @@ class Egress:
             self.clients.put(peer_of(effect.client), effect.note)
         if self.topics:
             self.stream.put(effect.note)
-            self._notes += 1
-            if self._notes > NOTES_PER_S:
+            if not self._notes.take(self._now):
                 self._set_crowded(True)
 
     def _set_crowded(self, crowded: bool) -> None:
@@ -157,10 +155,7 @@ class Egress:
         if not self.topics:
             return
         now = self._core.clock()
-        if self._second.due(now):
-            self._refusals = 0
-        self._refusals += 1
-        if self._refusals > REFUSALS_PER_S:
+        if not self._refusals.take(now):
             self._core.dropped["refusals"] += 1
             return
         self.stream.put(m.RequestRefused(at_s=now, request=request, refusal=refusal, text=text[:TEXT_SHOWN]))

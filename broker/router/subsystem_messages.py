@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -26,8 +25,9 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.versions import ARRAYS, PAUSES
+from rtc.runtime.allowance import Allowance
 from rtc.runtime.handover import PROTECTED_NAMES
-from rtc.runtime.process import Every, send
+from rtc.runtime.process import send
 
 DROP_COUNTERS = ("estop", "bench")  # of the MCM's own sockets
 
@@ -35,8 +35,7 @@ DROP_COUNTERS = ("estop", "bench")  # of the MCM's own sockets
 class SubsystemMessages:
     def __init__(self, core: Core, egress: Egress, halts: Halts, health: Health, shutdown: Shutdown) -> None:
         self._core, self._egress, self._halts, self._health, self._shutdown = core, egress, halts, health, shutdown
-        self._forwarded: Counter[str] = Counter()  # periodic reports forwarded to a client in this second
-        self._second = Every(1.0)
+        self._forwarded = Allowance(reporting.MAX_PER_S)  # periodic reports, to each client
 
     def receive(self, peer: bytes, message: Any, now: float) -> None:
         """Raises WireError for a message in the name of another subsystem."""
@@ -147,10 +146,7 @@ class SubsystemMessages:
         command = self._core.state.commands.get(command_of(report.primitive))
         if command is None or not reporting.wants(command, report, name):
             return
-        if self._second.due(now):
-            self._forwarded.clear()
-        self._forwarded[command.client] += 1
-        if self._forwarded[command.client] > reporting.MAX_PER_S:
+        if not self._forwarded.take(now, command.client):
             self._core.dropped["reports"] += 1
             return
         note = reporting.note_of(command, report, now)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,6 +15,7 @@ import msgspec
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import WireError
 from rtc.protocol.wire import reader
+from rtc.runtime.allowance import Allowance
 
 PER_S = 200  # halts of one caller that are answered one by one in a second
 MERGE_S = 0.1  # period in which the halts above that rate are merged into one
@@ -73,17 +73,13 @@ class HaltRateLimiter:
     """
 
     def __init__(self) -> None:
-        self._calls: Counter[bytes] = Counter()  # by caller, in the current second
-        self._second_ends_s = self._merge_ends_s = 0.0
+        self._calls = Allowance(PER_S)  # of each caller
+        self._merge_ends_s = 0.0
         self._merged: m.HaltOrder | None = None
 
     def exceeds(self, caller: bytes, now_s: float) -> bool:
         """Count one halt of `caller`; True if it is above the rate and must go to `merge`."""
-        if now_s >= self._second_ends_s:
-            self._second_ends_s = now_s + 1.0
-            self._calls.clear()
-        self._calls[caller] += 1
-        return self._calls[caller] > PER_S
+        return not self._calls.take(now_s, caller)
 
     def merge(self, order: m.HaltOrder) -> m.HaltOrder:
         """Add an order to the pending merged halt; the merged halt."""

@@ -16,6 +16,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import WireError
 from rtc.protocol.versions import VERSION
+from rtc.runtime.allowance import Allowance
 from rtc.runtime.keys import Endpoints
 from rtc.runtime.process import Every, Process, inbox, now_s, send
 from rtc.runtime.run_dir import supervised
@@ -71,8 +72,8 @@ class Feed:
         self._world_version, self._facts = 0, Every(WORLD_S)
         self._records = records
         self._known: set[str] = set()  # commands in progress that an event has named
-        self._requests_left = RECORDS_PER_S
-        self._second, self._status, self._look = Every(1.0), Every(STATUS_S), Every(SUPERVISOR_S, now_s() + 1.0)
+        self._record_requests = Allowance(RECORDS_PER_S)
+        self._status, self._look = Every(STATUS_S), Every(SUPERVISOR_S, now_s() + 1.0)
         self._seq = 0
         self.lost = 0
 
@@ -130,10 +131,7 @@ class Feed:
             self._request_record(event.command)
 
     def _request_record(self, command: str) -> None:
-        if self._second.due(now_s()):
-            self._requests_left = RECORDS_PER_S
-        if self._records and self._requests_left > 0:
-            self._requests_left -= 1
+        if self._records and self._record_requests.take(now_s()):
             send(self._front, m.TraceQuery(request=f"trace {command}", command=command))
 
     def _request_status(self) -> None:
