@@ -12,7 +12,7 @@ from broker.decisions.state import request_key
 from broker.router.core import Core, name_of
 from broker.router.egress import Egress
 from broker.router.health import Health
-from broker.router.queries import BrokerView, status, trace
+from broker.router.queries import status, trace
 from broker.router.shutdown import Shutdown
 from rtc.protocol import messages as m
 from rtc.protocol import wire
@@ -99,25 +99,8 @@ class ClientMessages:
         self._welcome(peer)
 
     def _send_status(self, peer: bytes, message: m.StatusQuery, now: float) -> None:
-        core = self._core
-        view = BrokerView(
-            settings=core.settings,
-            state=core.state,
-            registry=core.registry,
-            began_s=core.began_s,
-            loop_times_s=core.loop_times_s,
-            processes=core.processes,
-            processes_at_s=core.processes_at_s,
-            dropped={**core.dropped, **core.reported_drops},
-            asked=core.asked,
-            peers=core.peers,
-            peers_at_s=core.peers_at_s,
-            late_results=core.late_results,
-            injected=core.injected,
-            strayed=core.strayed,
-            versions=core.versions,
-        )
-        self._egress.answer(peer, m.StatusReply(request=message.request, status=status(view, core.clock())))
+        found = status(self._core, self._core.clock())
+        self._egress.answer(peer, m.StatusReply(request=message.request, status=found))
 
     def _send_trace(self, peer: bytes, message: m.TraceQuery, now: float) -> None:
         reply = trace(self._core.state, self._core.journal.record, message)

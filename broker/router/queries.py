@@ -1,77 +1,57 @@
-"""Queries: answers to `rtc status` and `rtc trace`, made from a read-only view of the broker.
+"""Queries: answers to `rtc status` and `rtc trace`, made from the state of the broker, which they only read.
 
 The status consists of plain JSON types (layout: docs/protocol.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
 from typing import Any
 
 from broker.decisions.command.nominal import read_primitive
 from broker.decisions.state import ArmMotion, Command, State
-from broker.dispatch.worker_registry import Worker, WorkerRegistry
+from broker.dispatch.worker_registry import Worker
 from broker.persistence.journal import number
+from broker.router.core import Core
 from broker.router.hosts import hosts, requests_for_more
-from broker.router.peer_versions import PeerVersions
 from rtc.protocol import messages as m
 from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.versions import VERSION
-from rtc.runtime.settings import Settings
 
 COMMANDS_SHOWN = 200
 TEXT_SHOWN = 200  # characters of a sentence
 
 
-@dataclass(frozen=True)
-class BrokerView:
-    """What a query may read of the broker. Times are those of the broker's clock, in seconds."""
-
-    settings: Settings
-    state: State
-    registry: WorkerRegistry
-    began_s: float  # start of this broker process
-    loop_times_s: Collection[float]  # durations of the latest loop iterations
-    processes: Sequence[Mapping[str, Any]]  # the supervisor's latest process table
-    processes_at_s: float  # time of that table
-    dropped: Mapping[str, int]  # dropped messages by socket, of this and other processes
-    asked: Collection[m.WorkerRequest]  # requests for more workers
-    peers: Sequence[m.PeerRow]  # the gateway's latest report
-    peers_at_s: float  # time of that report
-    late_results: Mapping[str, int]  # by worker
-    injected: Mapping[str, Sequence[str]]  # faults in simulated subsystems
-    strayed: Mapping[str, Mapping[str, str]]  # arms that moved without a primitive, by subsystem
-    versions: PeerVersions
-
-
-def status(view: BrokerView, now: float) -> dict[str, Any]:
-    state, registry = view.state, view.registry
+def status(core: Core, now: float) -> dict[str, Any]:
+    state, registry = core.state, core.registry
     return {
-        "cluster": view.settings.run,
-        "run_dir": view.settings.run_dir,
+        "cluster": core.settings.run,
+        "run_dir": core.settings.run_dir,
         "protocol": VERSION,
-        "refused": view.versions.rows(now),
-        "uptime_s": now - (state.began_at_s or view.began_s),
-        "broker_uptime_s": now - view.began_s,
+        "refused": core.versions.rows(now),
+        "uptime_s": now - (state.began_at_s or core.began_s),
+        "broker_uptime_s": now - core.began_s,
         "seq": state.seq,
-        "processes": list(view.processes),
-        "supervisor_silent_s": now - view.processes_at_s,
+        "processes": list(core.processes),
+        "supervisor_silent_s": now - core.processes_at_s,
         "workers": [_worker(w) for w in sorted(registry.workers.values(), key=lambda w: w.node)],
-        "hosts": hosts(registry, view.processes, view.peers, view.late_results, now),
-        "asked_for": [requests_for_more(one, registry, view.processes, now) for one in view.asked],
-        "gateway_silent_s": now - view.peers_at_s if view.settings.listen else 0.0,
+        "hosts": hosts(registry, core.processes, core.peers, core.late_results, now),
+        "asked_for": [requests_for_more(one, registry, core.processes, now) for one in core.asked],
+        "gateway_silent_s": now - core.peers_at_s if core.settings.listen else 0.0,
         "queues": {kind.value: len(queue) for kind, queue in registry.queues.items()},
         "resources": _resources(state),
         "commands": [_command(c, state, now) for c in list(state.commands.values())[:COMMANDS_SHOWN]],
         "commands_live": len(state.commands),
         "motions": [_motion(arm, motion, now) for arm, motion in state.motions.items()],
         "commands_accepted": state.accepted,
-        "subsystems": _subsystems(view),
+        "subsystems": _subsystems(core),
         "halts": {"called": state.counts.get("halts", 0)},
-        "counters": {**state.counts, **{f"dropped_{name}": n for name, n in view.dropped.items()}},
-        "decision_ms": _spread_ms(view.loop_times_s),
+        "counters": {
+            **state.counts,
+            **{f"dropped_{name}": n for name, n in {**core.dropped, **core.reported_drops}.items()},
+        },
+        "decision_ms": _spread_ms(core.loop_times_s),
         "programs": dict(state.programs),
         "program_files": {
             kind: {"file": found[0], "age_s": now - found[1]}
@@ -122,8 +102,8 @@ def _command(command: Command, state: State, now: float) -> dict[str, Any]:
     }
 
 
-def _subsystems(view: BrokerView) -> list[dict[str, Any]]:
-    executing = [c for c in view.state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)]
+def _subsystems(core: Core) -> list[dict[str, Any]]:
+    executing = [c for c in core.state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)]
     return [
         {
             "name": name,
@@ -131,10 +111,10 @@ def _subsystems(view: BrokerView) -> list[dict[str, Any]]:
             "pid": subsystem.pid,
             "performers": subsystem.performers,
             "executing": [c.primitive for c in executing if c.subsystem == name],
-            "injected": list(view.injected.get(name, ())),
-            "strayed": [f"{arm} {how}" for arm, how in view.strayed.get(name, {}).items()],
+            "injected": list(core.injected.get(name, ())),
+            "strayed": [f"{arm} {how}" for arm, how in core.strayed.get(name, {}).items()],
         }
-        for name, subsystem in view.state.subsystems.items()
+        for name, subsystem in core.state.subsystems.items()
     ]
 
 
