@@ -114,6 +114,14 @@ def test_without_a_broker_the_supervisors_report_is_what_is_known(
     assert "command under way" not in printed
 
 
+def test_a_refused_peer_is_shown_with_both_versions(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "binder@18 speaks version 3 of the protocol, this cluster version 2"
+    show_status(
+        {"refused": [{"name": "binder@18", "socket": "workers", "protocol": 3, "message": words, "ago_s": 7.0}]}
+    )
+    assert words in " ".join(capsys.readouterr().out.split())
+
+
 def test_names_from_outside_do_nothing_to_the_terminal() -> None:
     """The argument of rtc halt, a subsystem's performers, labels of a loaded program: whatever is printed."""
     evil = "ARM\x1b]0;title\x07\x1b[2J\x9b31m"
