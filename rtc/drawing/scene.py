@@ -155,11 +155,7 @@ def believed(
         joints=joints,
         fingers=fingers,
         tcp=tcp,
-        seats={
-            seat.name: known.seat_frame(seat.name).tolist()
-            for seat in cell.seats
-            if known.world.value(f"{seat.name}.frame") is not None
-        },
+        seats={seat.name: known.seat_frame(seat.name).tolist() for seat in cell.seats},
     )
     return Believed(scene=scene, arms=arms, objects=objects)
 

@@ -5,26 +5,14 @@ Works on typed documents. Each problem names a place in the elaborator's program
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from rtc.model.cells.parts import Numbers
 from rtc.programs.checks import PlacedStep, Problems, known, steps_of
 from rtc.programs.extension_names import ARGS
-from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram
+from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptStep
+from rtc.protocol.messages import Step
 
 
-class StepNames(Protocol):
-    """A step of a script file or of a script."""
-
-    @property
-    def do(self) -> str: ...
-    @property
-    def op(self) -> str: ...
-    @property
-    def stop(self) -> str: ...
-
-
-def row_of(step: StepNames) -> str:
+def row_of(step: ScriptStep | Step) -> str:
     """The row of the analyzer's outcome table for a step: its stop class, else its action (`do-op`)."""
     return step.stop or "-".join(filter(None, (step.do, step.op)))
 

@@ -17,7 +17,7 @@ from workers.binder.bind_task import BindTask, RuledTask, unknown_in_program
 from workers.binder.impact import Keeping
 from workers.conditions import sharing
 from workers.conditions.stop_conditions import Values
-from workers.planning import advice, certainty, in_seat, scenes, segments
+from workers.planning import advice, in_seat, scenes, segments, trust
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
 from workers.planning.motion.plan import Motion
@@ -46,7 +46,7 @@ def _target(task: RuledTask) -> Target:
     step, query, clears = task.data.step, task.query, task.program.clears
     if step.space not in segments.SPACES:
         raise unknown_in_program("space", step.space, segments.SPACES)
-    refuse_if(certainty.why_uncertain(query, task.arm, step.args, clears))
+    refuse_if(trust.why_uncertain(query, task.arm, step.args, clears))
     sharing.refuse_alone(query, task.arm, task.data.context.partner, clears)
     target = targets.target_of(task)
     in_seat.refuse_other_way(query, task.arm, step.space, query.tcp(task.arm), target.pose, clears)

@@ -13,7 +13,7 @@ from workers.elaborator import anchors, command_fields, hinged, preconditions, t
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import certainty, trust
+from workers.planning import trust
 
 
 def _refuse_too_tight(_: ScriptFile, candidate: TaskCandidate) -> None:
@@ -96,9 +96,9 @@ def why_uncertain(steps: list[Step], candidate: TaskCandidate) -> Refusal | None
     if candidate.hand is None:
         return None
     query, ahead_s = candidate.query, 0.0
-    motion_s = certainty.motion_time_s(query, candidate.limits)
+    motion_s = trust.motion_time_s(query, candidate.limits)
     for step in steps:
-        lacks = certainty.why_uncertain(query, candidate.arm.name, step.args, candidate.program.clears, ahead_s)
+        lacks = trust.why_uncertain(query, candidate.arm.name, step.args, candidate.program.clears, ahead_s)
         if lacks is not None:
             return lacks
         ahead_s += motion_s if step.do == "move" else 0.0

@@ -1,6 +1,10 @@
 """Which facts are trusted, how uncertain poses are, and what would clear a doubt. Pure.
 
-A fact that is not trusted yields a Refusal that states what would clear it.
+A fact that is not trusted yields a Refusal that states what would clear it. So does a held object whose pose is too
+uncertain for a step. A step states the requirement in its args: `needs_m` and `needs_rad` for all axes, or `needs`, a
+seat with its own bounds (`needs_within` in the cell). The elaborator and the binder both check it, because uncertainty
+grows with time and with impacts. The elaborator adds the time of the motions before the step, so that an accepted
+command can end.
 """
 
 from __future__ import annotations
@@ -11,16 +15,19 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.facts import TRUSTED
-from rtc.world.spread import Spread
+from rtc.world.spread import Spread, even, exceeded
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
 UNSURE_STEP_M = 0.001  # spreads are rounded up to a multiple of this: a way stays valid while a grasp creeps a little
-AHEAD_S = 15.0  # the creep of a held object during this time counts: a carry across the default cell takes 9 s
+# Time allowed for a motion at the cell's speed, in which a held object creeps. A carry across the default cell takes
+# 9 s.
+AHEAD_S = 15.0
 
 
 def distrusted(query: WorldQuery, key: str, clears: Mapping[str, str], own: str = "") -> Refusal | None:
@@ -105,6 +112,49 @@ def off_m(query: WorldQuery, body: str, spread: Spread) -> float:
     """How far a point of a body is from its place at most, if its pose has this spread."""
     most_m = math.hypot(*spread[:3]) + math.hypot(*spread[3:]) * query.model.collision.radius_m(body)
     return UNSURE_STEP_M * math.ceil(most_m / UNSURE_STEP_M - 1e-9)
+
+
+def motion_time_s(query: WorldQuery, limits: Limits) -> float:
+    """Time allowed for one motion, in proportion to the speed stated in the command."""
+    free_m_s = query.cell.numbers.free_speed_m_s
+    speed_m_s = min(limits.speed_m_s or free_m_s, free_m_s * (limits.speed_ratio or 1.0))
+    return AHEAD_S * max(1.0, free_m_s / speed_m_s)
+
+
+def why_uncertain(
+    query: WorldQuery, arm: str, args: Mapping[str, float | str], clears: Mapping[str, str], ahead_s: float = 0.0
+) -> Refusal | None:
+    """The refusal of a step for which the grasp of the held object is too uncertain; None: certain, or an empty hand.
+
+    `ahead_s`: when the step begins, after the time of the query.
+    """
+    held = query.holding(arm)
+    within = needed(query, args) if held else None
+    if within is None:
+        return None
+    key = f"{held}.grasp"
+    axes = exceeded(grasp_spread(query, held, ahead_s), within)
+    if not axes:
+        return None
+    return Refusal(
+        reason=RefusalReason.SUSPECT,
+        message=f"the grasp of {held} by {arm} is too uncertain for this: {', '.join(axes)}",
+        where=key,
+        clears=narrows(query, key, clears),
+        detail={"cause": "spread", "axes": ", ".join(axes)},
+    )
+
+
+def needed(query: WorldQuery, args: Mapping[str, float | str]) -> Spread | None:
+    """The maximum spread that a step accepts; None if it has no requirement."""
+    seat = args.get("needs")
+    if isinstance(seat, str) and seat:
+        within = query.cell.seat(seat).needs_within
+        return within.spread if within is not None else None
+    metres, radians = (args.get(name) for name in ("needs_m", "needs_rad"))
+    if not isinstance(metres, float) and not isinstance(radians, float):
+        return None
+    return even(*(n if isinstance(n, float) else math.inf for n in (metres, radians)))
 
 
 def _figures(values: Array) -> str:

@@ -182,9 +182,7 @@ def on_reported(context: DecisionContext, command: Command, report: EndReport) -
     command.measured = report.reading or command.measured
     note = f"ended: {report.reason}" + (f" ({report.message})" if report.message else "")
     if report.reason is StopReason.HALT:
-        command.pending_outcome = PendingOutcome(
-            kind=OutcomeKind.HALTED, message="halted at its subsystem", stop=StopReason.HALT
-        )
+        command.pending_outcome = PendingOutcome(OutcomeKind.HALTED, "halted at its subsystem", StopReason.HALT)
         close(context, command, report, note)
         return
     analyze(context, command, report)
