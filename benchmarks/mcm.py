@@ -63,7 +63,7 @@ class RunningMcm:
         settings = self.settings = Settings(run_dir=str(prepare_run_dir(Path(folder))), mcm=mcm, speed=speed)
         settings.save()
         if state is not None:
-            StateFile(settings.path, settings.run).save(state)
+            StateFile(settings.path, settings.run, "MCM").save(state)
         command = [sys.executable, "-m", "sim_mcm", "--run-dir", folder]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         assert self.process.stdout is not None

@@ -16,6 +16,7 @@ import msgspec
 from deploy import cluster
 from deploy.more_workers import check_more
 from rtc.protocol.outcomes import ClusterError, NoCluster, ProgramError, RtcError
+from rtc.protocol.subsystems import DEFAULTS, Subsystem
 from rtc.runtime.extras import missing
 from rtc.runtime.keys import check_address
 from rtc.runtime.settings import Settings
@@ -60,7 +61,8 @@ def validate(settings: Settings) -> Settings:
     if settings.record:
         _check_recordings(Path(settings.record))
     run_dir = str(Path(settings.run_dir).absolute())
-    return msgspec.structs.replace(settings, run_dir=run_dir, cell=_cell(settings.cell))
+    cell, subsystems = _cell(settings.cell)
+    return msgspec.structs.replace(settings, run_dir=run_dir, cell=cell, subsystems=tuple(subsystems))
 
 
 def _check_recordings(folder: Path) -> None:
@@ -71,10 +73,10 @@ def _check_recordings(folder: Path) -> None:
         raise ClusterError(f"--record: no file can be written in {folder}, the current directory")
 
 
-def _cell(text: str) -> str:
-    """The name of a cell, or the absolute path of its file. Raises ProgramError."""
+def _cell(text: str) -> tuple[str, list[Subsystem]]:
+    """The name of a cell, or the absolute path of its file; and its subsystems. Raises ProgramError."""
     if text == CELL:
-        return text  # unchecked: the check imports numpy, which would delay the start of the processes
+        return text, list(DEFAULTS)  # unchecked: the check imports numpy, which would delay the start of the processes
     path = Path(text)
     is_yaml = path.suffix in (".yaml", ".yml")
     if path.is_file() and not is_yaml:
@@ -84,8 +86,8 @@ def _cell(text: str) -> str:
     from rtc.model.cells.cell import Cell
     from rtc.model.robot.finger_mass import require_stable
 
-    require_stable(Cell.load(text))
-    return str(path.absolute()) if is_yaml else text
+    cell = require_stable(Cell.load(text))
+    return str(path.absolute()) if is_yaml else text, cell.all_subsystems
 
 
 def _up(settings: Settings, detach: bool) -> int:

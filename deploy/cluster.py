@@ -20,6 +20,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -33,6 +34,7 @@ from deploy.more_workers import MoreCommand
 from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Hooks, Supervisor
 from rtc.client.halt import HaltLine
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
+from rtc.protocol.subsystems import Subsystem
 from rtc.runtime import fork_server, handover, process, process_table
 from rtc.runtime.settings import ENDPOINTS, LAST_WORDS, LOCK, Settings, prepare_run_dir, shell_command
 from rtc.world import lease
@@ -73,8 +75,7 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
         ),
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
-        *_with_template("MCM", "sim_mcm", settings),
-        _spec("S&P", "sim_mcm.cameras", settings, beats=True),
+        *chain.from_iterable(_subsystem(one, settings) for one in settings.subsystems if one.module),
         *([_spec("gate", "broker.gateway.gateway", settings, beats=True)] if settings.listen else []),
         *([_recorder(settings)] if settings.record else []),
         *(worker(settings, address) for address in _first_workers(settings)),
@@ -115,12 +116,19 @@ def new_worker(settings: Settings, address: int, fd: int) -> Spec | None:
     return None if address >= settings.first_remote_node else _hand(worker(settings, address), fd)
 
 
-def _with_template(name: str, module: str, settings: Settings) -> list[Spec]:
+def _subsystem(one: Subsystem, settings: Settings) -> list[Spec]:
+    """One that moves arms has a fork server."""
+    if one.estop:
+        return _with_template(one.name, one.module, settings, "--name", one.name)
+    return [_spec(one.name, one.module, settings, "--name", one.name, beats=True)]
+
+
+def _with_template(name: str, module: str, settings: Settings, *more: str) -> list[Spec]:
     """A singleton process and its fork server, which makes its restart fast."""
     its_template = f"{name}-{TEMPLATE}"
     return [
-        _spec(name, module, settings, beats=True, fork_server=its_template, order=b"start"),
-        _spec(its_template, module, settings, "--template", is_fork_server=True, later=True),
+        _spec(name, module, settings, *more, beats=True, fork_server=its_template, order=b"start"),
+        _spec(its_template, module, settings, *more, "--template", is_fork_server=True, later=True),
     ]
 
 

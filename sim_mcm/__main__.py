@@ -1,4 +1,4 @@
-"""The process of the simulated MCM: `python -m sim_mcm --run-dir D` runs two arms (pybullet or kinematic) at 1 kHz.
+"""The process of the simulated MCM: `python -m sim_mcm --run-dir D` runs its arms (pybullet or kinematic) at 1 kHz.
 
 With --template it is the fork server of the MCM, with libraries and cell already loaded.
 
@@ -16,6 +16,7 @@ from pathlib import Path
 
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
+from rtc.protocol.subsystems import ARMS
 from rtc.runtime import fork_server, handover, process
 from rtc.runtime.memory_guard import MemoryGuard
 from rtc.runtime.settings import Settings
@@ -27,7 +28,6 @@ from sim_mcm.faults import FARTHEST, Injections
 from sim_mcm.sockets import Question, Sockets
 from sim_mcm.state_file import StateFile
 
-NAME = "MCM"
 HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
 # If the process runs faster than real time: minimum time between two looks at the sockets, and between two times of
@@ -62,17 +62,18 @@ SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": _bullet, "kine
 class Station:
     """The loop around a simulation: sockets, subsystem, clock."""
 
-    def __init__(self, me: process.Process, given: handover.Handover, simulation: Simulation) -> None:
+    def __init__(self, me: process.Process, name: str, given: handover.Handover, simulation: Simulation) -> None:
         settings = given.settings
+        self._name = name
         self._me, self._settings = me, settings
         self._guard = MemoryGuard()
         self._simulation = simulation
-        self._state_file = StateFile(settings.path, settings.run)
+        self._state_file = StateFile(settings.path, settings.run, name)
         if (before := self._state_file.load()) is not None:
             simulation.restore(before)
-        self._subsystem = McmSubsystem(self._simulation.arms, NAME, os.getpid())
+        self._subsystem = McmSubsystem(self._simulation.arms, name, os.getpid())
         self._faults = Injections(self._simulation.cell, self._simulation, self._subsystem.executors)
-        self._sockets = Sockets(me, settings, given.identity(NAME))
+        self._sockets = Sockets(me, settings, name, given.identity(name))
         self._clock = Clock(settings.speed, process.now_s())
         self._heartbeat = process.Every(HEARTBEAT_S)
         self._telemetry = process.Every(TELEMETRY_S)
@@ -164,7 +165,7 @@ class Station:
         if sockets.newly_connected():
             sockets.send([*self._subsystem.hello(), self._injected])
         if self._heartbeat.due(now_s):
-            sockets.send([(BROKER, m.Heartbeat(name=NAME, own_s=self._clock.sim_s))])
+            sockets.send([(BROKER, m.Heartbeat(name=self._name, own_s=self._clock.sim_s))])
             if sockets.dropped:
                 sockets.send([(BROKER, m.UnreadableMessages(counts=dict(sockets.dropped)))])
             if self._guard.alarm(now_s):
@@ -214,7 +215,12 @@ class Station:
             )
         clock = self._clock
         return m.Telemetry(
-            subsystem=NAME, at_s=now_s, sim_s=clock.sim_s, late_ticks=clock.late_ticks, ticks=clock.ticks, arms=arms
+            subsystem=self._name,
+            at_s=now_s,
+            sim_s=clock.sim_s,
+            late_ticks=clock.late_ticks,
+            ticks=clock.ticks,
+            arms=arms,
         )
 
     def _answer(self, question: Question) -> m.SimTruthReply | m.SimDone:
@@ -272,28 +278,33 @@ def _raise_priority(settings: Settings) -> str:
 def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m sim_mcm", description=__doc__)
     arguments.add_argument("--run-dir", required=True, help="run directory of the cluster (has settings.json)")
+    arguments.add_argument("--name", default=ARMS.name, help="its name as a subsystem of the cell")
     arguments.add_argument("--template", action="store_true", help="be the fork server of the MCM")
     handover.add_option(arguments)
     given = arguments.parse_args()
     if given.template:
-        settings = handover.load(Path(given.run_dir), given.handed).settings
-        simulation = SIMULATIONS[settings.mcm](Cell.load(settings.cell))
-        fork_server.serve(lambda order: live(given.run_dir, given.handed, simulation))
+        simulation = _simulation(handover.load(Path(given.run_dir), given.handed).settings, given.name)
+        fork_server.serve(lambda order: live(given.run_dir, given.name, given.handed, simulation))
     else:
-        live(given.run_dir, given.handed)
+        live(given.run_dir, given.name, given.handed)
 
 
-def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> None:
+def _simulation(settings: Settings, name: str) -> Simulation:
+    """The cell with the arms of this subsystem."""
+    return SIMULATIONS[settings.mcm](Cell.load(settings.cell).of_subsystem(name))
+
+
+def live(run_dir: str, name: str, fd: int = -1, simulation: Simulation | None = None) -> None:
     """Run the MCM until it is stopped. `fd`: handover from the supervisor (rtc.runtime.handover); `simulation`: a
     prepared one in its initial state."""
-    process.show_name(NAME)
-    given = handover.claim_role(NAME, Path(run_dir), fd)
+    process.show_name(name)
+    given = handover.claim_role(name, Path(run_dir), fd)
     settings = given.settings
-    with process.start(NAME, run_dir) as me:
+    with process.start(name, run_dir) as me:
         me.end_with_parent(END_S * settings.timeout_scale + LAST_S)
         if _in_real_time(settings):
             process.real_time_io(me.context, IO_RANK)
-        station = Station(me, given, simulation or SIMULATIONS[settings.mcm](Cell.load(settings.cell)))
+        station = Station(me, name, given, simulation or _simulation(settings, name))
         me.log.info("scheduling: %s", _raise_priority(settings))
         station.run()
 

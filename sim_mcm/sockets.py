@@ -1,7 +1,7 @@
 """The sockets of the MCM: decodes and encodes messages, limits intake per tick. Makes no decisions.
 
     estop      ROUTER, bound here: halts and nothing else; works when the broker is dead
-    broker     DEALER "MCM": primitives, halts, acknowledgements in; reports out
+    broker     DEALER: primitives, halts, acknowledgements in; reports out
     telemetry  PUB, bound here
     bench      ROUTER, bound here: queries of the true state, injected belief errors (simulator only)
 
@@ -36,14 +36,16 @@ _read_bench = reader(m.ToSim)
 
 
 class Sockets:
-    def __init__(self, me: Process, settings: Settings, name: str) -> None:
-        self._me, self._log = me, me.log
+    def __init__(self, me: Process, settings: Settings, name: str, identity: str) -> None:
+        self._me, self._log, self._name = me, me.log, name
         self._estop = me.socket(
-            zmq.ROUTER, settings.endpoint("estop"), bind=True, bounds=BOUNDS["estop"], handover=False
+            zmq.ROUTER, settings.endpoint("estop", name), bind=True, bounds=BOUNDS["estop"], handover=False
         )
-        self._bench = me.socket(zmq.ROUTER, settings.endpoint("bench"), bind=True, bounds=BOUNDS["bench"])
-        self._telemetry = me.socket(zmq.PUB, settings.endpoint("telemetry"), bind=True, bounds=BOUNDS["telemetry"])
-        self._link = BrokerLink(me, settings, name, poll=False)
+        self._bench = me.socket(zmq.ROUTER, settings.endpoint("bench", name), bind=True, bounds=BOUNDS["bench"])
+        self._telemetry = me.socket(
+            zmq.PUB, settings.endpoint("telemetry", name), bind=True, bounds=BOUNDS["telemetry"]
+        )
+        self._link = BrokerLink(me, settings, identity, poll=False)
         self._poller = zmq.Poller()  # polling all four costs no more than polling one
         for socket in (self._estop, self._link.socket, self._bench, self._link.monitor):
             self._poller.register(socket, zmq.POLLIN)
@@ -58,7 +60,9 @@ class Sockets:
         for name in ("estop", "bench"):
             old = getattr(self, f"_{name}")
             self._poller.unregister(old)
-            made = self._me.reopen(old, settings.endpoint(name), BOUNDS[name], handover=name not in NO_HANDOVER)
+            made = self._me.reopen(
+                old, settings.endpoint(name, self._name), BOUNDS[name], handover=name not in NO_HANDOVER
+            )
             self._poller.register(made, zmq.POLLIN)
             setattr(self, f"_{name}", made)
 

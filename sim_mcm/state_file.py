@@ -14,15 +14,15 @@ import msgspec
 
 from rtc.subsystems.motion.arm import CellState
 
-FILE = "hardware.bin"  # in the run directory
+FILE = "hardware-{}.bin"  # in the run directory, of a subsystem
 
 
 class StateFile:
     """The state file of one run of the cluster: length, then body, written in one call, so a kill cannot split it."""
 
-    def __init__(self, run_dir: Path, run: str) -> None:
+    def __init__(self, run_dir: Path, run: str, subsystem: str) -> None:
         self._run = run
-        self._fd = os.open(run_dir / FILE, os.O_RDWR | os.O_CREAT, 0o600)
+        self._fd = os.open(run_dir / FILE.format(subsystem), os.O_RDWR | os.O_CREAT, 0o600)
         self._encode = msgspec.msgpack.Encoder().encode
 
     def load(self) -> CellState | None:

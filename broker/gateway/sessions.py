@@ -14,6 +14,7 @@ import zmq
 
 from broker.gateway.endpoints import Peer, ServerSockets, close, push
 from broker.gateway.peers import Connection
+from rtc.language.alike import unknown
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import RefusalReason
@@ -27,7 +28,6 @@ HELLOS = (m.ClientHello, m.WorkerHello, m.SubsystemHello)
 ALIVE_S = 1.5  # three heartbeats: a worker that has sent something within this time is alive
 UNSENT = 1_000  # maximum queued messages of one peer to the cluster
 IDLE_S = 600.0  # a peer silent for so long is removed; it must send its hello again
-OWN_SUBSYSTEMS = ("MCM", "S&P")
 # Without effect at the worker. The send fails if the peer is lost; and data under way is what the kernel needs to
 # detect a cut link (LINK_LIMIT_S).
 PROBE = wire.frames(m.CancelJobs(jobs=[]))
@@ -122,8 +122,13 @@ class Sessions:
 
     def _name_fault(self, endpoint: str, key: KnownKey, name: str, hello: Any) -> str:
         """The reason why a peer must not have this name; empty if it may."""
-        if endpoint == "subsystems" and (name != key.name or name in OWN_SUBSYSTEMS):
-            return f"a subsystem is called as its key is, {key.name}, and not {' or '.join(OWN_SUBSYSTEMS)}"
+        if endpoint == "subsystems":
+            started = [one.name for one in self._settings.subsystems if one.module]
+            others = [one.name for one in self._settings.subsystems if not one.module]
+            if name != key.name or name in started:
+                return f"a subsystem is called as its key is, {key.name}, and not {' or '.join(started)}"
+            if name not in others:
+                return unknown("subsystem of this cell for other machines", name, others)
         if endpoint == "workers":
             if hello.node is None:
                 return f"a {hello.kind} without an address needs an instance, and a free address"

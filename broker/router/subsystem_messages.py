@@ -26,7 +26,6 @@ from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.versions import ARRAYS, PAUSES
 from rtc.runtime.allowance import Allowance
-from rtc.runtime.handover import PROTECTED_NAMES
 from rtc.runtime.process import send
 
 DROP_COUNTERS = ("estop", "bench")  # of the MCM's own sockets
@@ -49,12 +48,19 @@ class SubsystemMessages:
         its identity lacks the token. Its hello is answered with a refusal."""
         name = name_of(peer)
         bare = name.removesuffix(f"@{self._core.given.token}")
-        if bare not in PROTECTED_NAMES or name == self._core.given.identity(bare):
+        of_cell = [one.name for one in self._core.settings.subsystems]
+        if bare in of_cell and name == self._core.given.identity(bare):
             return bare
         if isinstance(message, m.SubsystemHello):
             ours = self._core.state.subsystems.get(bare)
             words = f"this cluster has its own {bare}" + (f", pid {ours.pid}" if ours else "")
-            refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears="use another name")
+            if bare not in of_cell:
+                words = f"the cell has no subsystem {bare}; it has {', '.join(of_cell)}"
+            refusal = Refusal(
+                reason=RefusalReason.NOT_ALLOWED,
+                message=words,
+                clears="use another name, or add it to `subsystems` of the cell",
+            )
             send(self._core.sockets["subsystems"], m.Declined(request=bare, refusal=refusal), peer)
         raise WireError(f"a stranger uses the name {bare}")
 
@@ -124,7 +130,7 @@ class SubsystemMessages:
         )
 
     def _injected(self, name: str, peer: bytes, message: m.Injected, now: float) -> None:
-        if name in self._core.state.subsystems or name in PROTECTED_NAMES:  # their number is bounded
+        if name in self._core.state.subsystems or self._core.given.protects(name):  # their number is bounded
             self._core.injected[name] = message.active
 
     def _strayed(self, name: str, peer: bytes, message: m.Strayed, now: float) -> None:

@@ -35,7 +35,7 @@ ASK_S, FAR_ASK_S = 1.0, 3.0  # time limit of the query whether a command exists,
 MAX_S = 3600.0  # maximum wait for rest
 RETRY_S = 0.02  # period of sending the order again to a socket that was not connected
 RANK = 1  # real-time priority of the I/O thread of the halt sockets, and of a caller while it sends, if permitted
-HALT_ENDPOINTS = ("halt", "estop")  # of the broker, of the MCM
+HALT_ENDPOINTS = ("halt", "estop")  # of the broker, of the first subsystem of arms
 COMMAND = re.compile(r"C-\d+", re.ASCII)  # a scope that only the broker can resolve
 
 _read = reader(m.FromHalt)
@@ -88,13 +88,18 @@ class HaltLine:
         self._lock = threading.Lock()
         self._poller = zmq.Poller()
         self._sockets: dict[str, zmq.Socket[bytes]] = {}
-        for name in HALT_ENDPOINTS:
+        own = endpoints.addresses("estop")
+        self._own = [name for name in own if name]  # subsystems that confirm a halt of all
+        doors = {"halt": endpoints.endpoint("halt")}
+        for name, address in own.items():
+            doors[f"estop {name}" if len(doors) > 1 else "estop"] = address
+        for name, address in doors.items():
             socket = self._own_context.socket(zmq.DEALER)  # without an identity: another process could use the same
             endpoints.secure(socket)
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.IMMEDIATE, 1)  # not queued: a stale halt would stop later commands
             socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
-            socket.connect(endpoints.endpoint(name))
+            socket.connect(address)
             self._sockets[name] = socket
             self._poller.register(socket, zmq.POLLIN)
 
@@ -162,12 +167,13 @@ class HaltLine:
         unanswered = dict(self._sockets)
         declined = ""
         while (left_s := limit_s - time.monotonic()) > 0:
-            if _at_rest(subsystems.values()) and "halt" in sent_to:
+            if self._complete(order, subsystems) and "halt" in sent_to:
                 known = order.scope == EVERYTHING or COMMAND.fullmatch(order.scope) or _reached(subsystems.values())
                 if known and not any(name in unanswered for name in sent_to):
                     break
-                limit_s = min(limit_s, order.called_at_s + self._unknown_s)
-                left_s = limit_s - time.monotonic()
+                left_s = min(limit_s, order.called_at_s + self._unknown_s) - time.monotonic()
+                if left_s <= 0:
+                    break
             unsent = {name: socket for name, socket in self._sockets.items() if name not in sent_to}
             ready = {socket for socket, _ in self._poller.poll(_ms(min(left_s, RETRY_S) if unsent else left_s))}
             sent_to += self._send(order, unsent)
@@ -175,14 +181,21 @@ class HaltLine:
                 if socket in ready and (answer := self._receive(socket, order)) is not None:
                     unanswered.pop(name, None)
                     declined = self._take(answer, order, subsystems) or declined
-            # The MCM declines what is not one of its arms; the broker may have passed the order to a camera.
-            both = len(sent_to) == len(HALT_ENDPOINTS) and "halt" not in unanswered
-            if declined and both and not _reached(subsystems.values()):
+            # A subsystem declines what is not one of its arms; the broker may have passed the order to a camera.
+            all_sent = len(sent_to) == len(self._sockets) and "halt" not in unanswered
+            last = len(self._own) < 2 or not unanswered  # another one may have that arm
+            if declined and all_sent and last and not _reached(subsystems.values()):
                 break
         doubt = ""
         if COMMAND.fullmatch(order.scope) and not declined and not _reached(subsystems.values()):
             declined, doubt = self._check_exists(order.scope, "halt" in sent_to)
-        return _result(order, sent_to, list(subsystems.values()), declined, doubt)
+        silent = [] if order.scope != EVERYTHING else [name for name in self._own if name not in subsystems]
+        return _result(order, sent_to, list(subsystems.values()), declined, doubt, silent)
+
+    def _complete(self, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> bool:
+        """Whether rest is confirmed: by one subsystem, and for a halt of all by each that has arms."""
+        wanted = self._own if order.scope == EVERYTHING else []
+        return _at_rest(subsystems.values()) and all(name in subsystems for name in wanted)
 
     def _check_exists(self, command: str, sent_to_broker: bool) -> tuple[str, str]:
         """Check that a command exists of which nothing moves: a mistyped number must not pass for a halt.
@@ -254,14 +267,20 @@ def _reached(subsystems: Collection[SubsystemHalt]) -> bool:
 
 
 def _result(
-    order: m.HaltOrder, sent_to: list[str], subsystems: list[SubsystemHalt], declined: str, doubt: str
+    order: m.HaltOrder,
+    sent_to: list[str],
+    subsystems: list[SubsystemHalt],
+    declined: str,
+    doubt: str,
+    absent: list[str],
 ) -> HaltResult:
+    """`absent`: subsystems that have not answered a halt of all."""
     latencies = [sub.latency_s for sub in subsystems if sub.latency_s is not None]
     nothing = bool(declined) and not _reached(subsystems)  # rest then confirms nothing
-    confirmed = _at_rest(subsystems) and not nothing and not doubt
+    confirmed = _at_rest(subsystems) and not nothing and not doubt and not absent
     message = ""
     if not confirmed:
-        silent = [sub.name for sub in subsystems if not sub.at_rest]
+        silent = [*(sub.name for sub in subsystems if not sub.at_rest), *(absent if subsystems else [])]
         message = (
             declined
             or (doubt if _at_rest(subsystems) else "")

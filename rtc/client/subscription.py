@@ -1,4 +1,4 @@
-"""Subscriptions of a client: events of the broker, telemetry of the MCM."""
+"""Subscriptions of a client: events of the broker, telemetry of the arms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def subscribe(
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
     socket.subscribe(b"")
     endpoints.secure(socket)
-    socket.connect(endpoints.endpoint(endpoint))
+    for address in endpoints.addresses(endpoint).values():
+        socket.connect(address)
     return _each(socket, read, silence_s)
 
 

@@ -9,21 +9,23 @@ import contextlib
 import os
 import random
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import msgspec
 
 from rtc.runtime.process import now_s
 from rtc.runtime.process_table import ProcessRow, processes
+from rtc.runtime.settings import Settings
 
-VICTIMS: dict[str, Callable[[ProcessRow], bool]] = {  # the values of `rtc chaos --kill`
-    "worker": lambda row: row.node is not None,
-    "broker": lambda row: row.name == "broker",
-    "world": lambda row: row.name == "world",
-    "mcm": lambda row: row.name == "MCM",
-    "template": lambda row: row.name.endswith("template"),
-    "any": lambda row: True,
+#: value of `rtc chaos --kill` -> whether it means a process; called with its row and the names of subsystems of arms
+VICTIMS: dict[str, Callable[[ProcessRow, Collection[str]], bool]] = {
+    "worker": lambda row, moving: row.node is not None,
+    "broker": lambda row, moving: row.name == "broker",
+    "world": lambda row, moving: row.name == "world",
+    "mcm": lambda row, moving: row.name in moving,
+    "template": lambda row, moving: row.name.endswith("template"),
+    "any": lambda row, moving: True,
 }
 
 
@@ -53,10 +55,14 @@ class Chaos:
     def strike(self, kind: str, name: str = "") -> Strike | None:
         """Kill one ready process of this kind (or the one called `name`); None if there is none."""
         struck = {strike.pid for strike in self.missing}
+        moving = Settings.load(self._run_dir).halted
         able = [
             row
             for row in processes(self._run_dir).values()
-            if VICTIMS[kind](row) and name in ("", row.name) and row.state == "ready" and row.pid not in struck
+            if VICTIMS[kind](row, moving)
+            and name in ("", row.name)
+            and row.state == "ready"
+            and row.pid not in struck
         ]
         if not able:
             return None

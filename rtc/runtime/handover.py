@@ -32,7 +32,6 @@ MEMORY: dict[str, tuple[int, struct.Struct]] = {
 }
 #: Time that broker and MCM need to stop arms and send outcomes after their supervisor was killed.
 HOLD_S = 3.0  # at full speed
-PROTECTED_NAMES = ("MCM", "S&P", "supervisor")  # names whose ZeroMQ identity contains the token and cannot be guessed
 
 
 class _Body(msgspec.Struct, frozen=True):
@@ -61,9 +60,13 @@ class Handover:
         body = msgspec.msgpack.decode(os.pread(fd, os.fstat(fd).st_size - MEMORY_BYTES, MEMORY_BYTES), type=_Body)
         return Handover(body.settings, body.lease_key, body.token, fd)
 
+    def protects(self, name: str) -> bool:
+        """Whether the ZeroMQ identity of this name contains the token, so that it cannot be guessed."""
+        return name == "supervisor" or any(one.name == name and one.module for one in self.settings.subsystems)
+
     def identity(self, name: str) -> str:
         """ZeroMQ identity of the process `name` at the broker."""
-        return f"{name}@{self.token}" if self.token and name in PROTECTED_NAMES else name
+        return f"{name}@{self.token}" if self.token and self.protects(name) else name
 
     def save_counters(self, role: str, *values: bytes | int) -> None:
         """Keep these values for the next process of this role. A process started by hand keeps nothing."""

@@ -49,6 +49,8 @@ class Endpoints(Protocol):
 
     def endpoint(self, name: str) -> str: ...
 
+    def addresses(self, name: str) -> dict[str, str]: ...
+
     def secure(self, socket: zmq.Socket[Any]) -> None: ...
 
     @property
@@ -96,6 +98,10 @@ class KeyFile(msgspec.Struct, frozen=True, kw_only=True):
                 f"these roles have: {may}"
             )
         return endpoint_address(self.address, name)
+
+    def addresses(self, name: str) -> dict[str, str]:
+        """As `Settings.addresses`; over tcp only the first subsystem of arms is reached without the broker."""
+        return {"": self.endpoint(name)}
 
     def secure(self, socket: zmq.Socket[Any]) -> None:
         """Set up encryption and authentication of this cluster; call it before `connect`."""

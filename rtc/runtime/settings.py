@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from rtc.protocol.outcomes import ClusterError
+from rtc.protocol.subsystems import DEFAULTS, Subsystem
 
 SUN_PATH_LIMIT = 107  # bytes of a Unix socket's path on Linux
 MIN_DIM, MAX_DIM = 2, 8  # limits of the cube's dimension; a smaller cube lacks kinds of workers
@@ -32,6 +33,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     run_dir: str
     run: str = ""  # identifies this run; data of an earlier run in the directory are not continued
     cell: str = "swapout"  # name of a cell, or a file
+    subsystems: tuple[Subsystem, ...] = DEFAULTS  # those of the cell
     dim: Annotated[int, Meta(ge=MIN_DIM, le=MAX_DIM)] = 2  # dimension of the cube: 2^dim workers
     # Workers of each kind when idle; None = as many as the cube has.
     least_workers: Annotated[int, Meta(ge=0, le=MAX_WORKERS)] | None = None
@@ -71,10 +73,23 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         """Seconds of ours per simulated second, at least 1: the factor of limits on our clock for motions."""
         return 1.0 / self.speed if 0.0 < self.speed < 1.0 else 1.0
 
-    def endpoint(self, name: str) -> str:
-        """The ZeroMQ address of one of the cluster's sockets; `name` is a key of ENDPOINTS."""
+    def endpoint(self, name: str, subsystem: str = "") -> str:
+        """The ZeroMQ address of one of the cluster's sockets; `name` is a key of ENDPOINTS.
+
+        `subsystem`: the one of `halted` that binds it, for those of OF_SUBSYSTEMS; empty: the first."""
         assert name in ENDPOINTS, name
-        return f"ipc://{self.path / ENDPOINTS[name]}"
+        number = self.halted.index(subsystem) if subsystem else 0
+        file = ENDPOINTS[name] if number == 0 else ENDPOINTS[name].replace(".", f"-{number + 1}.")
+        return f"ipc://{self.path / file}"
+
+    def addresses(self, name: str) -> dict[str, str]:
+        """The address of a socket at each subsystem that binds it; of those of OF_SUBSYSTEMS more than one."""
+        return {one: self.endpoint(name, one) for one in (self.halted if name in OF_SUBSYSTEMS else [""])}
+
+    @property
+    def halted(self) -> list[str]:
+        """The subsystems that bind a socket for halts of their own."""
+        return [one.name for one in self.subsystems if one.estop]
 
     def secure(self, socket: object) -> None:
         """Does nothing: the mode of the run directory (0700) protects its sockets."""
@@ -102,12 +117,14 @@ ENDPOINTS: dict[str, str] = {
     "supervisor": "supervisor.sock",  # broker ROUTER: the supervisor
     "events": "events.sock",  # broker PUB: ProgressNote, CommandEnded
     "world": "world.sock",  # world database ROUTER
-    "estop": "estop.sock",  # MCM ROUTER: halts and nothing else
-    "telemetry": "telemetry.sock",  # MCM PUB
-    "bench": "bench.sock",  # MCM ROUTER: truth and belief errors, simulators only
+    "estop": "estop.sock",  # subsystem ROUTER: halts and nothing else
+    "telemetry": "telemetry.sock",  # subsystem PUB
+    "bench": "bench.sock",  # subsystem ROUTER: truth and belief errors, simulators only
 }
 
 
+#: Sockets that every subsystem of arms binds for itself.
+OF_SUBSYSTEMS = ("estop", "telemetry", "bench")
 #: Sockets where an identity in use is protected: a second connection with the same identity is ignored.
 NO_HANDOVER = ("front", "halt", "estop")
 
@@ -173,7 +190,7 @@ def prepare_run_dir(run_dir: Path) -> Path:
     cluster deletes what the previous one left.
     """
     run_dir = run_dir.absolute()
-    longest = max(len(str(run_dir / file).encode()) for file in ENDPOINTS.values())
+    longest = max(len(str(run_dir / file).encode()) for file in ENDPOINTS.values()) + len("-9")
     if longest > SUN_PATH_LIMIT:
         raise ClusterError(
             f"run directory too long for sockets: {run_dir} makes paths of {longest} bytes, "

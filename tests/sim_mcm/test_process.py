@@ -65,7 +65,7 @@ def running(run_dir: Path, kind: str, speed: float, state: CellState | None = No
     settings = Settings(run_dir=str(run_dir), mcm=kind, speed=speed)
     settings.save()
     if state is not None:
-        StateFile(run_dir, settings.run).save(state)
+        StateFile(run_dir, settings.run, "MCM").save(state)
     with (
         (run_dir / "MCM.log").open("wb") as log,
         subprocess.Popen(

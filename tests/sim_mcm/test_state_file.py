@@ -17,7 +17,7 @@ SIMULATIONS = [(KinematicCell, 1e-9), pytest.param(BulletCell, 1e-3, marks=pytes
 
 @pytest.fixture
 def memory(tmp_path):
-    return lambda run: StateFile(tmp_path, run)
+    return lambda run: StateFile(tmp_path, run, "MCM")
 
 
 @pytest.mark.parametrize(("simulation", "tolerance_m"), SIMULATIONS)
@@ -73,5 +73,5 @@ def test_a_shorter_state_after_a_longer_one_is_whole(cell, memory):
 
 @pytest.mark.parametrize("left", [b"", b"mine", b"\x02\0\0\0\x92\xa1", b"\x04\0\0\0\x92\xa1a\xc0"])
 def test_what_is_no_state_of_ours_is_nothing(memory, tmp_path, left):
-    (tmp_path / FILE).write_bytes(left)
+    (tmp_path / FILE.format("MCM")).write_bytes(left)
     assert memory("a").load() is None

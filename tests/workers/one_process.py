@@ -24,10 +24,10 @@ from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Outcome, Refusal
 from rtc.protocol.primitive import JointTrajectory, Primitive
+from rtc.protocol.subsystems import CAMERAS
 from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.subsystem import McmSubsystem
-from rtc.subsystems.perception.subsystem import NAME as EYES
 from rtc.world.model import World, initial_facts
 from tests.workers.conftest import MODEL, record
 from tests.workers.eyes import Ideal
@@ -76,7 +76,9 @@ class OneProcess:
         self._from_mcm(self.mcm.hello())
         if eyes is not None:
             cameras = [camera.name for camera in model.cell.cameras]
-            self._later(1, events.SubsystemConnected(at_s=self.now_s, subsystem=EYES, pid=1, performers=cameras))
+            self._later(
+                1, events.SubsystemConnected(at_s=self.now_s, subsystem=CAMERAS.name, pid=1, performers=cameras)
+            )
 
     @property
     def now_s(self) -> float:
@@ -145,17 +147,17 @@ class OneProcess:
                 self._later(TICKS[effect.kind], self._worked(effect))
             case do.SendPrimitive():
                 primitive = msgspec.msgpack.decode(effect.primitive, type=Primitive)
-                if effect.subsystem == EYES:
+                if effect.subsystem == CAMERAS.name:
                     self._look(primitive)
                     return
                 self._from_mcm(self.mcm.handle(m.Execute(primitive=primitive, pid=effect.pid), BROKER, self.now_s))
-            case do.SendHalt() if effect.subsystem == EYES:
-                still = events.HaltConfirmed(at_s=self.now_s, subsystem=EYES, halt=effect.halt, at_rest=True)
+            case do.SendHalt() if effect.subsystem == CAMERAS.name:
+                still = events.HaltConfirmed(at_s=self.now_s, subsystem=CAMERAS.name, halt=effect.halt, at_rest=True)
                 self._later(1, still)
             case do.SendHalt():
                 order = m.HaltOrder(halt=effect.halt, scope=effect.scope, call=effect.call)
                 self._from_mcm(self.mcm.handle(order, BROKER, self.now_s))
-            case do.AcknowledgeReport() if effect.subsystem != EYES:
+            case do.AcknowledgeReport() if effect.subsystem != CAMERAS.name:
                 self.mcm.handle(m.ReportAck(primitive=effect.primitive), BROKER, self.now_s)
             case do.StartTimer():
                 self._timers[effect.timer] = round((effect.at_s - 1.0) / TICK_S)
@@ -171,9 +173,11 @@ class OneProcess:
         truth = self.sim.truth()
         scene = SceneView(**{name: truth[name] for name in ("poses", "seats", "joints", "fingers", "tcp")})
         report = self.eyes.perform(look, scene)
-        self._later(1, events.PrimitiveStarted(at_s=self.now_s, subsystem=EYES, primitive=look.id))
+        self._later(1, events.PrimitiveStarted(at_s=self.now_s, subsystem=CAMERAS.name, primitive=look.id))
         ticks = max(2, round(report.duration_s / TICK_S))
-        self._later(ticks, events.PrimitiveEnded(at_s=self.now_s + ticks * TICK_S, subsystem=EYES, report=report))
+        self._later(
+            ticks, events.PrimitiveEnded(at_s=self.now_s + ticks * TICK_S, subsystem=CAMERAS.name, report=report)
+        )
 
     def _worked(self, job: do.DispatchJob) -> events.Event:
         at_s = self.now_s + TICKS[job.kind] * TICK_S

@@ -23,8 +23,6 @@ from workers.conditions import stop_conditions
 from workers.conditions.stop_conditions import Values
 from workers.planning import trust
 
-SUBSYSTEM_OF_ARMS, SUBSYSTEM_OF_CAMERAS = "MCM", "S&P"
-
 
 def of_arm(
     task: RuledTask,
@@ -60,7 +58,7 @@ def of_arm(
         control_law=control_law,
         reporting=stop_conditions.reporting(task.data, task.query, values, rows),
     )
-    return _bound(SUBSYSTEM_OF_ARMS, made, evaluation, values, note)
+    return _bound(task, made, evaluation, values, note)
 
 
 def of_camera(task: RuledTask, look: Look, camera: str, evaluation: EvaluationContext) -> BoundStep:
@@ -76,12 +74,14 @@ def of_camera(task: RuledTask, look: Look, camera: str, evaluation: EvaluationCo
         ),
         reporting=Reporting(items=asked.items, every_s=asked.every_s) if asked else Reporting(),
     )
-    return _bound(SUBSYSTEM_OF_CAMERAS, made, evaluation, values)
+    return _bound(task, made, evaluation, values)
 
 
-def _bound(subsystem: str, made: Primitive, evaluation: EvaluationContext, values: Values, note: str = "") -> BoundStep:
+def _bound(
+    task: RuledTask, made: Primitive, evaluation: EvaluationContext, values: Values, note: str = ""
+) -> BoundStep:
     return BoundStep(
-        subsystem=subsystem,
+        subsystem=_subsystem_of(task, made),
         primitive=made,
         evaluation=evaluation,
         predicted_s=evaluation.predicted_s,
@@ -143,3 +143,18 @@ def refused_time(task: BindTask, predicted_s: float) -> Refused:
         clears="more time, or more speed",
         detail={"cause": "time", "predicted_s": predicted_s, "limit_s": most_s, "moved_s": moved_s},
     )
+
+
+def _subsystem_of(task: RuledTask, made: Primitive) -> str:
+    """The subsystem that performs a primitive. Raises Refused if its performers belong to several."""
+    cell = task.query.model.cell
+    owners = {name: cell.subsystem_of(name) for name in made.performers}
+    if len(set(owners.values())) > 1:
+        words = ", ".join(f"{name} belongs to {owner}" for name, owner in owners.items())
+        raise Refused.because(
+            RefusalReason.INFEASIBLE,
+            f"one motion cannot have performers of two subsystems: {words}",
+            where=task.data.step.label,
+            clears="a sentence for each",
+        )
+    return owners[made.performer]

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 import typer
 import zmq
 from rich.console import Console
@@ -68,7 +69,7 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
             raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
         if not there:
             raise NoCluster(f"no cluster in {run_dir}; start one with: {shell_command('rtc up -d', run_dir)}")
-        endpoints: Endpoints = Settings(run_dir=str(run_dir.absolute()))
+        endpoints: Endpoints = _settings(run_dir.absolute())
     else:
         endpoints = KeyFile.load(key)
     with zmq.Context() as context:
@@ -77,6 +78,14 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
             yield line
         finally:
             line.close()
+
+
+def _settings(run_dir: Path) -> Settings:
+    """The settings of the cluster; without its file those of any cluster, whose broker passes the halt on."""
+    try:
+        return msgspec.structs.replace(Settings.load(run_dir), run_dir=str(run_dir))
+    except (OSError, msgspec.MsgspecError):
+        return Settings(run_dir=str(run_dir))
 
 
 def print_halt(result: HaltResult, out: Console = console) -> None:

@@ -80,6 +80,8 @@ class Feed:
     def _subscribe(self, endpoints: Endpoints, name: str) -> zmq.Socket[bytes]:
         socket = self._me.socket(zmq.SUB, endpoints.endpoint(name), queue_length=UNREAD, secure=endpoints.secure)
         socket.subscribe(b"")
+        for address in list(endpoints.addresses(name).values())[1:]:
+            socket.connect(address)
         return socket
 
     def read(self, timeout_s: float) -> Iterator[Received]:

@@ -58,7 +58,7 @@ class Metrics:
             case m.StatusReply(status=status):
                 self._last.status, self._last.status_at_s = status, received.at_s
             case m.Telemetry() as telemetry:
-                self._last.telemetry = telemetry
+                self._last.telemetry[telemetry.subsystem] = telemetry
 
     def _take_note(self, note: m.ProgressNote) -> None:
         before = self._open.get(note.command)
@@ -109,7 +109,7 @@ class _Last(Collector):
         self._lost, self._now = lost, now
         self.status: dict[str, Any] = {}
         self.status_at_s = -math.inf
-        self.telemetry: m.Telemetry | None = None
+        self.telemetry: dict[str, m.Telemetry] = {}  # by subsystem
 
     def collect(self) -> Iterator[Metric]:
         yield CounterMetricFamily("rtc_events_lost", "Events that did not arrive here", self._lost())
@@ -117,8 +117,8 @@ class _Last(Collector):
         yield GaugeMetricFamily("rtc_broker_up", "1 while the broker answers", float(up))
         if up:
             yield from _of_status(self.status)
-        if self.telemetry is not None:
-            yield from _of_telemetry(self.telemetry)
+        if self.telemetry:
+            yield from _of_telemetry(list(self.telemetry.values()))
 
 
 def _of_status(status: dict[str, Any]) -> Iterator[Metric]:
@@ -155,12 +155,17 @@ def _of_hosts(rows: list[dict[str, Any]]) -> Iterator[Metric]:
     yield _labelled("rtc_peer_refusals", "Refusals of the peers that rtc status shows", "key", dict(refused))
 
 
-def _of_telemetry(telemetry: m.Telemetry) -> Iterator[Metric]:
-    yield CounterMetricFamily("rtc_mcm_ticks", "Control ticks of the arms' subsystem", telemetry.ticks)
-    yield CounterMetricFamily("rtc_mcm_late_ticks", "Control ticks that began late", telemetry.late_ticks)
-    moving = {name: float(bool(arm.primitive)) for name, arm in telemetry.arms.items()}
+def _of_telemetry(latest: list[m.Telemetry]) -> Iterator[Metric]:
+    ticks = CounterMetricFamily("rtc_mcm_ticks", "Control ticks of a subsystem of arms", labels=["subsystem"])
+    late = CounterMetricFamily("rtc_mcm_late_ticks", "Control ticks that began late", labels=["subsystem"])
+    for one in latest:
+        ticks.add_metric([one.subsystem], one.ticks)
+        late.add_metric([one.subsystem], one.late_ticks)
+    yield from (ticks, late)
+    arms = {name: arm for one in latest for name, arm in one.arms.items()}
+    moving = {name: float(bool(arm.primitive)) for name, arm in arms.items()}
     yield _labelled("rtc_arm_moving", "1 while the arm executes a primitive", "arm", moving)
-    forces = {name: math.hypot(*arm.wrench[:3]) for name, arm in telemetry.arms.items()}
+    forces = {name: math.hypot(*arm.wrench[:3]) for name, arm in arms.items()}
     yield _labelled("rtc_arm_force_newtons", "Force on the hand", "arm", forces)
 
 

@@ -75,6 +75,7 @@ class Recording:
         self._sampled_s, self._last_values = 0.0, dict[str, float]()
         self._flush = Every(FLUSH_S)
         self.events = self.samples = 0  # number of those written
+        self._arms: dict[str, m.ArmSample] = {}  # the latest of each arm
         self._writer.start()
         self._writer.add_metadata(HEADER, about)
         now_ns = time.time_ns()
@@ -159,7 +160,8 @@ class Recording:
 
     def _take_sample(self, at_s: float, telemetry: m.Telemetry) -> None:
         values: dict[str, float] = {}
-        for name, arm in telemetry.arms.items():
+        arms = self._arms = self._arms | telemetry.arms  # each subsystem reports its own
+        for name, arm in arms.items():
             if (frames := self._frames.get(name)) is not None:
                 values |= frames.values(arm.joints, arm.hand_width_m)
         moved = any(abs(value - self._last_values.get(name, 1e9)) > MOVED for name, value in values.items())
@@ -168,15 +170,15 @@ class Recording:
         self._sampled_s, self._last_values = at_s, values
         self.samples += 1
         published_s, stamp = telemetry.at_s, self._stamp(self._own(at_s, telemetry.at_s))
-        for name, arm in telemetry.arms.items():
+        for name, arm in arms.items():
             self._write_json(f"/rtc/arms/{name}", arm, at_s, published_s)
-        self._write_protobuf("/joint_states", _joint_states(stamp, values, telemetry), at_s, published_s)
+        self._write_protobuf("/joint_states", _joint_states(stamp, values, arms), at_s, published_s)
         moves = [
             _transform(stamp, parent, child, pose)
             for frames in self._frames.values()
             for parent, child, pose in frames.transforms(values)
         ]
-        for thing in believed(self._cell, self._facts, telemetry.arms, None).objects:
+        for thing in believed(self._cell, self._facts, arms, None).objects:
             moves.append(_transform(stamp, WORLD, thing.name, thing.pose))
         self._write_protobuf("/tf", FrameTransforms(transforms=moves), at_s, published_s)
 
@@ -226,11 +228,11 @@ class Recording:
         self._writer.add_message(channel, self._ns(at_s), body, self._ns(self._own(at_s, published_s)))
 
 
-def _joint_states(stamp: Timestamp, values: dict[str, float], telemetry: m.Telemetry) -> JointStates:
+def _joint_states(stamp: Timestamp, values: dict[str, float], arms: dict[str, m.ArmSample]) -> JointStates:
     """Positions of all joints (rad, m); velocities (rad/s) of those that are measured."""
-    speeds = {name: arm.velocities for name, arm in telemetry.arms.items()}
+    speeds = {name: arm.velocities for name, arm in arms.items()}
     states = []
-    for arm in telemetry.arms:
+    for arm in arms:
         names = [name for name in values if name.startswith(f"{arm}/")]
         for n, name in enumerate(names):
             known = {"velocity": speeds[arm][n]} if n < len(speeds[arm]) else {}

@@ -38,6 +38,7 @@ from rtc.model.cells.parts import (
 from rtc.plugins import registry
 from rtc.protocol.digest import digest
 from rtc.protocol.outcomes import ProgramError
+from rtc.protocol.subsystems import ARMS, Subsystem, owner, resolved
 from rtc.spatial import geometry, hinges
 
 EXTENDS = re.compile(rb"(?m)^extends:")
@@ -57,11 +58,32 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     attitudes: dict[str, Frame] = {}  # of the tcp, world frame; for POSE-DURING-MOTION
     maintain: Maintained = Maintained()
     numbers: Numbers = Numbers()
+    subsystems: list[Subsystem] = []  # beside those of every cell; see `all_subsystems`
     texts: dict[str, str] = {}  # URDF, SRDF and hulls by file name; filled by `load`
 
     def __post_init__(self) -> None:
         for place, problem in problems(self):
             raise ValueError(f"$.{place}: {problem}")
+
+    @property
+    def all_subsystems(self) -> list[Subsystem]:
+        """Every subsystem of the cell with its arms and cameras."""
+        return resolved(self.subsystems, [arm.name for arm in self.arms], [one.name for one in self.cameras])
+
+    def subsystem_of(self, performer: str) -> str:
+        """The name of the subsystem of an arm or a camera. Raises KeyError."""
+        return owner(self.all_subsystems, performer)
+
+    def of_subsystem(self, name: str) -> Cell:
+        """The cell as a subsystem of arms simulates it: with its own arms, and without the cameras of others."""
+        own = {performer for one in self.all_subsystems if one.name == name for performer in one.performers}
+        arms = [arm for arm in self.arms if arm.name in own]
+        if len(arms) == len(self.arms):
+            return self
+        gone = {arm.name for arm in self.arms} - own
+        cameras = [camera for camera in self.cameras if camera.arm not in gone]
+        places = [place.without(gone) for place in self.places]
+        return msgspec.structs.replace(self, arms=arms, cameras=cameras, places=places, subsystems=[])
 
     # --- reading and sending ---------------------------------------------------------------------------
 
@@ -203,6 +225,27 @@ def _with_added_grasps(thing: Object, cell: Cell) -> Object:
     return msgspec.structs.replace(thing, grasp_points=points)
 
 
+def _wrong_subsystems(cell: Cell) -> Iterator[tuple[str, str]]:
+    performers = dict.fromkeys((arm.name for arm in cell.arms), "arm") | {one.name: "camera" for one in cell.cameras}
+    given: dict[str, str] = {}
+    for n, one in enumerate(cell.subsystems):
+        for name in one.performers:
+            if name not in performers:
+                yield f"subsystems[{n}].performers", unknown("arm or camera", name, performers)
+            elif given.setdefault(name, one.name) != one.name:
+                yield f"subsystems[{n}].performers", f"{name} belongs to {given[name]} already"
+        if len({performers[name] for name in one.performers if name in performers}) != 1:
+            yield f"subsystems[{n}].performers", f"{one.name} needs arms or cameras, and not both"
+        elif one.module and not one.estop and any(arm.name in one.performers for arm in cell.arms):
+            yield f"subsystems[{n}].estop", f"{one.name} moves arms, so it needs a socket for halts: estop: true"
+    if len(names := [one.name for one in cell.subsystems]) != len(set(names)):
+        yield "subsystems", "a name stands there twice"
+    every = resolved(cell.subsystems, [arm.name for arm in cell.arms], [one.name for one in cell.cameras])
+    simulated = [one.name for one in every if one.module == ARMS.module]
+    if cell.cameras and len(simulated) > 1:
+        yield "subsystems", f"cameras are drawn from one simulation, and {' and '.join(simulated)} each have their own"
+
+
 def problems(cell: Cell) -> Iterator[tuple[str, str]]:
     """(place, problem) for faults that the types do not exclude."""
     if not cell.arms:
@@ -242,6 +285,7 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
                     f"places[{n}].joints_deg.{name}",
                     "a joint that slides needs metres, one that turns degrees, as home",
                 )
+    yield from _wrong_subsystems(cell)
     regions = [region.name for region in cell.regions]
     for field in ("safe_work_range", "avoid_task_region"):
         if (name := getattr(cell.maintain, field)) is not None and name not in regions:

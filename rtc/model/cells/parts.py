@@ -7,7 +7,7 @@ Fields that end in `_deg` are degrees, as in the file; properties that end in `_
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Annotated, TypeVar
 
 import msgspec
@@ -233,6 +233,12 @@ class Place(CellPart, frozen=True, kw_only=True):
     def joints_rad(self, arm: str) -> list[float] | None:
         given = self.joints_deg.get(arm)
         return None if given is None else _si(given)
+
+    def without(self, arms: Collection[str]) -> Place:
+        """The place without the poses and postures of these arms."""
+        poses = {arm: pose for arm, pose in self.poses.items() if arm not in arms}
+        joints = {arm: values for arm, values in self.joints_deg.items() if arm not in arms}
+        return msgspec.structs.replace(self, poses=poses, joints_deg=joints)
 
 
 class Region(CellPart, frozen=True, kw_only=True):

@@ -13,6 +13,7 @@ import msgspec
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import FAULT_SCOPE, FaultScope, StopReason
 from rtc.protocol.primitive import Primitive, StartAfter
+from rtc.protocol.subsystems import ARMS
 from rtc.protocol.versions import ARRAYS, PAUSES
 from rtc.subsystems.base.subsystem import BROKER, Outgoing, Report, Reports, Subsystem, in_scope
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface
@@ -29,7 +30,7 @@ class Pending(msgspec.Struct):
 
 
 class McmSubsystem(Subsystem[Executor]):
-    def __init__(self, arms: Mapping[str, ArmInterface], name: str = "MCM", pid: int = 0) -> None:
+    def __init__(self, arms: Mapping[str, ArmInterface], name: str = ARMS.name, pid: int = 0) -> None:
         super().__init__({arm: Executor(part) for arm, part in arms.items()}, name, pid)
         self._pairs = Pairs(self.executors)
         self._reached_s: dict[str, float] = {}  # how far each ended primitive came along its trajectory

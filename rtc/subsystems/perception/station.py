@@ -20,7 +20,7 @@ from rtc.runtime.settings import Settings
 from rtc.subsystems.base.broker_link import BrokerLink
 from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.perception.camera_thread import Cameras, CameraThread, Failed
-from rtc.subsystems.perception.subsystem import NAME, PerceptionSubsystem
+from rtc.subsystems.perception.subsystem import PerceptionSubsystem
 
 HEARTBEAT_S = 0.25
 NICENESS = -10  # before the workers, if the system permits it: a camera that follows a body has a beat to keep
@@ -30,25 +30,28 @@ TICK_S = 0.02  # period of time limits while something is looked for
 MakeCameras = Callable[[Settings, Cell, "zmq.Context[Any]"], Cameras]  # called in the thread that takes the pictures
 
 
-def live(run_dir: Path, fd: int, make_cameras: MakeCameras) -> None:
-    """Run S&P with these cameras until it is stopped. `fd`: handover from the supervisor (rtc.runtime.handover)."""
-    process.show_name(NAME)
-    given = handover.claim_role(NAME, run_dir, fd)
+def live(run_dir: Path, name: str, fd: int, make_cameras: MakeCameras) -> None:
+    """Run a subsystem of cameras until it is stopped.
+
+    `name`: its name in the cell. `fd`: handover from the supervisor (rtc.runtime.handover)."""
+    process.show_name(name)
+    given = handover.claim_role(name, run_dir, fd)
     process.nice(NICENESS)
     process.nice_session(NICENESS)  # with processes that the cameras start
-    with process.start(NAME, run_dir) as me:
-        Station(me, given, make_cameras).run()
+    with process.start(name, run_dir) as me:
+        Station(me, name, given, make_cameras).run()
 
 
 class Station:
     """The process: socket to the broker, thread of the cameras, heartbeat."""
 
-    def __init__(self, me: Process, given: handover.Handover, make_cameras: MakeCameras) -> None:
+    def __init__(self, me: Process, name: str, given: handover.Handover, make_cameras: MakeCameras) -> None:
         self._me, settings = me, given.settings
         cell = Cell.load(settings.cell)
         scale = settings.timeout_scale
-        self._subsystem = PerceptionSubsystem([camera.name for camera in cell.cameras], os.getpid(), scale)
-        self._link = BrokerLink(me, settings, given.identity(NAME))
+        own = [camera.name for camera in cell.cameras if cell.subsystem_of(camera.name) == name]
+        self._subsystem = PerceptionSubsystem(own, name, os.getpid(), scale)
+        self._link = BrokerLink(me, settings, given.identity(name))
         context: zmq.Context[Any] = me.context
         self._thread = CameraThread(cell, lambda: make_cameras(settings, cell, context))
         me.poller.register(self._thread.wake_fd, zmq.POLLIN)
@@ -89,4 +92,4 @@ class Station:
         if not self._thread.busy and (due := subsystem.next_camera(now_s)) is not None:
             self._thread.look(due.name, due.windows(now_s))
         if self._heartbeat.due(now_s):
-            link.send([(BROKER, m.Heartbeat(name=NAME))])
+            link.send([(BROKER, m.Heartbeat(name=self._subsystem.name))])

@@ -6,17 +6,16 @@ import math
 from collections.abc import Iterable
 
 from rtc.protocol.primitive import Primitive
+from rtc.protocol.subsystems import CAMERAS
 from rtc.subsystems.base.subsystem import Outgoing, Reports, Subsystem, in_scope
 from rtc.subsystems.perception.camera import MAX_LOOKS, Camera
-
-NAME = "S&P"
 
 
 class PerceptionSubsystem(Subsystem[Camera]):
     """`scale`: our seconds per second of the simulation."""
 
-    def __init__(self, cameras: Iterable[str], pid: int = 0, scale: float = 1.0) -> None:
-        super().__init__({name: Camera(name, scale) for name in cameras}, NAME, pid, queues=True)
+    def __init__(self, cameras: Iterable[str], name: str = CAMERAS.name, pid: int = 0, scale: float = 1.0) -> None:
+        super().__init__({camera: Camera(camera, scale) for camera in cameras}, name, pid, queues=True)
 
     def next_camera(self, now_s: float) -> Camera | None:
         """The camera whose next picture has been due for longest; None: none is due."""

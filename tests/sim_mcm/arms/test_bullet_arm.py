@@ -262,7 +262,7 @@ def test_an_arm_that_hits_the_other_says_so_and_can_be_moved_away(world, bench, 
 def test_displacing_a_module_takes_its_seat_along(world) -> None:
     before = world.world.pose(MODULE)
     assert world.displace(MODULE, [0.0, 0.02, 0.0, 0.0, 0.0, 0.0]) == ""
-    assert world.displace("NOTHING", [0.0] * 6) == "unknown object NOTHING"
+    assert "NOTHING" in world.displace("NOTHING", [0.0] * 6)
     for _ in range(200):
         world.step()
     assert world.world.pose(MODULE)[:3] - before[:3] == pytest.approx([0.0, 0.02, 0.0], abs=1e-6)

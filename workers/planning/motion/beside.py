@@ -70,6 +70,9 @@ def start_conditions(request: PlanningRequest, motion: Primitive, others: Sequen
             if found is None:
                 raise Refused(_in_the_way(arm, other, their))
             free_from_s = max(free_from_s, found)
+        cell = request.world.cell
+        if free_from_s > 0.0 and cell.subsystem_of(motion.performer) != cell.subsystem_of(other.performer):
+            raise Refused(_in_the_way(motion.performer, other, other.performer))  # it cannot wait for another subsystem
         if free_from_s > 0.0:
             conditions.append(_condition(other, free_from_s))
     return conditions
