@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from rtc.model.cells.cell import Cell
+from rtc.protocol.subsystems import DEFAULTS
 from tests import modules_page
 
 ROOT = Path(__file__).parents[1]
@@ -298,3 +300,13 @@ def test_the_page_of_modules_is_up_to_date() -> None:
 
 def test_every_module_states_its_purpose() -> None:
     assert [place(path) for path in ALL if not modules_page.first_paragraph(path)] == []
+
+
+@pytest.mark.parametrize("path", ALL, ids=place)
+def test_no_code_names_a_subsystem_or_an_arm(path: Path) -> None:
+    """The cell names its arms and subsystems; those of every cell stand in `rtc/protocol/subsystems.json`. Demos show
+    one cell."""
+    names = {one.name for one in DEFAULTS} | {arm.name for arm in Cell.load("swapout").arms}
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    found = {node.value for node in nodes if isinstance(node, ast.Constant) and node.value in names}
+    assert not found or path.is_relative_to(ROOT / "rtc/apps/demos")

@@ -56,10 +56,14 @@ class PeerVersions:
             return None
         clears = "install one version of rtc on all machines, then rtc down and rtc up"
         refusal = Refusal(reason=RefusalReason.VERSION, message=words, clears=clears)
+        self.refuse(socket, peer, hello, refusal, now)
+        return refusal
+
+    def refuse(self, socket: str, peer: bytes, hello: m.Hello, refusal: Refusal, now: float) -> None:
+        """Refuse all messages of this peer until its next hello, and show it in `rtc status`."""
         self._refused[socket, peer] = RefusedPeer(hello, refusal, now)
         if len(self._refused) > KEPT:
             self._refused.popitem(last=False)
-        return refusal
 
 
 def _name(hello: Any) -> str:

@@ -38,19 +38,21 @@ class SubsystemMessages:
 
     def receive(self, peer: bytes, message: Any, now: float) -> None:
         """Raises WireError for a message in the name of another subsystem."""
-        name = self._name_of_sender(peer, message)
+        name = self._name_of_sender(peer, message, now)
         if isinstance(message, m.SubsystemHello) or name in self._core.state.subsystems:
             self._health.subsystem_seen_s[name] = now
         HANDLERS[type(message)](self, name, peer, message, now)
 
-    def _name_of_sender(self, peer: bytes, message: Any) -> str:
-        """The name of the subsystem. Raises WireError for a stranger that uses the name of one of the cluster's own:
-        its identity lacks the token. Its hello is answered with a refusal."""
+    def _name_of_sender(self, peer: bytes, message: Any, now: float) -> str:
+        """The name of the subsystem. Raises WireError for a name that the cell does not have, and for a stranger with
+        the name of one of the cluster's own: its identity lacks the token. Its hello is answered with a refusal."""
         name = name_of(peer)
         bare = name.removesuffix(f"@{self._core.given.token}")
         of_cell = [one.name for one in self._core.settings.subsystems]
         if bare in of_cell and name == self._core.given.identity(bare):
             return bare
+        if bare not in of_cell and isinstance(message, m.HaltOrder):
+            return bare  # it only stops
         if isinstance(message, m.SubsystemHello):
             ours = self._core.state.subsystems.get(bare)
             words = f"this cluster has its own {bare}" + (f", pid {ours.pid}" if ours else "")
@@ -61,6 +63,7 @@ class SubsystemMessages:
                 message=words,
                 clears="use another name, or add it to `subsystems` of the cell",
             )
+            self._core.versions.refuse("subsystems", peer, message, refusal, now)
             send(self._core.sockets["subsystems"], m.Declined(request=bare, refusal=refusal), peer)
         raise WireError(f"a stranger uses the name {bare}")
 

@@ -180,12 +180,11 @@ class HaltLine:
             for name, socket in self._sockets.items():
                 if socket in ready and (answer := self._receive(socket, order)) is not None:
                     unanswered.pop(name, None)
-                    declined = self._take(answer, order, subsystems) or declined
-            # A subsystem declines what is not one of its arms; the broker may have passed the order to a camera.
-            all_sent = len(sent_to) == len(self._sockets) and "halt" not in unanswered
-            last = len(self._own) < 2 or not unanswered  # another one may have that arm
-            if declined and all_sent and last and not _reached(subsystems.values()):
-                break
+                    refused = self._take(answer, order, subsystems)
+                    declined = refused or declined
+                    # A subsystem declines what is not one of its arms; the broker knows those of all.
+                    if refused and name == "halt" and not _reached(subsystems.values()):
+                        limit_s = 0.0
         doubt = ""
         if COMMAND.fullmatch(order.scope) and not declined and not _reached(subsystems.values()):
             declined, doubt = self._check_exists(order.scope, "halt" in sent_to)

@@ -59,10 +59,7 @@ class Chaos:
         able = [
             row
             for row in processes(self._run_dir).values()
-            if VICTIMS[kind](row, moving)
-            and name in ("", row.name)
-            and row.state == "ready"
-            and row.pid not in struck
+            if VICTIMS[kind](row, moving) and name in ("", row.name) and row.state == "ready" and row.pid not in struck
         ]
         if not able:
             return None

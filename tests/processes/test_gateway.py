@@ -49,8 +49,11 @@ FRONT_WORDS = (
 
 
 @pytest.fixture(scope="module")
-def run_dir() -> Iterator[Path]:
-    with own_cluster(mcm="kinematic", listen=f"tcp://127.0.0.1:{free_ports()}") as path:
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    cell = tmp_path_factory.mktemp("cell") / "cell.yaml"
+    subsystem = "{name: TOOLS, performers: [CAMERA-4]}"
+    cell.write_text(f"extends: swapout\nname: with-tools\nsubsystems: [{subsystem}]\n")
+    with own_cluster(cell=str(cell), mcm="kinematic", listen=f"tcp://127.0.0.1:{free_ports()}") as path:
         yield path
 
 
@@ -339,7 +342,7 @@ def test_a_subsystem_comes_under_the_name_of_its_key_alone(
     with Client(run_dir) as here:
         endpoint.send(m.SubsystemHello(protocol=VERSION, name="MCM", pid=1, performers=["LEFT-ARM"]))
         endpoint.send(m.SubsystemHello(protocol=VERSION, name="OTHER", pid=1, performers=[]))
-        endpoint.send(m.SubsystemHello(protocol=VERSION, name="TOOLS", pid=1, performers=["TOOL-1"]))
+        endpoint.send(m.SubsystemHello(protocol=VERSION, name="TOOLS", pid=1, performers=["CAMERA-4"]))
         wait_for(lambda: "TOOLS" in {row["name"] for row in here.status()["subsystems"]})
 
         names = {row["name"]: row["performers"] for row in here.status()["subsystems"]}

@@ -14,6 +14,7 @@ from rtc.protocol.outcomes import NoCluster
 from rtc.runtime.chaos import Chaos
 from rtc.runtime.process import now_s
 from rtc.runtime.process_table import processes
+from rtc.runtime.settings import Settings
 
 pytestmark = pytest.mark.slow
 
@@ -37,6 +38,7 @@ class Supervised:
 
 @pytest.fixture
 def cluster(tmp_path):
+    Settings(run_dir=str(tmp_path)).save()
     made = Supervised(tmp_path)
     yield made
     for process in made.running:

@@ -41,7 +41,8 @@ def _cameras(task: RuledTask) -> list[str]:
     for name in cameras or [""]:
         if name not in known:
             raise suggestions.unknown("camera", name, known)
-    return cameras
+    own = {name: task.query.cell.subsystem_of(name) for name in cameras}  # one subsystem fits a pose to all
+    return [name for name in cameras if own[name] == own[cameras[0]]]
 
 
 def _tags(task: RuledTask, body: str) -> list[TagGeometry]:

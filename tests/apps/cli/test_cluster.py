@@ -259,7 +259,7 @@ def test_injected_faults_are_in_the_status_until_they_are_undone(rtc: Run, run_d
     with Client(run_dir) as client:
         assert client.undo_fault().active == []
         assert until_listed([], client.status) == []
-        with pytest.raises(RequestDeclined, match="RACK-1, RACK-2, BAY-2"):
+        with pytest.raises(RequestDeclined, match="BAY-2, RACK-1, RACK-2"):
             client.inject(JammedSeat(seat="BAY-9"))
 
 
