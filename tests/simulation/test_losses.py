@@ -46,7 +46,7 @@ def test_a_broker_that_takes_any_mcm_is_found(monkeypatch):
     monkeypatch.setattr(
         SubsystemMessages,
         "_name_of_sender",
-        lambda self, peer, message: peer.decode().removesuffix("@token"),
+        lambda self, peer, message, now: peer.decode().removesuffix("@token"),
     )
     assert first_problem()
 
