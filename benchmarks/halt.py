@@ -14,7 +14,8 @@ carrying        both arms under impedance carry one module, every core has a bus
                 without a cluster: one socket stands for the broker, and sentences play no part
 
 The condition is checked before and after each halt. A halt without it is repeated, and the table shows how many were.
-Latency is `decelerating_at_s - called_at_s`, both CLOCK_MONOTONIC of one machine.
+Latency is `decelerating_at_s - called_at_s`, both CLOCK_MONOTONIC of one machine. The former is read when the MCM has
+handled the halt, right before the tick in which the arm brakes; until 0.1.0 it was the begin of that tick, 0.3 ms less.
 Of the slowest halts it prints when they were called, and the time until the MCM received them. Before the receipt
 threads waited for a core; after it the MCM waited for its tick. Compare these times with a trace of the scheduler:
 `perf sched record -k CLOCK_MONOTONIC`.

@@ -34,6 +34,7 @@ TELEMETRY_S = 0.02
 # other work.
 READ_S, WORK_S = 0.001, 0.005
 TICKS_AT_ONCE = 8  # between two readings of the clock, if it runs as fast as it can
+NOTHING: Outgoing = []
 END_S = 1.0  # simulated: maximum time for the arms to come to rest before the process ends
 LAST_S = 1.0  # for the rest of that end
 RANK, NICENESS = 2, -5  # above the broker and the workers, if the system permits it
@@ -123,29 +124,29 @@ class Station:
     def _tick(self, now_s: float) -> None:
         self._clock.begin(now_s)
         self._read_at_s = now_s + self._read_s
-        found = self._sockets.poll()
+        found, answers = self._sockets.poll(), NOTHING
         if found:
-            self._receive(now_s)
+            answers = self._receive(now_s)
             now_s = process.now_s()  # a halt may have been called after this tick began
         self._busy = not self._subsystem.idle  # between two looks at the sockets it can only become idle
-        self._move(now_s)
+        self._move(now_s, answers)
+        self._log_started(answers)
         if found or now_s >= self._work_at_s:
             self._work_at_s = now_s + self._work_s
             self._between_ticks(now_s)
 
-    def _receive(self, now_s: float) -> None:
-        """Obey halts, then the orders of the broker."""
-        sockets, subsystem = self._sockets, self._subsystem
+    def _receive(self, now_s: float) -> Outgoing:
+        """Obey halts, then the orders of the broker. The answers are sent after the tick: an arm brakes first."""
+        sockets, subsystem, answers = self._sockets, self._subsystem, list[tuple[bytes, m.Message]]()
         for caller, halt in sockets.halts(now_s):
-            sockets.send(subsystem.handle(halt, caller, process.now_s()))
+            answers += subsystem.handle(halt, caller, process.now_s())
         for order in sockets.orders(now_s):
-            answers = subsystem.handle(order, BROKER, now_s)
-            sockets.send(answers)
-            self._log_started(answers)
+            answers += subsystem.handle(order, BROKER, now_s)
+        return answers
 
-    def _move(self, now_s: float) -> None:
-        """One servo tick and one simulation step."""
-        out = self._subsystem.tick(now_s)
+    def _move(self, now_s: float, answers: Outgoing = NOTHING) -> None:
+        """One servo tick and one simulation step. `answers`: what is sent before its reports."""
+        out = [*answers, *self._subsystem.tick(now_s)]
         self._simulation.step()
         if self._faults.drifts:
             self._faults.advance()
