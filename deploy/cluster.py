@@ -34,7 +34,7 @@ from deploy.more_workers import MoreCommand
 from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Hooks, Supervisor
 from rtc.client.halt import HaltLine
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
-from rtc.protocol.subsystems import Subsystem
+from rtc.protocol.subsystems import ARMS, Subsystem
 from rtc.runtime import fork_server, handover, process, process_table
 from rtc.runtime.settings import ENDPOINTS, LAST_WORDS, LOCK, Settings, prepare_run_dir, shell_command
 from rtc.world import lease
@@ -117,8 +117,8 @@ def new_worker(settings: Settings, address: int, fd: int) -> Spec | None:
 
 
 def _subsystem(one: Subsystem, settings: Settings) -> list[Spec]:
-    """One that moves arms has a fork server."""
-    if one.estop:
+    """The simulation of arms has a fork server."""
+    if one.module == ARMS.module:
         return _with_template(one.name, one.module, settings, "--name", one.name)
     return [_spec(one.name, one.module, settings, "--name", one.name, beats=True)]
 

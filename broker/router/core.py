@@ -18,8 +18,8 @@ from broker.dispatch.worker_registry import LostJob, WorkerRegistry
 from broker.persistence.journal import Journal
 from broker.persistence.program_loads import Check, InProcessCheck, ProgramLoads
 from broker.persistence.program_store import ProgramStore
-from broker.router.peer_versions import PeerVersions
 from broker.router.recent_reports import RecentReports
+from broker.router.refused_peers import RefusedPeers
 from rtc.programs import sandbox
 from rtc.protocol.messages import PeerRow, WorkerRequest
 from rtc.runtime.handover import Handover
@@ -46,7 +46,7 @@ class Core:
     ) -> None:
         self.me, self.settings, self.journal, self.state = me, settings, journal, state
         self.store, self.given, self.clock = store, given, clock
-        self.versions = PeerVersions()
+        self.refused_peers = RefusedPeers()
         self.loads = ProgramLoads(store, start_check)
         self.registry = WorkerRegistry()
         self.timers = Timers(state.timeout_scale)

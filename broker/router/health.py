@@ -62,7 +62,7 @@ class Health:
         core = self._core
         for process in core.processes:
             ready_since_s = max(core.began_s, process.get("since_s", now))
-            if core.versions.is_refused("workers", peer_of(process["name"])):
+            if core.refused_peers.is_refused("workers", peer_of(process["name"])):
                 continue  # another process of this version would be refused too
             if process.get("state") == "ready" and core.registry.never_registered(process["name"], ready_since_s, now):
                 process["state"] = "hung"
@@ -101,7 +101,7 @@ class Health:
 
     def _restart_deaf(self, name: str, pid: int, silent_s: float, now: float) -> None:
         """Have a subsystem restarted whose connection is lost although its process runs."""
-        if self._core.versions.is_refused("subsystems", self._core.subsystem_peer(name)):
+        if self._core.refused_peers.is_refused("subsystems", self._core.subsystem_peer(name)):
             return
         for row in self._core.processes:
             if row["name"] == name and row["pid"] == pid and row.get("state") == "ready":

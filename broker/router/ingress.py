@@ -95,7 +95,7 @@ class Ingress:
                 self._handle(name, source, peer, one, now)
             return
         for message in messages:
-            refusal = self._core.versions.refusal_of(name, peer, message, now)
+            refusal = self._core.refused_peers.refusal_of(name, peer, message, now)
             if refusal is not None:
                 self._refuse(name, peer, message, refusal)
                 continue
@@ -105,8 +105,8 @@ class Ingress:
                 self._drop(name, peer, parts, error)
 
     def _refuse(self, name: str, peer: bytes, message: Any, refusal: Refusal) -> None:
-        """Answer a peer of another version: its hello, and each request, so that no client waits for an answer."""
-        if self._count("version") and isinstance(message, m.Hello):
+        """Answer a refused peer: its hello, and each request, so that no client waits for an answer."""
+        if self._count("refused") and isinstance(message, m.Hello):
             self._core.me.log.warning("refused on %s: %s", name, refusal.message)
         request = getattr(message, "request", "")
         if request or isinstance(message, m.Hello):

@@ -29,7 +29,7 @@ def status(core: Core, now: float) -> dict[str, Any]:
         "cluster": core.settings.run,
         "run_dir": core.settings.run_dir,
         "protocol": VERSION,
-        "refused": core.versions.rows(now),
+        "refused": core.refused_peers.rows(now),
         "uptime_s": now - (state.began_at_s or core.began_s),
         "broker_uptime_s": now - core.began_s,
         "seq": state.seq,

@@ -21,6 +21,7 @@ from broker.router.halts import Halts
 from broker.router.health import Health
 from broker.router.shutdown import Shutdown
 from broker.router.supervisor_messages import count_dropped
+from rtc.language.alike import unknown
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.protocol.primitive_id import command_of
@@ -56,14 +57,11 @@ class SubsystemMessages:
         if isinstance(message, m.SubsystemHello):
             ours = self._core.state.subsystems.get(bare)
             words = f"this cluster has its own {bare}" + (f", pid {ours.pid}" if ours else "")
+            clears = "use another name"
             if bare not in of_cell:
-                words = f"the cell has no subsystem {bare}; it has {', '.join(of_cell)}"
-            refusal = Refusal(
-                reason=RefusalReason.NOT_ALLOWED,
-                message=words,
-                clears="use another name, or add it to `subsystems` of the cell",
-            )
-            self._core.versions.refuse("subsystems", peer, message, refusal, now)
+                words, clears = unknown("subsystem", bare, of_cell), "add it to `subsystems` of the cell"
+            refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears=clears)
+            self._core.refused_peers.refuse("subsystems", peer, message, refusal, now)
             send(self._core.sockets["subsystems"], m.Declined(request=bare, refusal=refusal), peer)
         raise WireError(f"a stranger uses the name {bare}")
 

@@ -88,12 +88,12 @@ class HaltLine:
         self._lock = threading.Lock()
         self._poller = zmq.Poller()
         self._sockets: dict[str, zmq.Socket[bytes]] = {}
-        own = endpoints.addresses("estop")
-        self._own = [name for name in own if name]  # subsystems that confirm a halt of all
-        doors = {"halt": endpoints.endpoint("halt")}
-        for name, address in own.items():
-            doors[f"estop {name}" if len(doors) > 1 else "estop"] = address
-        for name, address in doors.items():
+        estops = endpoints.addresses("estop")
+        self._confirming = [name for name in estops if name]  # subsystems that confirm a halt of all
+        addresses = {"halt": endpoints.endpoint("halt")}
+        for name, address in estops.items():
+            addresses[f"estop {name}" if len(addresses) > 1 else "estop"] = address
+        for name, address in addresses.items():
             socket = self._own_context.socket(zmq.DEALER)  # without an identity: another process could use the same
             endpoints.secure(socket)
             socket.setsockopt(zmq.LINGER, 0)
@@ -188,12 +188,12 @@ class HaltLine:
         doubt = ""
         if COMMAND.fullmatch(order.scope) and not declined and not _reached(subsystems.values()):
             declined, doubt = self._check_exists(order.scope, "halt" in sent_to)
-        silent = [] if order.scope != EVERYTHING else [name for name in self._own if name not in subsystems]
+        silent = [] if order.scope != EVERYTHING else [name for name in self._confirming if name not in subsystems]
         return _result(order, sent_to, list(subsystems.values()), declined, doubt, silent)
 
     def _complete(self, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> bool:
         """Whether rest is confirmed: by one subsystem, and for a halt of all by each that has arms."""
-        wanted = self._own if order.scope == EVERYTHING else []
+        wanted = self._confirming if order.scope == EVERYTHING else []
         return _at_rest(subsystems.values()) and all(name in subsystems for name in wanted)
 
     def _check_exists(self, command: str, sent_to_broker: bool) -> tuple[str, str]:

@@ -55,7 +55,7 @@ class Chaos:
     def strike(self, kind: str, name: str = "") -> Strike | None:
         """Kill one ready process of this kind (or the one called `name`); None if there is none."""
         struck = {strike.pid for strike in self.missing}
-        moving = Settings.load(self._run_dir).halted
+        moving = Settings.load(self._run_dir).with_estop
         able = [
             row
             for row in processes(self._run_dir).values()

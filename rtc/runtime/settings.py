@@ -76,18 +76,18 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     def endpoint(self, name: str, subsystem: str = "") -> str:
         """The ZeroMQ address of one of the cluster's sockets; `name` is a key of ENDPOINTS.
 
-        `subsystem`: the one of `halted` that binds it, for those of OF_SUBSYSTEMS; empty: the first."""
+        `subsystem`: the one of `with_estop` that binds it, for those of OF_SUBSYSTEMS; empty: the first."""
         assert name in ENDPOINTS, name
-        number = self.halted.index(subsystem) if subsystem else 0
+        number = self.with_estop.index(subsystem) if subsystem else 0
         file = ENDPOINTS[name] if number == 0 else ENDPOINTS[name].replace(".", f"-{number + 1}.")
         return f"ipc://{self.path / file}"
 
     def addresses(self, name: str) -> dict[str, str]:
         """The address of a socket at each subsystem that binds it; of those of OF_SUBSYSTEMS more than one."""
-        return {one: self.endpoint(name, one) for one in (self.halted if name in OF_SUBSYSTEMS else [""])}
+        return {one: self.endpoint(name, one) for one in (self.with_estop if name in OF_SUBSYSTEMS else [""])}
 
     @property
-    def halted(self) -> list[str]:
+    def with_estop(self) -> list[str]:
         """The subsystems that bind a socket for halts of their own."""
         return [one.name for one in self.subsystems if one.estop]
 

@@ -234,9 +234,12 @@ def _wrong_subsystems(cell: Cell) -> Iterator[tuple[str, str]]:
                 yield f"subsystems[{n}].performers", unknown("arm or camera", name, performers)
             elif given.setdefault(name, one.name) != one.name:
                 yield f"subsystems[{n}].performers", f"{name} belongs to {given[name]} already"
-        if len({performers[name] for name in one.performers if name in performers}) != 1:
+        kinds = {performers[name] for name in one.performers if name in performers}
+        if len(kinds) != 1:
             yield f"subsystems[{n}].performers", f"{one.name} needs arms or cameras, and not both"
-        elif one.module and not one.estop and any(arm.name in one.performers for arm in cell.arms):
+        elif one.estop and kinds == {"camera"}:
+            yield f"subsystems[{n}].estop", f"{one.name} has cameras: only a subsystem of arms has a socket for halts"
+        elif one.module and not one.estop and kinds == {"arm"}:
             yield f"subsystems[{n}].estop", f"{one.name} moves arms, so it needs a socket for halts: estop: true"
     if len(names := [one.name for one in cell.subsystems]) != len(set(names)):
         yield "subsystems", "a name stands there twice"

@@ -161,6 +161,7 @@ class Boxes {
     // Places a box: in the axes of a joint, or in the world (-1).
     void place(int box, int joint, Doubles placement) {
         if (joint >= static_cast<int>(joints_.size())) throw std::invalid_argument("no such joint");
+        if (placement.size() != 12) throw std::invalid_argument("a placement has twelve values");
         boxes_.at(box).joint = joint;
         boxes_[box].at = pose_of(placement.data());
     }
@@ -178,6 +179,7 @@ class Boxes {
 
     // The numbers of the pairs that are not certainly apart at this configuration.
     std::vector<int> undecided(Doubles q) {
+        if (q.size() != static_cast<py::ssize_t>(joints_.size())) throw std::invalid_argument("a value for each joint");
         move(q.data());
         std::vector<int> found;
         for (const Pair& pair : pairs_)
@@ -196,7 +198,7 @@ class Boxes {
         if (rows.ndim() != 2 || rows.shape(1) != static_cast<py::ssize_t>(slots_.size()) || rows.shape(0) < 2 ||
             levers.ndim() != 2 || levers.shape(0) != static_cast<py::ssize_t>(pairs_.size()) ||
             levers.shape(1) != rows.shape(1) || q_.size() != joints_.size())
-            throw std::invalid_argument("rows and levers have a value for each slot, levers a row for each pair");
+            throw std::invalid_argument("values do not fit the joints, slots and pairs");
         for (int slot : slots_)
             if (slot < 0 || slot >= static_cast<int>(joints_.size())) throw std::invalid_argument("no such joint");
         Open all(pairs_.size());

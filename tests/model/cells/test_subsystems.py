@@ -42,12 +42,13 @@ def test_one_entry_gives_an_arm_to_a_second_subsystem() -> None:
         ([SECOND, Subsystem(name="X", performers=["LEFT-ARM"])], "subsystems[1].performers"),
         ([Subsystem(name="X", performers=[])], "subsystems[0].performers"),
         ([Subsystem(name="X", module="sim_mcm", performers=["LEFT-ARM"])], "subsystems[0].estop"),
+        ([Subsystem(name="X", estop=True, performers=["CAMERA-1"])], "subsystems[0].estop"),
         ([SECOND, msgspec.structs.replace(SECOND, performers=["RIGHT-ARM"])], "subsystems"),
     ],
 )
 def test_a_wrong_list_is_refused_with_its_place(subsystems: list[Subsystem], place: str) -> None:
     with pytest.raises(ValueError, match=rf"\$\.{place.replace('[', '.').replace(']', '.')}"):
-        with_subsystems(*subsystems)
+        with_subsystems(*subsystems, cameras=any("CAMERA-1" in one.performers for one in subsystems))
 
 
 def test_cameras_of_a_simulation_need_one_simulation() -> None:

@@ -1,4 +1,4 @@
-"""Peers that speak another version of the protocol: refused by their hello until they send one that fits. Pure."""
+"""Peers whose hello was refused, for its version or its name, until they send one that fits. Pure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class RefusedPeer(NamedTuple):
     at_s: float
 
 
-class PeerVersions:
+class RefusedPeers:
     def __init__(self) -> None:
         self._refused: OrderedDict[tuple[str, bytes], RefusedPeer] = OrderedDict()  # by socket and peer
 

@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from broker.router import peer_versions
-from broker.router.peer_versions import PeerVersions
+from broker.router import refused_peers
+from broker.router.refused_peers import RefusedPeers
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RefusalReason
 from rtc.protocol.versions import VERSION
@@ -96,9 +96,9 @@ def test_a_halt_is_obeyed_whatever_the_version(bench: Bench) -> None:
 
 
 def test_the_number_of_refused_peers_is_bounded() -> None:
-    versions = PeerVersions()
-    for n in range(2 * peer_versions.KEPT):
-        versions.refusal_of("front", str(n).encode(), m.ClientHello(client=f"{n}~x"), 1.0)
-    assert not versions.is_refused("front", b"0")
-    assert len(versions.rows(3.0)) == peer_versions.SHOWN
-    assert (versions.rows(3.0)[0]["name"], versions.rows(3.0)[0]["ago_s"]) == (str(2 * peer_versions.KEPT - 1), 2.0)
+    peers = RefusedPeers()
+    for n in range(2 * refused_peers.KEPT):
+        peers.refusal_of("front", str(n).encode(), m.ClientHello(client=f"{n}~x"), 1.0)
+    assert not peers.is_refused("front", b"0")
+    assert len(peers.rows(3.0)) == refused_peers.SHOWN
+    assert (peers.rows(3.0)[0]["name"], peers.rows(3.0)[0]["ago_s"]) == (str(2 * refused_peers.KEPT - 1), 2.0)
