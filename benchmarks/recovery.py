@@ -173,7 +173,7 @@ class Bench:
             self._await_back(strike)
             known = self._await(
                 strike,
-                lambda e: isinstance(e, SubsystemConnected) and e.pid == strike.new_pid and e.at_rest,  # noqa: B023
+                lambda e: isinstance(e, SubsystemConnected) and e.hello.pid == strike.new_pid and e.hello.at_rest,  # noqa: B023
             )
             yield known.at_s - strike.at_s
 

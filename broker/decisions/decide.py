@@ -43,7 +43,7 @@ from broker.decisions.events import (
 )
 from broker.decisions.state import Command, PendingJob, PendingOutcome, State, request_key
 from rtc.language.fastpath import halt_scope
-from rtc.protocol.messages import Accepted, Declined, Phase, WorkerKind
+from rtc.protocol.messages import Accepted, Declined, HaltOrder, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
 from rtc.protocol.primitive_id import command_of
 
@@ -86,24 +86,25 @@ def _follow(context: DecisionContext) -> None:
 
 def on_command(context: DecisionContext, event: CommandReceived) -> None:
     """Accept a sentence and begin with it, or decline it. A request that is known is answered as before."""
-    state, halt = context.state, halt_scope(event.text)
-    if known := state.requests.get(request_key(event.client, event.request)):
-        context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=known)))
+    state, sentence = context.state, event.sentence
+    halt = halt_scope(sentence.text)
+    if known := state.requests.get(request_key(event.client, sentence.request)):
+        accepted = Accepted(request=sentence.request, command=known)
+        context.effects.append(TellClient(client=event.client, message=accepted))
         if known in state.ended:
             context.effects.append(TellClient(client=event.client, message=state.ended[known].message))
         return
-    lost = not halt and journal_loss.is_lost(state, event)
+    lost = not halt and journal_loss.is_lost(state, sentence)
     if not lost and (refusal := _refusal_of(context, event, halt)):
-        context.effects.append(
-            TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal))
-        )
+        declined = Declined(request=sentence.request, refusal=refusal)
+        context.effects.append(TellClient(client=event.client, message=declined))
         return
     command = _accept(context, event)
     if lost:
         journal_loss.end_lost(context, command)
     elif halt:
         control.halt_sentence(context, command, halt)
-    elif 0 < event.sent_at_s <= state.halted_at_s.get("ALL", 0.0):
+    elif 0 < sentence.sent_at_s <= state.halted_at_s.get("ALL", 0.0):
         message = "sent before HALT ALL, so it does not start after it"
         termination.end(context, command, PendingOutcome(OutcomeKind.HALTED, message, StopReason.HALT))
     else:
@@ -115,7 +116,7 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
 def _refusal_of(context: DecisionContext, event: CommandReceived, halt: str | None) -> Refusal | None:
     """Why a sentence is declined; None if it is not. `halt`: the scope of a halt, which is obeyed nevertheless."""
     state = context.state
-    if not halt and (refusal := journal_loss.unknown_number(state, event)):
+    if not halt and (refusal := journal_loss.unknown_number(state, event.sentence)):
         return refusal
     live = state.live.get(event.client, 0)
     if live < LIVE_PER_CLIENT and len(state.commands) < MAX_COMMANDS:
@@ -125,25 +126,26 @@ def _refusal_of(context: DecisionContext, event: CommandReceived, halt: str | No
         f"{LIVE_PER_CLIENT} of one client" if live >= LIVE_PER_CLIENT else f"{MAX_COMMANDS} in all"
     )
     if halt:
-        halt_request.order(context, f"declined-{state.counts['declined']}", halt, context.now)
+        count = state.counts["declined"]
+        halt_request.order(context, HaltOrder(halt=f"declined-{count}", scope=halt, called_at_s=context.now))
         message = f"{halt} is halted, but rest is not confirmed: {message}"
     return Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
 
 
 def _accept(context: DecisionContext, event: CommandReceived) -> Command:
     """The command of a sentence, with its number, which its client is informed of."""
-    state = context.state
+    state, sentence = context.state, event.sentence
     command = Command(
-        id=journal_loss.new_number(state, event),
+        id=journal_loss.new_number(state, sentence),
         client=event.client,
-        request=event.request,
-        text=event.text[:MAX_TEXT],
-        source=event.source,
-        progress=event.progress,
+        request=sentence.request,
+        text=sentence.text[:MAX_TEXT],
+        source=sentence.source,
+        progress=sentence.progress,
         unwatched=state.crowded,
-        halt_if_lost=event.halt_if_lost,
+        halt_if_lost=sentence.halt_if_lost,
         accepted_at_s=event.at_s,
-        given_at_s=min(event.sent_at_s or event.at_s, event.at_s),
+        given_at_s=min(sentence.sent_at_s or event.at_s, event.at_s),
         programs=dict(state.programs),
         previous=state.last_given.pop(event.client, ""),
     )
@@ -154,8 +156,9 @@ def _accept(context: DecisionContext, event: CommandReceived) -> Command:
         context.count("unwatched")
     state.commands[command.id] = command
     state.live[event.client] = state.live.get(event.client, 0) + 1
-    state.requests[request_key(event.client, event.request)] = command.id
-    context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
+    state.requests[request_key(event.client, sentence.request)] = command.id
+    accepted = Accepted(request=sentence.request, command=command.id)
+    context.effects.append(TellClient(client=event.client, message=accepted))
     return command
 
 
@@ -225,13 +228,14 @@ def on_job_lost(context: DecisionContext, event: JobLost) -> None:
 
 
 def on_started(context: DecisionContext, event: PrimitiveStarted) -> None:
-    command = context.state.commands.get(command_of(event.primitive))
-    awaited = command is not None and (command.primitive, command.subsystem) == (event.primitive, event.subsystem)
+    primitive = event.start.primitive
+    command = context.state.commands.get(command_of(primitive))
+    awaited = command is not None and (command.primitive, command.subsystem) == (primitive, event.subsystem)
     if awaited and command is not None and command.phase is Phase.EXECUTING:
         context.node = event.subsystem
         command.step_words = command.step_words.partition(START)[0]  # without the condition of the start
         for motion in context.state.motions.values():
-            if motion.primitive == event.primitive:
+            if motion.primitive == primitive:
                 motion.started_s = context.now
         context.note(command, "started")
 
@@ -259,15 +263,16 @@ def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
 
 def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:
     """Handle the answer to a halt: of a command's primitive, of a HALT sentence, or of a caller at a socket."""
-    state, context.node = context.state, event.subsystem
-    stopped = event.halt.removeprefix(stopping.STOP)
-    owner = "" if stopped == event.halt else stopped
-    if event.at_rest:
-        context.confirm_rest(event.subsystem, event.performers, owner)
-    if event.halt in state.halt_sentences:
-        halt_request.on_confirmed(context, event.halt, event.subsystem, event.at_rest)
+    state, answer = context.state, event.answer
+    context.node = answer.subsystem
+    stopped = answer.halt.removeprefix(stopping.STOP)
+    owner = "" if stopped == answer.halt else stopped
+    if answer.at_rest:
+        context.confirm_rest(answer.subsystem, answer.performers, owner)
+    if answer.halt in state.halt_sentences:
+        halt_request.on_confirmed(context, answer.halt, answer.subsystem, answer.at_rest)
     command = state.commands.get(owner)
-    if command is not None and command.subsystem == event.subsystem and event.at_rest:
+    if command is not None and command.subsystem == answer.subsystem and answer.at_rest:
         stimulate(context, command, Stimulus.REST)
 
 

@@ -9,7 +9,15 @@ from collections.abc import Sequence
 
 import msgspec
 
-from rtc.protocol.messages import BrokerToClient, CommandEnded, CommandRecord, HaltRequested, ProgressNote, WorkerKind
+from rtc.protocol.messages import (
+    BrokerToClient,
+    CommandEnded,
+    CommandRecord,
+    HaltOrder,
+    HaltRequested,
+    ProgressNote,
+    WorkerKind,
+)
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -51,10 +59,7 @@ class SendPace(Effect, frozen=True, kw_only=True, gc=False):
 
 class SendHalt(Effect, frozen=True, kw_only=True, gc=False):
     subsystem: str
-    halt: str
-    scope: str
-    called_at_s: float
-    call: str = ""  # number of the order that this forwards or acknowledges
+    order: HaltOrder
 
 
 class AcknowledgeReport(Effect, frozen=True, kw_only=True, gc=False):

@@ -9,7 +9,16 @@ from enum import StrEnum
 
 import msgspec
 
-from rtc.protocol.messages import EndReport, WorkerKind
+from rtc.protocol.messages import (
+    CommandText,
+    EndReport,
+    HaltAtRest,
+    HaltOrder,
+    PauseChanged,
+    Started,
+    SubsystemHello,
+    WorkerKind,
+)
 from rtc.protocol.outcomes import Refusal
 
 
@@ -39,24 +48,14 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag=T
 
 class CommandReceived(Event, frozen=True, kw_only=True, gc=False):
     client: str
-    request: str
-    text: str
-    source: str = "operator"
-    progress: bool = True
-    halt_if_lost: bool = False
-    sent_at_s: float = 0.0
-    known_as: str = ""  # C-n, if an earlier broker accepted the request
+    sentence: CommandText
 
 
 class HaltCalled(Event, frozen=True, kw_only=True, gc=False):
     """A halt from a client, or from a subsystem that received it at its own halt socket."""
 
     client: str
-    halt: str
-    scope: str
-    called_at_s: float = 0.0
-    call: str = ""  # number of this order, repeated in the answers
-    received_at_s: float = 0.0  # when the subsystem received it; commands sent later go on; 0: stop all in scope
+    order: HaltOrder
 
 
 class JobFinished(Event, frozen=True, kw_only=True, gc=False):
@@ -88,16 +87,12 @@ class JobLost(Event, frozen=True, kw_only=True, gc=False):
 
 class PrimitiveStarted(Event, frozen=True, kw_only=True, gc=False):
     subsystem: str
-    primitive: str
+    start: Started
 
 
 class PrimitivePaced(Event, frozen=True, kw_only=True, gc=False):
-    """A primitive has come to rest on its path, or has gone on from there."""
-
     subsystem: str
-    primitive: str
-    paused: bool
-    done: float = 0.0  # part of its duration
+    change: PauseChanged
 
 
 class PrimitiveEnded(Event, frozen=True, kw_only=True, gc=False):
@@ -106,13 +101,9 @@ class PrimitiveEnded(Event, frozen=True, kw_only=True, gc=False):
 
 
 class HaltConfirmed(Event, frozen=True, kw_only=True, gc=False):
-    """A subsystem reports whether everything in the scope of a halt is at rest. `performers`: those in the scope;
-    None = all of the subsystem."""
+    """A subsystem reports whether everything in the scope of a halt is at rest."""
 
-    subsystem: str
-    halt: str
-    at_rest: bool
-    performers: list[str] | None = None
+    answer: HaltAtRest
 
 
 class ArmStrayed(Event, frozen=True, kw_only=True, gc=False):
@@ -126,14 +117,7 @@ class ArmStrayed(Event, frozen=True, kw_only=True, gc=False):
 class SubsystemConnected(Event, frozen=True, kw_only=True, gc=False):
     """A subsystem connected. With a new `pid` it knows only the primitives it lists as outstanding."""
 
-    subsystem: str
-    pid: int
-    performers: list[str]
-    queues: list[str] = []
-    outstanding: list[str] = []
-    at_rest: bool = True
-    pauses: bool = False  # it can pause a primitive on its path
-    paused: list[str] = []  # primitives that it was ordered to pause
+    hello: SubsystemHello
 
 
 class SubsystemGone(Event, frozen=True, kw_only=True, gc=False):

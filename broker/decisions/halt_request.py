@@ -16,7 +16,7 @@ from broker.decisions.effects import DeclineHalt, PublishHalt, SendHalt
 from broker.decisions.events import HaltCalled, Stimulus
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.state import Command, HaltPhase, HaltSentence, LinkState, PendingOutcome, State
-from rtc.protocol.messages import HaltRequested, Phase
+from rtc.protocol.messages import HaltOrder, HaltRequested, Phase
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 
 HALTS_KEPT = 64  # latest halts from sockets stored, to count each once
@@ -35,7 +35,8 @@ class HaltStimulus(StrEnum):
 
 def on_call(context: DecisionContext, event: HaltCalled) -> None:
     """Most calls arrive twice, because a caller sends them to the broker and to the subsystem."""
-    HALT.run(context, f"{event.halt} {event.scope} {event.called_at_s}", HaltStimulus.CALL, event)
+    order = event.order
+    HALT.run(context, f"{order.halt} {order.scope} {order.called_at_s}", HaltStimulus.CALL, event)
 
 
 def on_sentence(context: DecisionContext, command: Command, scope: str) -> None:
@@ -62,8 +63,9 @@ def obey_call(context: DecisionContext, name: str, event: HaltCalled) -> None:
     context.count("halts")
     refused = _order_or_decline(context, name, event)
     if context.state.has_subscribers:
+        called = event.order
         halt = HaltRequested(
-            at_s=context.now, halt=event.halt, scope=event.scope, called_at_s=event.called_at_s, refused=refused
+            at_s=context.now, halt=called.halt, scope=called.scope, called_at_s=called.called_at_s, refused=refused
         )
         context.effects.append(PublishHalt(halt=halt))
 
@@ -76,28 +78,18 @@ def repeat_call(context: DecisionContext, name: str, event: HaltCalled) -> None:
 
 def _order_or_decline(context: DecisionContext, name: str, event: HaltCalled) -> str:
     """Why nothing was halted; otherwise empty."""
-    from_subsystem = event.client in context.state.subsystems
-    known = order(
-        context, event.halt, event.scope, event.called_at_s, call=event.call, received_at_s=event.received_at_s
-    )
+    called, from_subsystem = event.order, event.client in context.state.subsystems
+    known = order(context, called)
     # A halt of an ended command is valid: the subsystems confirm rest, so it is not declined.
-    declined = not known and not from_subsystem and not has_ended(context, event.scope)
+    declined = not known and not from_subsystem and not has_ended(context, called.scope)
     message = ""
     if declined:
-        refusal = no_target(context, event.scope)
+        refusal = no_target(context, called.scope)
         message = f"{refusal.message}; expected: {', '.join(refusal.expected)}"
-        context.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
+        context.effects.append(DeclineHalt(client=event.client, halt=called.halt, message=message))
     if from_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in context.effects):
         # The subsystem starts nothing in the scope until it receives this acknowledgement.
-        context.effects.append(
-            SendHalt(
-                subsystem=event.client,
-                halt=event.halt,
-                scope=event.scope,
-                called_at_s=event.called_at_s,
-                call=event.call,
-            )
-        )
+        context.effects.append(SendHalt(subsystem=event.client, order=called))
     halts = context.state.halts
     halts[name] = HaltPhase.DECLINED if declined else HaltPhase.FORWARDED
     if len(halts) > HALTS_KEPT:
@@ -105,35 +97,25 @@ def _order_or_decline(context: DecisionContext, name: str, event: HaltCalled) ->
     return message
 
 
-def order(
-    context: DecisionContext,
-    halt_id: str,
-    scope: str,
-    called_at_s: float,
-    spare: str = "",
-    call: str = "",
-    received_at_s: float = 0.0,
-) -> bool:
-    """Halt the subsystems in scope, then stop the commands. False: the scope is unknown.
+def order(context: DecisionContext, called: HaltOrder, spare: str = "") -> bool:
+    """Halt the subsystems in scope, then stop the commands, except `spare`. False: the scope is unknown.
 
     A subsystem may forward a halt late, after an absence of the broker. Its time of receipt, if known, then parts the
     commands: those sent later go on. They have not begun to move there, because the subsystem fenced the scope."""
-    state = context.state
+    state, scope = context.state, called.scope
     targets = in_scope(context, scope)
     performer = subsystem_of(context, scope)
     if scope != "ALL" and not targets and not performer:
         return False
     if scope not in state.commands:
-        at_s = min(called_at_s or context.now, context.now)
+        at_s = min(called.called_at_s or context.now, context.now)
         state.halted_at_s[scope] = max(at_s, state.halted_at_s.get(scope, 0.0))  # an earlier halt may arrive later
     for name, subsystem in state.subsystems.items():
         concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
         if concerned and subsystem.link is not LinkState.LOST:
-            context.effects.append(
-                SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s, call=call)
-            )
+            context.effects.append(SendHalt(subsystem=name, order=called))
     for command in targets:
-        if command.id != spare and not _was_sent_after(command, received_at_s):
+        if command.id != spare and not _was_sent_after(command, called.received_at_s):
             context.enqueue_stimulus(command.id, Stimulus.STOP, halted(scope))
     return True
 
@@ -163,8 +145,8 @@ def order_sentence(context: DecisionContext, name: str, scope: str) -> None:
     command = context.state.commands[name]
     context.enter(command, Phase.HALTING, f"halt {scope}")
     await_rest(context, command, list(context.state.subsystems))
-    order(context, name, scope, context.now, spare=name)
-    ordered = [e.subsystem for e in context.effects if type(e) is SendHalt and e.halt == name]
+    order(context, HaltOrder(halt=name, scope=scope, called_at_s=context.now), spare=name)
+    ordered = [e.subsystem for e in context.effects if type(e) is SendHalt and e.order.halt == name]
     context.state.halt_sentences[name] = HaltSentence(scope=scope, unconfirmed=ordered)
 
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 from broker.decisions.command.termination import end
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import PublishNote
-from broker.decisions.events import CommandReceived, JournalLost, Stimulus
+from broker.decisions.events import JournalLost, Stimulus
 from broker.decisions.state import Command, PendingOutcome, State
-from rtc.protocol.messages import Phase, ProgressNote
+from rtc.protocol.messages import CommandText, Phase, ProgressNote
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 
 JOB_NUMBER_GAP = 10_000  # offset of job numbers after the loss, so that they differ from lost ones
@@ -31,22 +31,22 @@ def on_journal_lost(context: DecisionContext, event: JournalLost) -> None:
         context.enqueue_stimulus(command.id, Stimulus.STOP, over)
 
 
-def is_lost(state: State, event: CommandReceived) -> bool:
+def is_lost(state: State, sentence: CommandText) -> bool:
     """True if an unknown request belongs to the lost decisions: its client has a number for it, or sent it before the
     loss."""
-    return bool(state.lost) and (bool(event.known_as) or 0 < event.sent_at_s <= state.lost_at_s)
+    return bool(state.lost) and (bool(sentence.known_as) or 0 < sentence.sent_at_s <= state.lost_at_s)
 
 
-def unknown_number(state: State, event: CommandReceived) -> Refusal | None:
+def unknown_number(state: State, sentence: CommandText) -> Refusal | None:
     """Refuse an unknown request that has a number although no decision was lost: the number cannot be its own, or its
     outcome is no longer kept. The record of the command with that number must not be replaced."""
-    if not event.known_as or state.lost:
+    if not sentence.known_as or state.lost:
         return None
-    if 0 < _digits(event.known_as) <= state.accepted:
-        message = f"{event.known_as} is another request, or its outcome is no longer kept; nothing is begun"
-        clears = f"`rtc trace {event.known_as}` shows that command; without known_as the sentence is a new one"
+    if 0 < _digits(sentence.known_as) <= state.accepted:
+        message = f"{sentence.known_as} is another request, or its outcome is no longer kept; nothing is begun"
+        clears = f"`rtc trace {sentence.known_as}` shows that command; without known_as the sentence is a new one"
     else:
-        message = f"no command was accepted as {event.known_as[:40]}; nothing is begun"
+        message = f"no command was accepted as {sentence.known_as[:40]}; nothing is begun"
         clears = "leave known_as out: the sentence is then a new command"
     return Refusal(reason=RefusalReason.STATE, message=message, where="known_as", clears=clears)
 
@@ -58,9 +58,9 @@ def _digits(name: str) -> int:
     return number if name == f"C-{number}" else 0
 
 
-def new_number(state: State, event: CommandReceived) -> str:
+def new_number(state: State, sentence: CommandText) -> str:
     """The next command number; after a loss the one known to the client, if it is free."""
-    name, number = event.known_as, _digits(event.known_as) if state.lost else 0
+    name, number = sentence.known_as, _digits(sentence.known_as) if state.lost else 0
     taken = name in state.commands or name in state.ended
     free = 0 < number <= state.accepted + MAX_NUMBER_AHEAD and not taken
     if not free:

@@ -15,8 +15,9 @@ from broker.decisions.effects import SendHalt
 from broker.decisions.events import BrokerRestarted, Stimulus, SubsystemConnected, SubsystemGone
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.state import NIL, LinkState, State, Subsystem
-from rtc.protocol.messages import Phase
+from rtc.protocol.messages import HaltOrder, Phase, SubsystemHello
 from rtc.protocol.primitive_id import command_of, number_of
+from rtc.protocol.versions import PAUSES
 
 MAX_SUBSYSTEMS = 32  # maximum number of subsystems in the state, lost ones included
 
@@ -31,9 +32,10 @@ class LinkStimulus(StrEnum):
 
 
 def on_hello(context: DecisionContext, event: SubsystemConnected) -> None:
-    known = context.state.subsystems.get(event.subsystem)
-    same = known is None or known.pid == event.pid
-    LINK.run(context, event.subsystem, LinkStimulus.HELLO if same else LinkStimulus.NEW_PROCESS, event)
+    hello = event.hello
+    known = context.state.subsystems.get(hello.name)
+    same = known is None or known.pid == hello.pid
+    LINK.run(context, hello.name, LinkStimulus.HELLO if same else LinkStimulus.NEW_PROCESS, hello)
 
 
 def on_gone(context: DecisionContext, event: SubsystemGone) -> None:
@@ -48,32 +50,32 @@ def on_broker_restarted(context: DecisionContext, event: BrokerRestarted) -> Non
 # --- actions -----------------------------------------------------------------------------------------
 
 
-def register(context: DecisionContext, name: str, event: SubsystemConnected) -> None:
+def register(context: DecisionContext, name: str, hello: SubsystemHello) -> None:
     """Connect a new subsystem, or decline it if there are too many."""
     state = context.state
     if len(state.subsystems) >= MAX_SUBSYSTEMS and not _forget_one(state):
         context.count("subsystems_declined")
     else:
-        _connect(context, event)
+        _connect(context, hello)
 
 
-def reconnect(context: DecisionContext, name: str, event: SubsystemConnected) -> None:
+def reconnect(context: DecisionContext, name: str, hello: SubsystemHello) -> None:
     """Connect the same process again. A primitive that it does not list never arrived."""
-    _connect(context, event)
+    _connect(context, hello)
     for command in context.state.commands.values():
         if command.subsystem == name and command.primitive_body != NIL:
             if command.phase is Phase.HALTING:
                 stopping.order_halt(context, command)
-            elif command.phase is Phase.EXECUTING and command.primitive not in event.outstanding:
+            elif command.phase is Phase.EXECUTING and command.primitive not in hello.outstanding:
                 nominal.send(context, command)
-            elif command.phase is Phase.EXECUTING and command.pause_wanted is not (command.primitive in event.paused):
+            elif command.phase is Phase.EXECUTING and command.pause_wanted is not (command.primitive in hello.paused):
                 pacing.send_pace(context, command)  # the order was lost
 
 
-def replace(context: DecisionContext, name: str, event: SubsystemConnected) -> None:
+def replace(context: DecisionContext, name: str, hello: SubsystemHello) -> None:
     """Connect a new process. The primitives of the former one died with it."""
     _stop_users(context, name, "it was restarted")
-    _connect(context, event)
+    _connect(context, hello)
 
 
 def lose(context: DecisionContext, name: str, event: SubsystemGone) -> None:
@@ -88,31 +90,32 @@ def await_hello(context: DecisionContext, name: str, event: BrokerRestarted) -> 
     context.state.subsystems[name].link = LinkState.AWAITED
 
 
-def _connect(context: DecisionContext, event: SubsystemConnected) -> None:
+def _connect(context: DecisionContext, hello: SubsystemHello) -> None:
     """Store the link, and halt what moves there without a command that waits for it."""
-    state, name = context.state, event.subsystem
+    state, name = context.state, hello.name
     state.subsystems[name] = Subsystem(
-        pid=event.pid,
-        performers=event.performers,
-        queues=event.queues,
-        came_at_rest=event.at_rest,
-        pauses=event.pauses,
+        pid=hello.pid,
+        performers=hello.performers,
+        queues=hello.queues,
+        came_at_rest=hello.at_rest,
+        pauses=PAUSES in hello.abilities,
     )
-    for primitive in event.outstanding:
+    for primitive in hello.outstanding:
         state.accepted = max(state.accepted, number_of(primitive))  # a journal after a loss may lack it
         owner = command_of(primitive)
         command = state.commands.get(owner)
         # A live command may still execute a primitive that was given up; other entries are unacknowledged reports.
         if command is None or (command.phase is Phase.CLOSING and not command.at_rest):
             _order_halt(context, name, f"orphan-{primitive}", owner)
-    if event.at_rest:
+    if hello.at_rest:
         context.confirm_rest(name)
-    elif not event.outstanding:
+    elif not hello.outstanding:
         _order_halt(context, name, f"rejoin-{name}-{context.now:.6f}", "ALL")
 
 
 def _order_halt(context: DecisionContext, subsystem: str, halt: str, scope: str) -> None:
-    context.effects.append(SendHalt(subsystem=subsystem, halt=halt, scope=scope, called_at_s=context.now))
+    order = HaltOrder(halt=halt, scope=scope, called_at_s=context.now)
+    context.effects.append(SendHalt(subsystem=subsystem, order=order))
 
 
 def _stop_users(context: DecisionContext, name: str, why: str) -> None:

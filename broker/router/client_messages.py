@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
+
 from broker.decisions.decide import MAX_TEXT
 from broker.decisions.events import CommandReceived
 from broker.decisions.state import request_key
@@ -56,19 +58,9 @@ class ClientMessages:
         name = name_of(peer)
         if message.halt_if_lost:
             self._health.client_seen_s[name] = now
-        self._core.enqueue(
-            CommandReceived(
-                at_s=now,
-                client=name,
-                request=message.request,
-                text=message.text[:MAX_TEXT],
-                source=message.source,
-                progress=message.progress,
-                halt_if_lost=message.halt_if_lost,
-                sent_at_s=message.sent_at_s,
-                known_as=message.known_as,
-            )
-        )
+        if len(message.text) > MAX_TEXT:
+            message = msgspec.structs.replace(message, text=message.text[:MAX_TEXT])
+        self._core.enqueue(CommandReceived(at_s=now, client=name, sentence=message))
 
     def _is_known(self, peer: bytes, message: m.CommandText) -> bool:
         return request_key(name_of(peer), message.request) in self._core.state.requests

@@ -104,8 +104,7 @@ class Egress:
         self.subsystems.put(self._core.subsystem_peer(effect.subsystem), order)
 
     def _send_halt(self, effect: do.SendHalt) -> None:
-        order = m.HaltOrder(halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s, call=effect.call)
-        self.subsystems.send_now(self._core.subsystem_peer(effect.subsystem), order)
+        self.subsystems.send_now(self._core.subsystem_peer(effect.subsystem), effect.order)
 
     def _acknowledge_report(self, effect: do.AcknowledgeReport) -> None:
         self.subsystems.put(self._core.subsystem_peer(effect.subsystem), m.ReportAck(primitive=effect.primitive))

@@ -57,17 +57,7 @@ class Halts:
             self.enqueue("", merged, now)
 
     def enqueue(self, client: str, order: m.HaltOrder, now: float) -> None:
-        self._core.enqueue(
-            HaltCalled(
-                at_s=now,
-                client=client,
-                halt=order.halt,
-                scope=order.scope,
-                called_at_s=order.called_at_s,
-                call=order.call,
-                received_at_s=order.received_at_s,
-            )
-        )
+        self._core.enqueue(HaltCalled(at_s=now, client=client, order=order))
 
     def moves(self, subsystem: str) -> bool:
         """False for a subsystem that has cameras only."""

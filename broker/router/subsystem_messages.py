@@ -25,7 +25,7 @@ from rtc.language.alike import unknown
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.protocol.primitive_id import command_of
-from rtc.protocol.versions import ARRAYS, PAUSES
+from rtc.protocol.versions import ARRAYS
 from rtc.runtime.allowance import Allowance
 from rtc.runtime.process import send
 
@@ -74,19 +74,7 @@ class SubsystemMessages:
         self._core.me.log.info("%.80r is connected, pid %d, %.200s", name, message.pid, message.performers)
         for order in self._halts.unanswered(message, now):
             self._egress.subsystems.send_now(peer, order)
-        self._core.enqueue(
-            SubsystemConnected(
-                at_s=now,
-                subsystem=name,
-                pid=message.pid,
-                performers=message.performers,
-                queues=message.queues,
-                outstanding=message.outstanding,
-                at_rest=message.at_rest,
-                pauses=PAUSES in message.abilities,
-                paused=message.paused,
-            )
-        )
+        self._core.enqueue(SubsystemConnected(at_s=now, hello=message))
 
     def _mark_alive(self, name: str, peer: bytes, message: m.Heartbeat, now: float) -> None:
         known = self._core.state.subsystems.get(name)
@@ -96,14 +84,10 @@ class SubsystemMessages:
             send(self._core.sockets["subsystems"], m.HelloWanted(), peer)
 
     def _started(self, name: str, peer: bytes, message: m.Started, now: float) -> None:
-        self._core.enqueue(PrimitiveStarted(at_s=now, subsystem=name, primitive=message.primitive))
+        self._core.enqueue(PrimitiveStarted(at_s=now, subsystem=name, start=message))
 
     def _paced(self, name: str, peer: bytes, message: m.PauseChanged, now: float) -> None:
-        self._core.enqueue(
-            PrimitivePaced(
-                at_s=now, subsystem=name, primitive=message.primitive, paused=message.paused, done=message.done
-            )
-        )
+        self._core.enqueue(PrimitivePaced(at_s=now, subsystem=name, change=message))
 
     def _ended(self, name: str, peer: bytes, message: m.EndReport, now: float) -> None:
         self._core.enqueue(PrimitiveEnded(at_s=now, subsystem=name, report=message))
@@ -120,15 +104,7 @@ class SubsystemMessages:
     def _confirm_rest(self, name: str, peer: bytes, message: m.HaltAtRest, now: float) -> None:
         _check_name(name, message.subsystem)
         self._halts.answer(message)
-        self._core.enqueue(
-            HaltConfirmed(
-                at_s=now,
-                subsystem=name,
-                halt=message.halt,
-                at_rest=message.at_rest,
-                performers=message.performers,
-            )
-        )
+        self._core.enqueue(HaltConfirmed(at_s=now, answer=message))
 
     def _injected(self, name: str, peer: bytes, message: m.Injected, now: float) -> None:
         if name in self._core.state.subsystems or self._core.given.protects(name):  # their number is bounded

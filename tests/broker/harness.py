@@ -28,6 +28,7 @@ from rtc.protocol.messages import (
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove
 from rtc.protocol.sentence import ParsedCommand
+from tests.broker.flat_events import made
 
 CONTEXT = ScriptContext(verb="GRASP", script="test", arm="RIGHT-ARM", object="MODULE")
 F = [
@@ -54,7 +55,7 @@ def brief(effect: do.Effect) -> str:
         case do.SendPace():
             return f"{'pause' if effect.paused else 'go on'} {effect.primitive} at {effect.subsystem}"
         case do.SendHalt():
-            return f"halt {effect.scope} to {effect.subsystem}"
+            return f"halt {effect.order.scope} to {effect.subsystem}"
         case do.AcknowledgeReport():
             return f"ack {effect.primitive}"
         case do.StartTimer():
@@ -91,9 +92,16 @@ class Harness:
 
     def handle(self, what: type[events.Event], /, **fields: Any) -> list[str]:
         self.now += 0.001
-        effects = decide(self.state, what(at_s=self.now, **fields))
+        effects = decide(self.state, self.event(what, **fields))
         self.log += effects
         return [brief(e) for e in effects]
+
+    def event(self, what: type[events.Event], /, **fields: Any) -> events.Event:
+        """An event of now; a confirmed halt without `performers` is for all of its subsystem."""
+        if what is events.HaltConfirmed:
+            known = self.state.subsystems.get(fields["subsystem"])
+            fields.setdefault("performers", known.performers if known else [])
+        return made(what, self.now, **fields)
 
     # --- who speaks ---
 

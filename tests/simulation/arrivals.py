@@ -13,6 +13,7 @@ from broker.decisions.deferred_analysis import LIMIT_S
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, WorkerKind
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
+from tests.broker.flat_events import made
 from tests.broker.harness import bound, give_up, go_on, in_the_way, mend, record, report, script, trim
 from tests.simulation.mcm_model import called
 from tests.simulation.model import CLIENTS, Model, Move, Scenario, Sentence, sentence_of
@@ -25,7 +26,8 @@ def event_of(model: Model, scenario: Scenario, move: Move) -> events.Event:
 def _hand_in(model: Model, scenario: Scenario, n: int) -> events.Event:
     model.handed_in = n + 1
     sentence = scenario.sentences[n]
-    return events.CommandReceived(
+    return made(
+        events.CommandReceived,
         at_s=model.now,
         client=_client(scenario, n),
         request=f"r{n}",
@@ -111,11 +113,11 @@ def _about_deferred(
 
 def _call(model: Model, scenario: Scenario, scope: str) -> events.Event:
     called(model, scope).at_broker = True
-    return events.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"h-{scope}", scope=scope)
+    return made(events.HaltCalled, at_s=model.now, client=CLIENTS[0], halt=f"h-{scope}", scope=scope)
 
 
 def _call_again(model: Model, scenario: Scenario, scope: str) -> events.Event:
-    return events.HaltCalled(at_s=model.now, client=CLIENTS[1], halt=f"h-{scope}", scope=scope)
+    return made(events.HaltCalled, at_s=model.now, client=CLIENTS[1], halt=f"h-{scope}", scope=scope)
 
 
 def _gone(why: str) -> Callable[[Model, Scenario], events.Event]:
@@ -141,7 +143,7 @@ def _install(model: Model, scenario: Scenario) -> events.Event:
 
 def _resume(model: Model, scenario: Scenario, command: str) -> events.Event:
     """The operator gives up on a paused command: it need not go on, only end."""
-    return events.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"end-{command}", scope=command)
+    return made(events.HaltCalled, at_s=model.now, client=CLIENTS[0], halt=f"end-{command}", scope=command)
 
 
 NO = Refusal(reason=RefusalReason.INFEASIBLE, message="no")
@@ -192,4 +194,4 @@ def late(model: Model) -> Iterator[events.Event]:
             yield events.PrimitiveEnded(at_s=now, subsystem="MCM", report=report(primitive, reason))
     for key in model.du.requests:
         client, _, request = key.partition(" ")
-        yield events.CommandReceived(at_s=now, client=client, request=request, text="X")
+        yield made(events.CommandReceived, at_s=now, client=client, request=request, text="X")

@@ -18,7 +18,7 @@ from typing import Any
 
 import msgspec
 
-from broker.decisions.events import Event
+from broker.decisions.events import CommandReceived, Event, HaltCalled
 from broker.decisions.invariants import violations
 from broker.decisions.state import State
 from broker.persistence.journal import SCHEMA, Journal
@@ -251,7 +251,11 @@ class Cluster:
             for event in events:
                 self.log(f"  broker gets {_in_words(event)}")
         for event in events:
-            scope = getattr(event, "scope", None) or halt_scope(getattr(event, "text", None))  # type: ignore[arg-type]
+            scope: str | None = None
+            if isinstance(event, HaltCalled):
+                scope = event.order.scope
+            elif isinstance(event, CommandReceived):
+                scope = halt_scope(event.sentence.text)
             if scope:
                 self.ledger.last_halt_s[scope] = event.at_s
         for problem in violations(self.broker.state):

@@ -86,7 +86,7 @@ def _handle(model: Model, event: events.Event, out: int | None = None) -> list[d
     """Let the Decision Unit handle an event; perform its effects, or only the first `out` that leave the broker."""
     du = model.du
     live = set(du.commands)
-    halted = event.scope if isinstance(event, events.HaltCalled) else ""
+    halted = event.order.scope if isinstance(event, events.HaltCalled) else ""
     effects = decide(du, event)
     for command in du.commands.values():
         command.notes.clear()  # published, and never read again

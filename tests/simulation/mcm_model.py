@@ -13,6 +13,7 @@ from broker.decisions import effects as do
 from broker.decisions import events
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
+from tests.broker.flat_events import made
 from tests.broker.harness import report
 from tests.simulation.model import ARMS, Halt, Mcm, Model, OpenHalt, Violation
 
@@ -24,7 +25,8 @@ def called(model: Model, scope: str) -> Halt:
 def hello(model: Model) -> events.SubsystemConnected:
     mcm = model.mcm
     executing = [primitive for primitive in mcm.arms.values() if primitive]
-    return events.SubsystemConnected(
+    return made(
+        events.SubsystemConnected,
         at_s=model.now,
         subsystem="MCM",
         pid=mcm.pid,
@@ -119,7 +121,7 @@ def _brake(mcm: Mcm, scope: str) -> list[str]:
 
 
 def _pass_on(model: Model, call: str, scope: str) -> None:
-    _send(model, events.HaltCalled(at_s=0.0, client="MCM", halt=call.partition("#")[0], scope=scope, call=call))
+    _send(model, made(events.HaltCalled, at_s=0.0, client="MCM", halt=call.partition("#")[0], scope=scope, call=call))
 
 
 def _confirm(model: Model) -> None:
@@ -128,7 +130,7 @@ def _confirm(model: Model) -> None:
         if not any(mcm.arms[arm] for arm in halt.performers):
             mcm.open.remove(halt)
             rest = {"subsystem": "MCM", "halt": halt.id, "at_rest": True, "performers": halt.performers}
-            _send(model, events.HaltConfirmed(at_s=0.0, **rest))
+            _send(model, made(events.HaltConfirmed, at_s=0.0, **rest))
 
 
 def _estop(model: Model, scope: str) -> None:
@@ -198,7 +200,8 @@ def pace(model: Model, effect: do.SendPace) -> None:
 
 
 def order_halt(model: Model, effect: do.SendHalt) -> None:
-    _halt(model, effect.halt, effect.scope, call=effect.call)
+    order = effect.order
+    _halt(model, order.halt, order.scope, call=order.call)
 
 
 def acknowledge(model: Model, effect: do.AcknowledgeReport) -> None:

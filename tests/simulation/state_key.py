@@ -89,13 +89,13 @@ def _of_sent(model: Model, outbox: events.AnyEvent) -> list[Any]:
         case events.SubsystemConnected():
             return [
                 "hello",
-                outbox.pid,
-                [_name(model, p) for p in outbox.outstanding],
-                outbox.at_rest,
-                [_name(model, p) for p in outbox.paused],
+                outbox.hello.pid,
+                [_name(model, p) for p in outbox.hello.outstanding],
+                outbox.hello.at_rest,
+                [_name(model, p) for p in outbox.hello.paused],
             ]
         case events.HaltConfirmed():
-            return ["rest", outbox.halt, outbox.performers]
+            return ["rest", outbox.answer.halt, outbox.answer.performers]
         case events.HaltCalled():
-            return ["halt", outbox.call]
+            return ["halt", outbox.order.call]
     raise AssertionError(outbox)

@@ -13,6 +13,7 @@ from broker.decisions.events import (
     HaltConfirmed,
     JobFinished,
     PrimitiveEnded,
+    PrimitiveStarted,
     Stimulus,
     SubsystemConnected,
 )
@@ -93,7 +94,7 @@ def test_the_same_events_in_the_same_order_at_any_speed_of_the_simulation(monkey
                 return (*words, report.primitive, report.reason, f"{report.duration_s:.3f}", f"{report.joints}")
             case JobFinished():
                 return (*words, event.job)
-        return (*words, getattr(event, "primitive", ""))
+        return (*words, event.start.primitive if isinstance(event, PrimitiveStarted) else "")
 
     slow, real, fast = (events_at(speed) for speed in (0.2, 1.0, 5.0))
     assert slow == real == fast

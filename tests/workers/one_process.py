@@ -29,6 +29,7 @@ from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from rtc.world.model import World, initial_facts
+from tests.broker.flat_events import made
 from tests.workers.conftest import MODEL, record
 from tests.workers.eyes import Ideal
 from workers.analyzer import analyze as analyzer
@@ -77,7 +78,7 @@ class OneProcess:
         if eyes is not None:
             cameras = [camera.name for camera in model.cell.cameras]
             self._later(
-                1, events.SubsystemConnected(at_s=self.now_s, subsystem=CAMERAS.name, pid=1, performers=cameras)
+                1, made(events.SubsystemConnected, at_s=self.now_s, subsystem=CAMERAS.name, pid=1, performers=cameras)
             )
 
     @property
@@ -87,13 +88,15 @@ class OneProcess:
     def give(self, sentence: str, client: str = "ann") -> str:
         """Give a sentence; returns the number of its command."""
         request = f"r{next(self._number)}"
-        self._handle(events.CommandReceived(at_s=self.now_s, client=client, request=request, text=sentence))
+        self._handle(made(events.CommandReceived, at_s=self.now_s, client=client, request=request, text=sentence))
         return f"C-{self.state.accepted}"
 
     def halt(self, scope: str = "ALL") -> None:
         """A halt at a halt socket."""
         name = f"H-{next(self._number)}"
-        self._handle(events.HaltCalled(at_s=self.now_s, client="ann", halt=name, scope=scope, called_at_s=self.now_s))
+        self._handle(
+            made(events.HaltCalled, at_s=self.now_s, client="ann", halt=name, scope=scope, called_at_s=self.now_s)
+        )
 
     def kill_mcm(self) -> None:
         """The MCM dies, and a new one continues from the state of the hardware."""
@@ -152,10 +155,17 @@ class OneProcess:
                     return
                 self._from_mcm(self.mcm.handle(m.Execute(primitive=primitive, pid=effect.pid), BROKER, self.now_s))
             case do.SendHalt() if effect.subsystem == CAMERAS.name:
-                still = events.HaltConfirmed(at_s=self.now_s, subsystem=CAMERAS.name, halt=effect.halt, at_rest=True)
+                still = made(
+                    events.HaltConfirmed,
+                    at_s=self.now_s,
+                    subsystem=CAMERAS.name,
+                    halt=effect.order.halt,
+                    at_rest=True,
+                    performers=self.state.subsystems[CAMERAS.name].performers,
+                )
                 self._later(1, still)
             case do.SendHalt():
-                order = m.HaltOrder(halt=effect.halt, scope=effect.scope, call=effect.call)
+                order = effect.order
                 self._from_mcm(self.mcm.handle(order, BROKER, self.now_s))
             case do.AcknowledgeReport() if effect.subsystem != CAMERAS.name:
                 self.mcm.handle(m.ReportAck(primitive=effect.primitive), BROKER, self.now_s)
@@ -173,7 +183,7 @@ class OneProcess:
         truth = self.sim.truth()
         scene = SceneView(**{name: truth[name] for name in ("poses", "seats", "joints", "fingers", "tcp")})
         report = self.eyes.perform(look, scene)
-        self._later(1, events.PrimitiveStarted(at_s=self.now_s, subsystem=CAMERAS.name, primitive=look.id))
+        self._later(1, made(events.PrimitiveStarted, at_s=self.now_s, subsystem=CAMERAS.name, primitive=look.id))
         ticks = max(2, round(report.duration_s / TICK_S))
         self._later(
             ticks, events.PrimitiveEnded(at_s=self.now_s + ticks * TICK_S, subsystem=CAMERAS.name, report=report)
@@ -202,15 +212,21 @@ class OneProcess:
         at_s = self.now_s + TICK_S
         match message:
             case m.SubsystemHello():
-                return events.SubsystemConnected(
-                    at_s=at_s, subsystem="MCM", pid=message.pid, performers=message.performers, at_rest=message.at_rest
+                return made(
+                    events.SubsystemConnected,
+                    at_s=at_s,
+                    subsystem="MCM",
+                    pid=message.pid,
+                    performers=message.performers,
+                    at_rest=message.at_rest,
                 )
             case m.Started():
-                return events.PrimitiveStarted(at_s=at_s, subsystem="MCM", primitive=message.primitive)
+                return made(events.PrimitiveStarted, at_s=at_s, subsystem="MCM", primitive=message.primitive)
             case m.EndReport():
                 return events.PrimitiveEnded(at_s=at_s, subsystem="MCM", report=message)
             case m.HaltAtRest():
-                return events.HaltConfirmed(
+                return made(
+                    events.HaltConfirmed,
                     at_s=at_s,
                     subsystem="MCM",
                     halt=message.halt,

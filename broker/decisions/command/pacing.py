@@ -58,11 +58,12 @@ def on_overdue(context: DecisionContext, command: Command, _: Any) -> None:
 
 
 def on_paced(context: DecisionContext, event: PrimitivePaced) -> None:
-    command = context.state.commands.get(command_of(event.primitive))
-    awaited = command is not None and (command.primitive, command.subsystem) == (event.primitive, event.subsystem)
+    change = event.change
+    command = context.state.commands.get(command_of(change.primitive))
+    awaited = command is not None and (command.primitive, command.subsystem) == (change.primitive, event.subsystem)
     if awaited and command is not None and command.phase is Phase.EXECUTING:
         context.node = event.subsystem
-        command.paused_primitive = event.primitive if event.paused else ""
-        command.paused_done = event.done
-        words = path_words(event.done) if event.paused else "goes on along its path"
-        context.note(command, words, warning=event.paused)  # a person sees why it does not go on
+        command.paused_primitive = change.primitive if change.paused else ""
+        command.paused_done = change.done
+        words = path_words(change.done) if change.paused else "goes on along its path"
+        context.note(command, words, warning=change.paused)  # a person sees why it does not go on

@@ -13,7 +13,7 @@ from broker.decisions.command.termination import stop
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, SendHalt
 from broker.decisions.state import NIL, Command, PendingOutcome
-from rtc.protocol.messages import EndReport, Phase
+from rtc.protocol.messages import EndReport, HaltOrder, Phase
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 
 STOP = "stop-"  # prefix of the halt that stops a command's primitive; the command's number follows
@@ -32,7 +32,10 @@ def stop_primitive(context: DecisionContext, command: Command, ending: PendingOu
 
 def order_halt(context: DecisionContext, command: Command) -> None:
     context.effects.append(
-        SendHalt(subsystem=command.subsystem, halt=f"{STOP}{command.id}", scope=command.id, called_at_s=context.now)
+        SendHalt(
+            subsystem=command.subsystem,
+            order=HaltOrder(halt=f"{STOP}{command.id}", scope=command.id, called_at_s=context.now),
+        )
     )
     await_rest(context, command, [command.subsystem])
 

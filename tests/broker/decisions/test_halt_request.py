@@ -203,7 +203,7 @@ def test_a_halt_is_answered_under_the_number_it_came_with():
     s = Harness()
     s.handle(HaltCalled, client="ann", halt="1", scope="ALL", call="7-1")
     s.handle(HaltCalled, client="MCM", halt="1", scope="ALL", call="4-9")
-    assert [e.call for e in s.log if isinstance(e, SendHalt)] == ["7-1", "4-9"]
+    assert [e.order.call for e in s.log if isinstance(e, SendHalt)] == ["7-1", "4-9"]
 
 
 def test_halt_typed_as_a_sentence_ends_when_rest_is_confirmed():

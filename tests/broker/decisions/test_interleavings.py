@@ -111,7 +111,7 @@ def test_a_subsystem_that_comes_back_moving_is_halted_anew_each_time():
     for _ in range(2):
         s.mcm_gone()
         assert s.mcm_hello(at_rest=False) == ["halt ALL to MCM"]
-    first, second = (e.halt for e in s.log if isinstance(e, SendHalt))
+    first, second = (e.order.halt for e in s.log if isinstance(e, SendHalt))
     assert first != second
 
 

@@ -14,6 +14,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendHalt
 from broker.decisions.events import HaltCalled, JobLost, JournalLost, SubsystemConnected
 from broker.decisions.resources import Resources
+from rtc.protocol.messages import HaltOrder
 from tests.simulation.explore import describe, explore
 from tests.simulation.model import Scenario
 from tests.simulation.scenarios import SCENARIOS
@@ -74,7 +75,8 @@ def test_a_halt_that_waits_for_a_confirmation_it_never_asked_for_is_found(monkey
 
 def test_a_subsystem_not_asked_what_it_still_does_is_found(monkeypatch):
     def deaf(turn, event):
-        decided(turn, msgspec.structs.replace(event, outstanding=[], at_rest=True))
+        hello = msgspec.structs.replace(event.hello, outstanding=[], at_rest=True)
+        decided(turn, msgspec.structs.replace(event, hello=hello))
 
     decided = decide.HANDLERS[SubsystemConnected]
     monkeypatch.setitem(decide.HANDLERS, SubsystemConnected, deaf)
@@ -100,10 +102,10 @@ def test_a_halt_that_is_not_obeyed_because_its_name_was_used_before_is_found(mon
     """Two callers may count their halts from one; a button may always say the same."""
 
     def only_once(turn, event):
-        known = any(key.startswith(f"{event.halt} ") for key in turn.state.halts)
+        known = any(key.startswith(f"{event.order.halt} ") for key in turn.state.halts)
         if known and (event.client == "MCM") is by_subsystem:
             turn.effects.append(
-                SendHalt(subsystem="MCM", halt=event.halt, scope="C-99", called_at_s=0, call=event.call)
+                SendHalt(subsystem="MCM", order=HaltOrder(halt=event.order.halt, scope="C-99", call=event.order.call))
             )
         else:
             called(turn, event)

@@ -12,6 +12,7 @@ from broker.decisions.state import NIL, Deferral, State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, WorkerKind
 from rtc.protocol.outcomes import RefusalReason, StopReason
+from tests.broker.flat_events import made
 from tests.broker.harness import Harness, bound, give_up, go_on, mend, record, script, stated, trim
 
 ARMS = (("RIGHT-ARM",), ("LEFT-ARM",), ("LEFT-ARM", "RIGHT-ARM"), ("RIGHT-ARM", "MODULE"))
@@ -27,7 +28,7 @@ class Environment(Harness):
 
     def handle(self, what, /, **fields):
         self.now += 0.001
-        return self._decide(what(at_s=self.now, **fields))
+        return self._decide(self.event(what, **fields))
 
     def _decide(self, event: events.Event):
         live = set(self.state.commands)
@@ -35,7 +36,7 @@ class Environment(Harness):
         self.log += effects
         if isinstance(event, events.HaltCalled):
             self.halted = live
-        halt_all = isinstance(event, events.HaltCalled) and event.scope == "ALL"
+        halt_all = isinstance(event, events.HaltCalled) and event.order.scope == "ALL"
         assert violations(self.state) == []
         assert forbidden(self.state, live, effects, halt_all=halt_all) == []
         if not isinstance(event, events.BrokerRestarted):
@@ -209,4 +210,4 @@ def test_the_same_events_give_the_same_state_and_effects(acts):
 
 
 def first_hello() -> events.Event:
-    return events.SubsystemConnected(at_s=0.001, subsystem="MCM", pid=1, performers=["LEFT-ARM", "RIGHT-ARM"])
+    return made(events.SubsystemConnected, at_s=0.001, subsystem="MCM", pid=1, performers=["LEFT-ARM", "RIGHT-ARM"])

@@ -27,7 +27,7 @@ class Journalled(Harness):
 
     def handle(self, what, /, **fields):
         self.now += 0.001
-        event = what(at_s=self.now, **fields)
+        event = self.event(what, **fields)
         effects = decide(self.state, event)
         self.journal.append([event], [e.record for e in effects if isinstance(e, ReportEnd)])
         return effects

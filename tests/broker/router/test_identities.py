@@ -9,6 +9,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.versions import VERSION
 from rtc.runtime.handover import Handover
+from tests.broker.flat_events import made
 from tests.broker.router.bench import SETTINGS, Bench
 
 TOKEN = "0123456789abcdef"
@@ -34,7 +35,7 @@ def test_a_stranger_that_calls_itself_mcm_is_refused_in_words(supervised: Bench)
     (refused,) = supervised.send("subsystems", b"MCM", stranger, m.Heartbeat(name="MCM"))
     assert "pid 7" in refused.refusal.message
     assert supervised.state.subsystems["MCM"].pid == 7
-    supervised.router.enqueue(HaltCalled(at_s=supervised.now, client="x", halt="H", scope="ALL"))
+    supervised.router.enqueue(made(HaltCalled, at_s=supervised.now, client="x", halt="H", scope="ALL"))
     assert [type(order) for order in supervised.send("subsystems", OURS, m.Heartbeat(name="MCM"))] == [m.HaltOrder]
 
 
