@@ -11,12 +11,11 @@ import os
 from pathlib import Path
 from typing import Any
 
-import zmq
-
 from benchmarks.load.trivial import FUNCTIONS, asleep, busy
 from rtc.protocol.messages import WorkerHello, WorkerKind
 from rtc.protocol.versions import VERSION
 from rtc.runtime import process
+from rtc.runtime.link import Link
 from rtc.runtime.settings import Settings
 from rtc.world.client import WorldClient
 from workers.runtime.worker_loop import WorkerLoop
@@ -47,10 +46,10 @@ def work(run_dir: Path, kind: WorkerKind, node: int, *, busy_s: float = 0.0, asl
             function = function._replace(body=busy(function.body, busy_s))
         if asleep_s:
             function = function._replace(body=asleep(function.body, asleep_s))
-        socket = me.socket(zmq.DEALER, settings.endpoint("workers"), identity=name)
+        link = Link.connect(me, settings.endpoint("workers"), name)
         world = WorldClient(settings.endpoint("world"), me.context)
         hello = WorkerHello(protocol=VERSION, name=name, node=node, kind=kind, pid=os.getpid())
-        shell = WorkerLoop(me, hello, function, socket, world, lambda cell: cell)
+        shell = WorkerLoop(me, hello, function, link, world, lambda cell: cell)
         process.freeze_heap()
         gc.set_threshold(50_000, 20, 20)
         me.ready()

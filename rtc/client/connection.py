@@ -25,7 +25,7 @@ from rtc.protocol.outcomes import NoCluster, Refusal, RefusalReason, RequestDecl
 from rtc.protocol.versions import ARRAYS, VERSION, misfit
 from rtc.protocol.wire import MAX_BYTES, frames, reader_of_many, together
 from rtc.runtime.keys import Endpoints
-from rtc.runtime.link import WATCHED, LinkState
+from rtc.runtime.link import Link
 from rtc.runtime.settings import BOUNDS
 
 HELLO_S, REMOTE_HELLO_S = 0.8, 3.0  # time limit of the first Welcome, local and over tcp
@@ -48,7 +48,6 @@ class BrokerConnection:
     ) -> None:
         self.name = name
         self._address, self._far = endpoints.endpoint("front"), endpoints.far
-        self._link = LinkState()
         self._sent_at_s = 0.0
         self._cluster = cluster
         self.welcome: m.Welcome | None = None
@@ -69,10 +68,10 @@ class BrokerConnection:
         self._socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
         self._socket.setsockopt(zmq.SNDHWM, 10_000)
         self._socket.setsockopt(zmq.RCVHWM, 100_000)
-        self._monitor = self._socket.get_monitor_socket(WATCHED)
+        self._link = Link(self._socket)
         self._poller = zmq.Poller()
         self._poller.register(self._socket, zmq.POLLIN)
-        self._poller.register(self._monitor, zmq.POLLIN)
+        self._poller.register(self._link.monitor, zmq.POLLIN)
         self._socket.connect(self._address)
         self._send_hello()
 
@@ -87,7 +86,7 @@ class BrokerConnection:
         while self.welcome is None:
             left_s = limit_s - time.monotonic()
             if self._link.key_refused or (self._far and left_s <= 0):
-                raise NoCluster(self._link.diagnose(self._address))
+                raise NoCluster(self._link.diagnose())
             if left_s <= 0 and time.monotonic() - began_s < RESTART_S and restarting():
                 if not reported:
                     report()
@@ -126,8 +125,8 @@ class BrokerConnection:
         if self._received:
             return self._handle(self._received.popleft())
         ready = dict(self._poller.poll(max(0, math.ceil(min(timeout_s, SILENCE_S) * 1000))))
-        if self._monitor in ready:
-            self._watch_connection()
+        if self._link.monitor in ready and self._link.newly_connected() and self._link.handshakes > 1:
+            self._probe()  # a new broker, or the old one again: messages in transit may be lost
         if self._socket not in ready:
             if self._open and time.monotonic() - self._received_at_s > SILENCE_S:
                 self._received_at_s = time.monotonic()
@@ -162,12 +161,11 @@ class BrokerConnection:
     @property
     def key_refused(self) -> str:
         """A message if the cluster has refused our key (over tcp only), otherwise empty."""
-        return self._link.diagnose(self._address) if self._link.key_refused else ""
+        return self._link.diagnose() if self._link.key_refused else ""
 
     def close(self) -> None:
         self._send_unsent()
-        self._socket.disable_monitor()
-        self._monitor.close(linger=0)
+        self._link.close()
         self._socket.close()
 
     def _parts(self, message: m.ClientToBroker) -> list[bytes]:
@@ -224,7 +222,3 @@ class BrokerConnection:
             for message in self._open.values():
                 if not self._send_frames(self._parts(message)):
                     break
-
-    def _watch_connection(self) -> None:
-        if self._link.take(self._monitor.recv_multipart()) and self._link.handshakes > 1:
-            self._probe()  # a new broker, or the old one again: messages in transit may be lost

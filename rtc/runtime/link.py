@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import Any
 
 import zmq
@@ -12,30 +13,65 @@ from rtc.runtime.process import Process, inbox
 WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_DISCONNECTED
 
 
-class LinkState:
-    """What the events of a monitor say about one connection."""
+class Link:
+    """The connection of one socket. After a new connection the peer is probably a new process without our state.
 
-    def __init__(self) -> None:
+    Make it before the socket connects: a refusal of the key is reported only once. The caller polls `monitor`.
+    """
+
+    def __init__(self, socket: zmq.Socket[bytes]) -> None:
+        self.socket = socket
+        self.monitor: zmq.Socket[bytes] = socket.get_monitor_socket(WATCHED)
         self.key_refused = False  # the latest handshake was refused: the cluster does not know our key
         self.is_up = False
         self.handshakes = 0  # number of successful ones
         self._listens = False  # over tcp: a process listens there
 
-    def take(self, parts: Any) -> bool:
-        """Read one event of the monitor. True if a handshake succeeded."""
-        event, _ = struct.unpack("=HI", parts[0])
-        self._listens |= event == zmq.EVENT_CONNECTED
-        self.key_refused |= event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
-        if event == zmq.EVENT_DISCONNECTED:
-            self.is_up = False
-        if event != zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            return False
-        self.key_refused, self.is_up = False, True
-        self.handshakes += 1
-        return True
+    @classmethod
+    def connect(
+        cls,
+        me: Process,
+        endpoint: str,
+        identity: str = "",
+        secure: Callable[[zmq.Socket[Any]], None] | None = None,
+        *,
+        poll: bool = True,
+    ) -> Link:
+        """A DEALER to this endpoint and its link, both polled by `me.wait` unless `poll` is False."""
+        links: list[Link] = []
 
-    def diagnose(self, address: str) -> str:
+        def watch(made: zmq.Socket[Any]) -> None:
+            if secure is not None:
+                secure(made)
+            links.append(cls(made))
+
+        me.socket(zmq.DEALER, endpoint, identity=identity, secure=watch, poll=poll)
+        if poll:
+            me.poller.register(links[0].monitor, zmq.POLLIN)
+        return links[0]
+
+    @property
+    def lost(self) -> bool:
+        """There was a connection, and there is none now. False before the first: the messages are queued for it."""
+        return bool(self.handshakes) and not self.is_up
+
+    def newly_connected(self) -> bool:
+        """Read the events. True if a handshake succeeded since the latest call."""
+        before = self.handshakes
+        for parts in inbox(self.monitor):
+            event, _ = struct.unpack("=HI", parts[0])
+            self._listens |= event == zmq.EVENT_CONNECTED
+            self.key_refused |= event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
+            if event == zmq.EVENT_DISCONNECTED:
+                self.is_up = False
+            if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+                self.key_refused, self.is_up = False, True
+                self.handshakes += 1
+        return self.handshakes > before
+
+    def diagnose(self) -> str:
         """The probable reason why a cluster over tcp does not answer."""
+        address = self.socket.getsockopt(zmq.LAST_ENDPOINT).decode().rstrip("\0")  # type: ignore[union-attr]
         if self.key_refused:
             return f"the cluster at {address} does not know this key, or it was revoked; there: rtc keys list"
         if self.is_up:
@@ -49,34 +85,7 @@ class LinkState:
             )
         return f"no answer from {address}: is the cluster up, with --listen, and is this the right address?"
 
-
-class Link:
-    """Watches a connecting socket of a process. After a reconnection the peer is probably a new process without our
-    state."""
-
-    def __init__(self, me: Process, socket: zmq.Socket[bytes]) -> None:
-        self._socket = socket
-        self._monitor = socket.get_monitor_socket(WATCHED)
-        self._state = LinkState()
-        self._first = True
-        me.poller.register(self._monitor, zmq.POLLIN)
-
-    def reconnected(self) -> bool:
-        """Read the events. True once after each reconnection; the first connection does not count."""
-        found = sum(self._state.take(parts) for parts in inbox(self._monitor))
-        again, self._first = found > (1 if self._first else 0), self._first and not found
-        return again
-
-    @property
-    def key_refused(self) -> bool:
-        return self._state.key_refused
-
-    def diagnose(self) -> str:
-        """The probable reason why a cluster over tcp does not answer."""
-        address = self._socket.getsockopt(zmq.LAST_ENDPOINT)
-        return self._state.diagnose(address.decode().rstrip("\0") if isinstance(address, bytes) else "")
-
     def close(self) -> None:
-        """Must be called before the context ends, because an open monitor blocks its end."""
-        self._socket.disable_monitor()
-        self._monitor.close(linger=0)
+        """Must be called before the socket is closed, because an open monitor blocks the end of the context."""
+        self.socket.disable_monitor()
+        self.monitor.close(linger=0)

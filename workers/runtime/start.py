@@ -10,8 +10,6 @@ import gc
 import os
 from typing import Any
 
-import zmq
-
 from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import WorkerHello, WorkerKind
 from rtc.protocol.outcomes import ClusterError
@@ -71,18 +69,10 @@ def run(
         lazy_import.load("workers.planning.robot_models")
     # Over tcp the hello carries the name.
     identity, secure = ("", endpoints.secure) if endpoints.far else (hello.name, None)
-    links: list[Link] = []
-
-    def prepare(made: zmq.Socket[Any]) -> None:
-        """Watch the socket before it connects: a refusal of the key is reported only once."""
-        if secure is not None:
-            secure(made)
-        links.append(Link(me, made))
-
-    socket = me.socket(zmq.DEALER, endpoints.endpoint("workers"), identity=identity, secure=prepare)
+    link = Link.connect(me, endpoints.endpoint("workers"), identity, secure)
     world = WorldClient(endpoints.endpoint("world"), me.context, secure=secure)
     programs = prepared.programs.get(hello.kind, {})
-    loop = WorkerLoop(me, hello, function, socket, world, _models_of, programs, prepared.cells, contact, links[0])
+    loop = WorkerLoop(me, hello, function, link, world, _models_of, programs, prepared.cells, contact)
     process.freeze_heap()
     gc.set_threshold(50_000, 20, 20)  # jobs leave little garbage; a collection would delay a job
     if contact is None:

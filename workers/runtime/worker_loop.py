@@ -19,7 +19,6 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 import msgspec
-import zmq
 
 from rtc.model.cells.cell import Cell
 from rtc.protocol import wire
@@ -84,25 +83,24 @@ class StopRequested(Exception):
 
 
 class WorkerLoop:
-    """One worker. `socket` is its DEALER to the broker; `build_cell` builds the models of a cell; `programs` and
+    """One worker. `link` is its connection to the broker; `build_cell` builds the models of a cell; `programs` and
     `cells` are preloaded, keyed by digest. A remote worker has a `contact`: nothing else ends it if its broker is
-    lost. `link`: the monitor of a socket that may be connected already."""
+    lost."""
 
     def __init__(
         self,
         me: Process,
         hello: WorkerHello,
         function: WorkerFunction,
-        socket: zmq.Socket[bytes],
+        link: Link,
         world: WorldClient,
         build_cell: Callable[[Cell], Any],
         programs: Mapping[str, Any] = MappingProxyType({}),
         cells: Mapping[str, Any] = MappingProxyType({}),
         contact: BrokerContact | None = None,
-        link: Link | None = None,
     ) -> None:
         self._me, self._hello, self._function = me, hello, function
-        self._socket = socket
+        self._link, self._socket = link, link.socket
         self._read = wire.reader(BrokerToWorker)
         self._read_input = wire.decoder(function.INPUT)
         self._queue: deque[tuple[Job, float]] = deque()  # job and arrival time (s)
@@ -117,7 +115,6 @@ class WorkerLoop:
         self._contact = contact
         self._retiring = False
         self._why = ""  # reason of an end that this process did not receive as a signal
-        self._link = link or Link(me, socket)
         self._heartbeat = Every(HEARTBEAT_S)
         self._hello_sent_s = 0.0
         self._socket_read_s = 0.0
@@ -131,13 +128,12 @@ class WorkerLoop:
         if self._contact is not None:
             self._contact.worked(now_s())  # the preparation of the worker does not count
         self._pulse = Pulse(self._beat)
-        self._send_hello()
         while not self._me.stopping and not (self._retiring and not self._queue):
             if not self._queue:
                 self._me.wait(self._heartbeat.left_s(now_s()))
-                if self._link.reconnected():
+                if self._link.newly_connected():
                     self._begin_anew()
-                if self._heartbeat.due(now := now_s()):
+                if self._heartbeat.due(now := now_s()) and self._link.is_up:
                     self._send_heartbeat(now)
             if not self._queue or now_s() - self._socket_read_s > LISTEN_S:
                 self._listen()

@@ -11,11 +11,11 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 import msgspec
-import zmq
 
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import WireError
 from rtc.protocol.wire import reader, split
+from rtc.runtime.link import Link
 from rtc.runtime.process import Every, Process, inbox, send
 from rtc.runtime.settings import Settings
 from rtc.subsystems.base.subsystem import InvalidOrder, Order, Outgoing
@@ -27,15 +27,12 @@ _read_broker = reader(m.BrokerToSubsystem)
 
 
 class BrokerLink:
-    """`socket` and `monitor` are polled by `Process.wait`, unless `poll` is False."""
+    """Its sockets are polled by `Process.wait`, unless `poll` is False."""
 
     def __init__(self, me: Process, settings: Settings, identity: str, *, poll: bool = True) -> None:
         self._log = me.log
-        self.socket = me.socket(zmq.DEALER, settings.endpoint("subsystems"), identity=identity, poll=poll)
-        self.monitor = self.socket.get_monitor_socket(zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED)
-        if poll:
-            me.poller.register(self.monitor, zmq.POLLIN)
-        self.connected = True  # assumed until the monitor reports otherwise: first messages are queued for the broker
+        self._link = Link.connect(me, settings.endpoint("subsystems"), identity, poll=poll)
+        self.socket, self.monitor = self._link.socket, self._link.monitor
         self.dropped: Counter[str] = Counter()  # messages that did not decode
         self._log_due = Every(LOG_EVERY_S)
 
@@ -56,16 +53,14 @@ class BrokerLink:
 
     def newly_connected(self) -> bool:
         """True once after every new connection to the broker."""
-        found = False
-        for event_frame, *_ in inbox(self.monitor, PER_TURN):
-            event = int.from_bytes(event_frame[:2], "little")
-            self.connected = found = event == zmq.Event.HANDSHAKE_SUCCEEDED
-            self._log.info("connected to the broker" if found else "broker disconnected; continuing alone")
-        return found
+        was_lost, found = self._link.lost, self._link.newly_connected()
+        if self._link.lost is not was_lost or found:
+            self._log.info("broker disconnected; continuing alone" if self._link.lost else "connected to the broker")
+        return found and not self._link.lost
 
     def send(self, out: Outgoing) -> None:
         """Send to the broker; without a connection the messages are dropped."""
-        if self.connected:
+        if not self._link.lost:
             for _, message in out:
                 send(self.socket, message)
 

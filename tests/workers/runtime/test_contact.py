@@ -19,6 +19,7 @@ from rtc.protocol.outcomes import ClusterError, Refusal, RefusalReason
 from rtc.protocol.roles import Role
 from rtc.protocol.versions import VERSION
 from rtc.runtime.keys import KeyRing
+from rtc.runtime.link import Link
 from rtc.runtime.process import Process, now_s, send
 from rtc.world.client import WorldClient
 from workers.runtime import health
@@ -61,13 +62,11 @@ class Broker:
 
     def start(self, limit_s: float = LONG_S, **options: Any) -> None:
         self.worker = Process("parser", self.path)
-        connected = self.worker.socket(zmq.DEALER, f"ipc://{self.path}/workers.sock", identity="peer")
+        link = Link.connect(self.worker, f"ipc://{self.path}/workers.sock", "peer")
         world = WorldClient(f"ipc://{self.path}/world.sock", self.worker.context)
         self.contact = BrokerContact(now_s(), limit_s, **options)
         programs = {"p": b""}
-        loop = WorkerLoop(
-            self.worker, HELLO, self.function, connected, world, lambda cell: None, programs, {}, self.contact
-        )
+        loop = WorkerLoop(self.worker, HELLO, self.function, link, world, lambda cell: None, programs, {}, self.contact)
 
         def run() -> None:
             self.why.append(loop.run())

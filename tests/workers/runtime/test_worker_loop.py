@@ -33,6 +33,7 @@ from rtc.protocol.messages import (
 )
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
 from rtc.protocol.versions import VERSION
+from rtc.runtime.link import Link
 from rtc.runtime.process import Process, send
 from rtc.world.__main__ import serve
 from rtc.world.client import WorldClient
@@ -172,11 +173,11 @@ def at(tmp_path, world, monkeypatch):
     monkeypatch.setattr("workers.runtime.worker_loop.LISTEN_S", 0.0)
     process, mine = Process("parser@0", tmp_path), Process("broker", tmp_path)
     broker = Broker(mine, tmp_path)
-    socket = process.socket(zmq.DEALER, f"ipc://{tmp_path}/workers.sock", identity="parser@0")
+    link = Link.connect(process, f"ipc://{tmp_path}/workers.sock", "parser@0")
     client = WorldClient(world, process.context)
     function = Function()
-    loop = WorkerLoop(process, HELLO, function, socket, client, lambda cell: None, {"made": "v0"})
-    function.socket, function.loop = socket, loop
+    loop = WorkerLoop(process, HELLO, function, link, client, lambda cell: None, {"made": "v0"})
+    function.socket, function.loop = link.socket, loop
     thread = threading.Thread(target=loop.run)
     thread.start()
     assert broker.recv() == HELLO
