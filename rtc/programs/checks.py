@@ -17,7 +17,7 @@ from rtc.programs.schema import (
     ScriptStep,
     StopRow,
 )
-from rtc.protocol.messages import Limits
+from rtc.protocol.messages import Limits, StepWords
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.protocol.sentence import ParsedCommand
 
@@ -113,7 +113,7 @@ def _step(placed: PlacedStep, figures: set[str]) -> Problems:
         for name in PLACEHOLDER.findall(text):
             yield from known("placeholder", name, extension_names.PLACEHOLDERS, f"{place}.{field}")
     for name in step.words:
-        yield from known("word that acts", name, extension_names.WORDS, f"{place}.words.{name}")
+        yield from known("word that acts", name, StepWords.__struct_fields__, f"{place}.words.{name}")
     yield from _path(step, place)
     index, count = step.trim
     if (index, count) != (0, 0) and not (index >= 1 and count >= 1 and index + count - 1 <= entries):

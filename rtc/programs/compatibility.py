@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from rtc.model.cells.parts import Numbers
 from rtc.programs.checks import PlacedStep, Problems, known, steps_of
-from rtc.programs.extension_names import ARGS
 from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptStep
-from rtc.protocol.messages import Step
+from rtc.protocol.messages import Step, StepFigures
 
 
 def row_of(step: ScriptStep | Step) -> str:
@@ -20,7 +19,12 @@ def row_of(step: ScriptStep | Step) -> str:
 def misfits(elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: AnalyzerProgram) -> Problems:
     """The steps that the binder could not bind or the analyzer could not assess, each with its place."""
     classes = (name for row in binder.stop_classes.values() for name in row.values)
-    figures = {*ARGS, *Numbers.__struct_fields__, *binder.values, *classes}  # that the args of a step may set
+    figures = {
+        *StepFigures.__struct_fields__,
+        *Numbers.__struct_fields__,
+        *binder.values,
+        *classes,
+    }  # that the args of a step may set
     for placed in steps_of(elaborator):
         yield from _step(placed, figures, binder, analyzer)
 

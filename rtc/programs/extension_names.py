@@ -65,34 +65,9 @@ FAILURE_PLACEHOLDERS = (
     *("width", "wanted", "off", "or_load", "excess", "speed", "short", "jam"),
     *("camera", "turned"),
 )
-#: keys of `words` of a step that have an effect
-WORDS = ("about", "axis", "effect", "leaves", "missed", "needs", "seat", "through")
-#: args of a step that are not values of the binder's program
-ARGS = (
-    *("by_m", "by_rad", "hand_turn", "radius_m", "pitch_m"),  # shape of a path, see SPACE_ARGS
-    "takes_s",  # duration of a motion
-    *("width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
-    *("speed_m_s", "force_n", "contact_n", "torque_nm"),
-    *(
-        "beyond_m",
-        "felt_m",
-        "lever_m",
-        "aside_m",
-        "pad_m",
-        "centre_n_m",
-        "play_m",
-        "apart_m",
-        "tilt_m",
-    ),  # of the centring touches
-    *("stiffness_n_m", "press_n"),  # of a compliant step; force set-point along its axis
-    "centre_share",  # of a compliant step: its centre of compliance, from the tcp (0) to the load's centre of mass (1)
-    "spin_m",  # of a compliant step: stiffness in rotation about its axis = stiffness * this squared
-    *("press_from_n", "press_s"),  # that set-point at the start, and the time in which it changes
-    *("needs_m", "needs_rad"),  # required accuracy of the held object's pose
-    *("within_rad", "pictures", "seen_m", "seen_rad", "seated_m", "at_rest"),  # of a look
-)
 #: performers of steps
-PERFORMERS = ("active_arm", "camera")
+CAMERA = "camera"
+PERFORMERS = ("active_arm", CAMERA)
 #: binder: algorithms that turn a step into a primitive
 ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look")
 PROCEDURES = ("open_hand", "grasp_plan")

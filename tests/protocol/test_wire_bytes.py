@@ -20,7 +20,16 @@ from rtc.protocol.versions import VERSION, misfit
 from tests.protocol.wire_examples import FOLDER, TYPES
 
 FILES = sorted(FOLDER.glob("*.msgpack"))
-FREE = ("gains", "facts", "bindings", "args", "keep", "stated", "fits", "limits")  # maps with any keys, or with parts
+FREE = (
+    "gains",
+    "facts",
+    "bindings",
+    "overrides",
+    "keep",
+    "stated",
+    "fits",
+    "limits",
+)  # maps with any keys, or with parts
 
 
 def body_of(name: str) -> Any:

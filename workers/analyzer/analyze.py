@@ -121,8 +121,8 @@ def _success(task: AnalyzeTask) -> Assessment:
 def _success_changes(task: AnalyzeTask) -> Changes:
     changes = arm_changes(task) + partner_changes(task)
     changes += reported_facts.changes_from(task.report.facts, task.query, task.values)
-    effect = task.step.args.get("effect")
-    if isinstance(effect, str) and effect:
+    effect = task.step.words.effect
+    if effect:
         if effect not in EFFECTS:
             raise Refused.because(RefusalReason.PROGRAM, unknown("effect", effect, EFFECTS), where=task.step.label)
         changes += EFFECTS[effect](task, Validity.VALID)
@@ -133,7 +133,7 @@ def _success_changes(task: AnalyzeTask) -> Changes:
 
 def _remark(task: AnalyzeTask) -> str:
     """What the outcome of a command states after this step: how far the object is from free of the seat it leaves."""
-    leaves = task.step.args.get("leaves") == "seat"
+    leaves = task.step.words.leaves == "seat"
     return in_seat.remark_on_slot(task.query, task.evaluation.arm, task.report.tcp_pose) if leaves else ""
 
 
@@ -171,11 +171,11 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass) -> Changes:
     changes += touched_object_changes(task, failure)
     changes += nearby.doubtful(task) if "near" in failure.suspect else []
     changes += target_changes(task) if "target" in failure.suspect else []
-    if task.step.args.get("effect") == SEEN and violated(task) in ("", MOVES):
+    if task.step.words.effect == SEEN and violated(task) in ("", MOVES):
         changes += EFFECTS[SEEN](task, Validity.VALID)  # it was stopped, or the body moves, but it was seen
-    missed = task.step.args.get("missed")
+    missed = task.step.words.missed
     may_retry = failure.retriable and not task.data.closing and not task.data.trims_used
-    if isinstance(missed, str) and missed in EFFECTS and may_retry:
+    if missed in EFFECTS and may_retry:
         changes += EFFECTS[missed](task, Validity.SUSPECT)
     return angles(task.query, with_spread(task, merged(changes)))
 

@@ -116,7 +116,7 @@ def _way_to_leave(task: AnalyzeTask) -> tuple[str, str]:
         return BACK, ""
     came = task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(report.tcp_pose[:3])
     came_m, held = float(np.linalg.norm(came)), evaluation.held
-    frame = task.query.in_hand(held, report.tcp_pose) if held and evaluation.step.args.get("leaves") == "seat" else None
+    frame = task.query.in_hand(held, report.tcp_pose) if held and evaluation.step.words.leaves == "seat" else None
     if frame is not None and task.query.slot_at(frame) and came_m >= IN_SLOT_M:
         return "leave_slot", f"{min(AWAY_CM, 100.0 * came_m):.2g}"
     backwards = float(came @ geometry.rotate(report.tcp_pose, [0.0, 0.0, 1.0])) > BACKWARDS * came_m

@@ -149,7 +149,7 @@ def interrupted_grasp(task: AnalyzeTask) -> Changes:
     Without a report of the hand the fingers may press too.
     """
     evaluation, report = task.evaluation, task.report
-    if evaluation.step.args.get("effect") not in CLOSING or evaluation.width_m is None:
+    if evaluation.step.words.effect not in CLOSING or evaluation.width_m is None:
         return []
     if not report.tcp_pose:
         begun = report.reason not in (StopReason.REFUSED, StopReason.BLOCKED)

@@ -30,14 +30,14 @@ def violated(task: AnalyzeTask) -> str:
         return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
     if evaluation.body_pose is not None:
         return "displaced" if _is_displaced(task) else ""
-    if evaluation.step.args.get("effect") == SEEN and report.reason is StopReason.GOAL and report.sighting is None:
+    if evaluation.step.words.effect == SEEN and report.reason is StopReason.GOAL and report.sighting is None:
         return "unseen"
-    if evaluation.step.args.get("at_rest") and report.sighting is not None and sighting.moves(report.sighting):
+    if evaluation.step.figures.at_rest and report.sighting is not None and sighting.moves(report.sighting):
         return MOVES
-    within_m = evaluation.step.args.get("within_m")
-    if isinstance(within_m, float):  # instead of the tolerance of the program
+    within_m = evaluation.step.figures.within_m
+    if within_m is not None:  # instead of the tolerance of the program
         return "elsewhere" if distance_off_m(task) > within_m else ""
-    pressed = "press_n" in evaluation.step.args  # it ends where the obstacle is
+    pressed = evaluation.step.figures.press_n is not None  # it ends where the obstacle is
     if report.reason is StopReason.GOAL and evaluation.goal_pose is not None and not pressed:
         turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)
         if distance_off_m(task) > task.values["position_m"] or turned > task.values["angle_rad"]:
@@ -70,16 +70,15 @@ def unmoved_joint(task: AnalyzeTask) -> str:
 def dropped(task: AnalyzeTask) -> bool:
     """Whether a camera has found the object that the arm of this command should hold elsewhere."""
     evaluation, holder = task.evaluation, task.context.arm
-    if evaluation.step.args.get("effect") != SEEN or task.report.sighting is None or not holder:
+    if evaluation.step.words.effect != SEEN or task.report.sighting is None or not holder:
         return False
     return task.query.held_by(evaluation.body) == holder and not sighting.is_in_hand(task, holder)
 
 
 def _is_displaced(task: AnalyzeTask) -> bool:
     """Whether a sensed body is not where it should be."""
-    args = task.step.args
-    most_m, most_rad = (float(args.get(name, 0.0)) for name in ("within_m", "within_rad"))
-    return distance_off_m(task) > most_m or turned_rad(task) > most_rad
+    figures = task.step.figures
+    return distance_off_m(task) > (figures.within_m or 0.0) or turned_rad(task) > (figures.within_rad or 0.0)
 
 
 def is_held_askew(task: AnalyzeTask) -> bool:
@@ -92,12 +91,12 @@ def is_held_askew(task: AnalyzeTask) -> bool:
 
 def seen_as_believed(task: AnalyzeTask) -> bool:
     """Whether a camera that looked for a body in another place has seen it where it is believed to be."""
-    sighting, args = task.report.sighting, task.step.args
+    sighting, figures = task.report.sighting, task.step.figures
     if sighting is None or task.evaluation.body_pose is None:
         return False
     believed = task.query.pose(task.evaluation.body)
-    near = geometry.distance(sighting.pose, believed) <= float(args.get("within_m", 0.0))
-    return near and geometry.angle(sighting.pose, believed) <= float(args.get("within_rad", 0.0))
+    near = geometry.distance(sighting.pose, believed) <= (figures.within_m or 0.0)
+    return near and geometry.angle(sighting.pose, believed) <= (figures.within_rad or 0.0)
 
 
 def distance_off_m(task: AnalyzeTask) -> float:

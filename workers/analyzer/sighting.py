@@ -76,7 +76,7 @@ def spread_of(sighting: Sighting, task: AnalyzeTask) -> list[float]:
     covariance = np.asarray(sighting.covariance).reshape(6, 6)
     own = [turn.T @ block @ turn for block in (covariance[:3, :3], covariance[3:, 3:])]
     bounds = [SIGMAS * math.sqrt(max(0.0, float(n))) for block in own for n in np.diag(block)]
-    floor = even(_figure(task, "seen_m"), _figure(task, "seen_rad"))
+    floor = even(task.step.figures.seen_m or 0.0, task.step.figures.seen_rad or 0.0)
     return [*widened(bounds, floor)[:3], *(min(WIDEST_RAD, n) for n in widened(bounds, floor)[3:])]
 
 
@@ -154,10 +154,10 @@ def _in_hand(query: WorldQuery, thing: str, frame: Array, spread: list[float], v
 
 def _seated(task: AnalyzeTask, frame: Array, spread: list[float], validity: Validity) -> Changes:
     """The seat that the object is in. A step with `play_m` also locates it: it holds the object up to this play."""
-    thing, play_m = task.evaluation.body, _figure(task, "play_m")
+    thing, play_m = task.evaluation.body, task.step.figures.play_m or 0.0
     if task.query.cell.object(thing).fixed:
         return []
-    seat = seat_at(frame, task.query, _figure(task, "seated_m"))
+    seat = seat_at(frame, task.query, task.step.figures.seated_m or 0.0)
     if any(task.query.seat(other.name) == seat for other in task.query.cell.objects if seat and other.name != thing):
         seat = ""
     changes = [WorldChange(key=f"{thing}.seat", value=seat, validity=validity)]
@@ -167,11 +167,6 @@ def _seated(task: AnalyzeTask, frame: Array, spread: list[float], validity: Vali
     place = geometry.normalise(geometry.compose(frame, inside)).tolist()
     wider = pose_spread.spread_at(widened(spread, even(play_m, 0.0)), inside)
     return [*changes, WorldChange(key=f"{seat}.frame", value=place, validity=validity, spread=wider)]
-
-
-def _figure(task: AnalyzeTask, name: str) -> float:
-    value = task.step.args.get(name, 0.0)
-    return 0.0 if isinstance(value, str) else value
 
 
 def in_words(task: AnalyzeTask) -> str:

@@ -42,12 +42,14 @@ def touched(task: AnalyzeTask) -> Found:
     """
     trip = task.report.trip_pose or task.report.tcp_pose
     end, way = _search(task)
-    later_m = float(np.dot(trip[:3] - end, way)) + _figure(task, "beyond_m")
+    figures = task.step.figures
+    later_m = float(np.dot(trip[:3] - end, way)) + (figures.beyond_m or 0.0)
     before, spread = _current(task)
     after = geometry.translate(before, later_m * way)
     point = _point(task)
     axis = int(np.argmax(np.abs(geometry.rotate(geometry.inverse(geometry.compose(before, point)), way))))
-    half_width = _figure(task, "felt_m") + _figure(task, "lever_m") * pose_spread.unsure_across(spread, point, axis)
+    lever_m = figures.lever_m or 0.0
+    half_width = (figures.felt_m or 0.0) + lever_m * pose_spread.unsure_across(spread, point, axis)
     return after, pose_spread.spread_after_measurement(before, after, spread, point, {axis: half_width})
 
 
@@ -58,7 +60,8 @@ def tilted(task: AnalyzeTask) -> Found:
     """
     trip = task.report.trip_pose or task.report.tcp_pose
     end, way = _search(task)
-    later_m, apart_m = float(np.dot(trip[:3] - end, way)) + _figure(task, "beyond_m"), _figure(task, "apart_m")
+    figures = task.step.figures
+    later_m, apart_m = float(np.dot(trip[:3] - end, way)) + (figures.beyond_m or 0.0), figures.apart_m or 0.0
     before, spread = _current(task)
     point = _point(task)
     there = geometry.inverse(geometry.compose(before, point))
@@ -70,7 +73,7 @@ def tilted(task: AnalyzeTask) -> Found:
     turn[axis] = math.copysign(later_m / apart_m, later_m / apart_m * float(about[axis]))
     turned = geometry.compose(geometry.compose(before, pivot), geometry.from_rpy([0.0, 0.0, 0.0], turn))
     after = geometry.normalise(geometry.compose(turned, geometry.inverse(pivot)))
-    measured = {3 + axis: _figure(task, "tilt_m") / abs(apart_m)}
+    measured = {3 + axis: (figures.tilt_m or 0.0) / abs(apart_m)}
     return after, pose_spread.spread_after_measurement(before, after, spread, pivot, measured)
 
 
@@ -87,11 +90,11 @@ def between_fingers(task: AnalyzeTask, moved: Spread = EXACT) -> Found:
     offset = geometry.relative(tcp, geometry.compose(before, point))
     rpy = geometry.to_rpy(offset)
     measured = {CLOSING: CENTRED_M}
-    pad_m = _figure(task, "pad_m")
+    pad_m = task.step.figures.pad_m or 0.0
     if pad_m > 0.0:
         there = pose_spread.spread_at(spread, point)
         (rpy[0], measured[ABOUT_BAR]), (rpy[2], measured[ABOUT_APPROACH]) = _askew(task, pad_m, rpy, there)
-    stiffness_n_m = _figure(task, "centre_n_m")
+    stiffness_n_m = task.step.figures.centre_n_m or 0.0
     aside_m = 0.5 * task.report.wrench[1] / stiffness_n_m if stiffness_n_m > 0.0 else 0.0
     stands = geometry.compose(tcp, geometry.from_rpy([offset[0], aside_m, offset[2]], rpy))
     after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
@@ -111,7 +114,7 @@ def seat_of(task: AnalyzeTask, frame: Array, spread: list[float]) -> Found | Non
 
     None if the object is not seated or the step does not state the play.
     """
-    seat, play_m = task.query.seat(task.context.object), _figure(task, "play_m")
+    seat, play_m = task.query.seat(task.context.object), task.step.figures.play_m or 0.0
     if not seat or play_m <= 0.0:
         return None
     inside = task.query.cell.seat(seat).module_frame.pose
@@ -165,7 +168,7 @@ def _tilt(most_rad: float, believed: Tilt, other: Tilt, twist_nm: float, clear_n
 def beyond(task: AnalyzeTask) -> Found:
     """A search ended without contact: the object is assumed `aside_m` farther along it."""
     _, way = _search(task)
-    return _shifted(task, _figure(task, "aside_m") * way)
+    return _shifted(task, (task.step.figures.aside_m or 0.0) * way)
 
 
 def beside(task: AnalyzeTask) -> Found | None:
@@ -173,7 +176,8 @@ def beside(task: AnalyzeTask) -> Found | None:
     wrench, trip = task.report.trip_wrench, task.report.trip_pose
     if not wrench or not trip or abs(wrench[3]) < NO_TORQUE_NM:
         return None
-    side = -math.copysign(_figure(task, "aside_m"), wrench[3])  # a force on the finger at +y causes a torque about -x
+    # A force on the finger at +y causes a torque about -x.
+    side = -math.copysign(task.step.figures.aside_m or 0.0, wrench[3])
     return _shifted(task, geometry.rotate(trip, [0.0, side, 0.0]))
 
 
@@ -202,9 +206,3 @@ def _search(task: AnalyzeTask) -> tuple[Array, Array]:
     way = end - task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3]
     length = float(np.linalg.norm(way))
     return end, way / length if length > 0.0 else way
-
-
-def _figure(task: AnalyzeTask, name: str) -> float:
-    """A number of the step's args; 0 if it is absent."""
-    value = task.step.args.get(name, 0.0)
-    return 0.0 if isinstance(value, str) else value

@@ -123,8 +123,8 @@ def let_go(task: AnalyzeTask, validity: Validity) -> Changes:
     changes = shared_hold.let_go(task.query, context.arm, context.object)
     if task.query.sharers(context.arm):  # another hand holds it where it is
         return changes
-    seat = task.step.args.get("seat")
-    if isinstance(seat, str) and seat:
+    seat = task.step.words.seat
+    if seat:
         changes.append(WorldChange(key=f"{context.object}.seat", value=seat, validity=validity))
         frame, spread = touch.set_down(task.query, context.object, seat)
         key = f"{context.object}.frame"

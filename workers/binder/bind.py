@@ -12,6 +12,7 @@ from typing import Any
 
 from rtc.language.hands import hand_in_words
 from rtc.programs import expressions
+from rtc.programs.extension_names import PERFORMERS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram
 from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Validity
@@ -23,7 +24,6 @@ from rtc.world.model import World
 from workers.binder import assemble, look, replan, targets
 from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
 from workers.binder.motion import bind_motion
-from workers.conditions import looking
 from workers.planning import suggestions
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -32,7 +32,6 @@ INPUT = BinderInput
 NEEDS_WORLD = True
 NEEDS_CELL = True
 
-PERFORMERS = ("active_arm", looking.CAMERA)
 STATED_BY = "OPERATOR"  # performer in the report of facts that a command states
 MIN_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 

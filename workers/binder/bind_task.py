@@ -25,7 +25,7 @@ class BindTask:
     @property
     def arm(self) -> str:
         """The arm that performs the step: that of the command, or another one whose joints it reads first."""
-        return str(self.data.step.args.get("arm", "")) or self.data.context.arm
+        return self.data.step.arm or self.data.context.arm
 
     @property
     def held(self) -> str:

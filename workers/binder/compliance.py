@@ -10,6 +10,7 @@ from rtc.spatial.axis_names import AXES
 from workers.binder.bind_task import BindTask, RuledTask, refused_program
 from workers.conditions.stop_conditions import Values
 from workers.planning import axes, suggestions
+from workers.planning.step_target import axis_of
 
 
 def control_law(task: RuledTask, trajectory: Trajectory, load: Load | None) -> ControlLaw:
@@ -27,8 +28,8 @@ def control_law(task: RuledTask, trajectory: Trajectory, load: Load | None) -> C
     stop_class, values = task.stop_class, task.values
     gains = {"wn": values["laden_wn_rad_s"]} if load else {}
     step, stiffness_n_m = task.data.step, values.get("stiffness_n_m")
-    axis = str(step.args.get("axis", "TOOL-Z"))
-    only_hand = isinstance(trajectory, HandMotion) and "stiffness_n_m" not in step.args
+    axis = axis_of(step)
+    only_hand = isinstance(trajectory, HandMotion) and step.figures.stiffness_n_m is None
     if stiffness_n_m is None or stop_class.rigid or only_hand:
         return ControlLaw(name=stop_class.control_law, load=load, gains=gains)
     factor, share = values["spring_factor"], values.get("centre_share", 0.0)
@@ -72,7 +73,7 @@ def _refuse_press(task: RuledTask) -> None:
         if alone:
             raise refused_program(f"{alone[0]} needs press_n", "the force at the end of the press")
         return
-    axis = str(task.data.step.args.get("axis", "TOOL-Z"))
+    axis = axis_of(task.data.step)
     if axis not in AXES:
         raise suggestions.unknown("axis", axis, AXES)
     if "stiffness_n_m" not in values or task.stop_class.rigid:
@@ -110,5 +111,5 @@ def _refuse_spring(task: RuledTask, load: Load | None) -> None:
 
 def _spin_axis(task: BindTask) -> int:
     """Number of the tool axis nearest to the `axis` of the step."""
-    along = axes.in_tool(task.query.tcp(task.arm), str(task.data.step.args.get("axis", "TOOL-Z")))
+    along = axes.in_tool(task.query.tcp(task.arm), axis_of(task.data.step))
     return max(range(3), key=lambda n: abs(along[n]))

@@ -9,14 +9,12 @@ from rtc.protocol.messages import BoundStep, EvaluationContext
 from rtc.protocol.primitive import Look, TagGeometry
 from workers.binder import assemble
 from workers.binder.bind_task import RuledTask, refused_program
-from workers.conditions.looking import cameras_of
 from workers.planning import sight, suggestions
 
 
 def bind(task: RuledTask) -> BoundStep:
-    """Args of the step: `camera`, `body`; `pictures`, or `duration_s` to follow the body every `every_s`; `further`:
-    other cameras, with blanks between. Raises Refused."""
-    cameras, body, values = _cameras(task), str(task.data.step.args.get("body", "")), task.values
+    """Figures of the step: `pictures`, or `duration_s` to follow the body every `every_s`. Raises Refused."""
+    cameras, body, values = _cameras(task), task.data.step.body, task.values
     follows_s = values.get("duration_s")
     evaluation = EvaluationContext(
         context=task.data.context,
@@ -37,7 +35,7 @@ def bind(task: RuledTask) -> BoundStep:
 
 
 def _cameras(task: RuledTask) -> list[str]:
-    cameras, known = cameras_of(task.data.step), [camera.name for camera in task.query.cell.cameras]
+    cameras, known = task.data.step.cameras, [camera.name for camera in task.query.cell.cameras]
     for name in cameras or [""]:
         if name not in known:
             raise suggestions.unknown("camera", name, known)
@@ -54,5 +52,5 @@ def _tags(task: RuledTask, body: str) -> list[TagGeometry]:
 
 def _place(task: RuledTask) -> list[float] | None:
     """Where the body should be: seated in the seat that the step names; None: the step checks nothing."""
-    seat = task.data.step.args.get("seat")
-    return task.query.seated_pose(seat).tolist() if isinstance(seat, str) and seat else None
+    seat = task.data.step.words.seat
+    return task.query.seated_pose(seat).tolist() if seat else None

@@ -46,7 +46,7 @@ def _target(task: RuledTask) -> Target:
     step, query, clears = task.data.step, task.query, task.program.clears
     if step.space not in segments.SPACES:
         raise unknown_in_program("space", step.space, segments.SPACES)
-    refuse_if(trust.why_uncertain(query, task.arm, step.args, clears))
+    refuse_if(trust.why_uncertain(query, task.arm, step, clears))
     sharing.refuse_alone(query, task.arm, task.data.context.partner, clears)
     target = targets.target_of(task)
     in_seat.refuse_other_way(query, task.arm, step.space, query.tcp(task.arm), target.pose, clears)
@@ -80,13 +80,13 @@ def _planned(task: RuledTask, request: PlanningRequest, target: Target, keep: Ke
     try:
         motion = segments.plan_segment(request, step.space, target, step.way)
     except Refused as refused:
-        leaves_seat, limits = step.args.get("leaves") == "seat", task.data.context.limits
+        leaves_seat, limits = step.words.leaves == "seat", task.data.context.limits
         advised = advice.advise_on_collision(
             refused.refusal, task.query, task.arm, task.program.clears, limits, leaves_seat=leaves_seat
         )
         raise Refused(advised) from None
     motion = impact.kept(task, motion, keep)
-    return plans.slowed_to(motion, float(step.args["takes_s"])) if "takes_s" in step.args else motion
+    return motion if step.figures.takes_s is None else plans.slowed_to(motion, step.figures.takes_s)
 
 
 def _assembled(task: RuledTask, motion: Motion, keep: Keeping) -> BoundStep:
@@ -122,7 +122,7 @@ def _speed_not_kept(limits: Limits, values: Values) -> str:
 def _detour(task: BindTask, motion: Motion) -> str:
     """The remark that a relative step takes the hand a much longer way through joint space; else empty."""
     step = task.data.step
-    if step.space != "move_joint" or "by_m" not in step.args:
+    if step.space != "move_joint" or step.figures.by_m is None:
         return ""
     knots = motion.timed.positions[:: max(1, len(motion.timed.positions) // DETOUR_KNOTS)]
     places = [task.query.model.arms[task.arm].fk(joints)[:3] for joints in (*knots, motion.goal_joints)]

@@ -74,10 +74,10 @@ def against_motion(start: list[float], motion: Motion) -> Vector | None:
 
 def turn_line(task: BindTask) -> stop_conditions.Line:
     """The line about which the step turns; of a step without an axis any change of attitude counts."""
-    step, here, name = task.data.step, task.query.tcp(task.arm), step_target.about_of(task.data.step)
+    step, here, name = task.data.step, task.query.tcp(task.arm), task.data.step.words.about
     axis = step_target.axis_of(step)
     if name == step_target.HERE:
-        named = "axis" in step.args and axis != WAY_OUT
+        named = step.words.axis not in ("", WAY_OUT)
         return stop_conditions.Line(axes.direction(here, axis) if named else None, None)
     try:
         about = step_target.hinge_of(step, task.query, task.arm, here, partial(_bound, task))

@@ -89,7 +89,7 @@ def figures_in_force(
     for rows in (program.values, stop_class.values):
         for name, expression in rows.items():
             values[name] = expressions.number(expression, values)
-    values |= {name: float(value) for name, value in data.step.args.items() if not isinstance(value, str)}
+    values |= data.step.overrides | data.step.figures.given()
     if context.guarded:
         for name, value in program.guarded.get(context.verb, program.guarded.get("", {})).items():
             values[name] = min(value, values.get(name, value))

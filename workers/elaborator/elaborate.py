@@ -19,7 +19,6 @@ from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
 from workers.conditions import reflexes
-from workers.conditions.looking import CAMERA, cameras_of
 from workers.elaborator import arm_candidates, command_fields, look, make_way, no_script, set_fact
 from workers.elaborator.backtrack import Planned, can_be_seen, plan
 from workers.elaborator.script_checks import CHECKS, why_uncertain, why_unsure_grasp, why_unsure_place
@@ -193,7 +192,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     others = lost_arms(script, candidate)
     steps = [*sensed_first(compiled, candidate, doubtful, others), *nominal]
     looking = [*steps, *(step for entry in entries for step in entry.steps)]
-    cameras = [name for step in looking if step.who == CAMERA for name in cameras_of(step)]
+    cameras = [name for step in looking for name in step.cameras]
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
     return Script(
         context=context_for(option, candidate, entries),

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rtc.model.cells import parts
+from rtc.programs.extension_names import CAMERA
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.sensing import absence
-from workers.conditions.looking import CAMERA
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import sight, suggestions
 from workers.planning.world_query import WorldQuery

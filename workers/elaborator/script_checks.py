@@ -98,7 +98,7 @@ def why_uncertain(steps: list[Step], candidate: TaskCandidate) -> Refusal | None
     query, ahead_s = candidate.query, 0.0
     motion_s = trust.motion_time_s(query, candidate.limits)
     for step in steps:
-        lacks = trust.why_uncertain(query, candidate.arm.name, step.args, candidate.program.clears, ahead_s)
+        lacks = trust.why_uncertain(query, candidate.arm.name, step, candidate.program.clears, ahead_s)
         if lacks is not None:
             return lacks
         ahead_s += motion_s if step.do == "move" else 0.0

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import msgspec
 
 from rtc.programs import expressions
+from rtc.programs.extension_names import CAMERA
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
-from rtc.protocol.messages import ScriptContext, Step, Trim
+from rtc.protocol.messages import ScriptContext, Step, StepFigures, StepWords, Trim
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.conditions import reflexes
-from workers.conditions.looking import CAMERA, FURTHER
 from workers.elaborator import look
 from workers.elaborator.backtrack import FRAME, GRASP
 from workers.elaborator.script_options import ScriptOption
@@ -37,17 +38,15 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
     index, count = step.trim
     asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
     own = [entry.n for entry in entries if nominal and entry.n > MAX_ENTRIES]
-    figures: dict[str, float | str] = {n: expressions.number(e, candidate.figures) for n, e in step.args.items()}
-    words = {name: candidate.fill_in(word) for name, word in step.words.items()}
+    numbers = {name: expressions.number(e, candidate.figures) for name, e in step.args.items()}
+    figures = {name: numbers.pop(name) for name in StepFigures.__struct_fields__ if name in numbers}
+    words: dict[str, Any] = {name: candidate.fill_in(word) for name, word in step.words.items()}
+    words["through"] = words.get("through", "").split()
     camera, body = look.camera_for(step, candidate, body), body or candidate.body
-    further = look.further_cameras(step, candidate, body, camera) if camera is not None else []
-    if camera is not None:
-        figures |= {"camera": camera.name, "body": body}
-        figures |= {FURTHER: " ".join(further)} if further else {}
-    in_words = " and ".join([camera.name, *further]) if camera is not None else ""
+    cameras = [] if camera is None else [camera.name, *look.further_cameras(step, candidate, body, camera)]
     return Step(
         do=step.do,
-        label=candidate.fill_in(step.label.replace("{body}", body).replace("{camera}", in_words)),
+        label=candidate.fill_in(step.label.replace("{body}", body).replace("{camera}", " and ".join(cameras))),
         name=step.name,
         who=step.who,
         to=step.to,
@@ -58,7 +57,11 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
         expect=step.expect,
         keep=step.keep,
         trims=[*asked, *own],
-        args={**figures, **{name: word for name, word in words.items() if word or name != "through"}},
+        words=StepWords(**words),
+        figures=StepFigures(**figures),
+        overrides=numbers,
+        cameras=cameras,
+        body=body if cameras else "",
     )
 
 
@@ -130,7 +133,7 @@ def sensed_first(compiled: Compiled, candidate: TaskCandidate, doubtful: list[st
 
 def _performed_by(arm: str, candidate: TaskCandidate, step: Step) -> Step:
     """The step, with the arm that performs it if it is not that of the command."""
-    return step if arm == candidate.arm.name else msgspec.structs.replace(step, args={**step.args, "arm": arm})
+    return step if arm == candidate.arm.name else msgspec.structs.replace(step, arm=arm)
 
 
 def context_for(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]) -> ScriptContext:

@@ -25,16 +25,15 @@ def target_of(step: Step, query: WorldQuery, arm: str, thing: str, here: Array, 
     `thing`: the object of the command, which leaves its seat along WAY-OUT. Raises Refused.
     """
     if step.to != HERE:
-        vias = str(step.args.get("through", "")).split()
-        return replace(bound(step.to), via=tuple(bound(name) for name in vias))
+        return replace(bound(step.to), via=tuple(bound(name) for name in step.words.through))
     axis = axis_of(step)
     if axis not in PLAN_AXES:
         raise suggestions.unknown("axis", axis, PLAN_AXES)
     if step.space in curves.CURVES:
-        figures = {name: float(step.args[name]) for name in SPACE_ARGS[step.space] if name in step.args}
+        figures = {name: value for name, value in step.figures.given().items() if name in SPACE_ARGS[step.space]}
         about = hinge_of(step, query, arm, here, bound)
         return Target(poses=curves.curve(step.space, here, about, axis, figures))
-    by_m, by_rad = (float(step.args.get(name, 0.0)) for name in ("by_m", "by_rad"))
+    by_m, by_rad = step.figures.by_m or 0.0, step.figures.by_rad or 0.0
     if axis == WAY_OUT:
         return Target(pose=geometry.translate(here, by_m * query.leaves_along(thing)).tolist())
     pose = axes.shifted(here, axis, by_m) if by_m else here
@@ -42,21 +41,16 @@ def target_of(step: Step, query: WorldQuery, arm: str, thing: str, here: Array, 
 
 
 def axis_of(step: Step) -> str:
-    return str(step.args.get("axis", "TOOL-Z"))
-
-
-def about_of(step: Step) -> str:
-    """The name of what the step turns about."""
-    return str(step.args.get("about", HERE))
+    return step.words.axis or "TOOL-Z"
 
 
 def hinge_of(step: Step, query: WorldQuery, arm: str, here: Array, bound: Bound) -> Array:
     """The pose about which the tcp turns (world frame). Raises Refused."""
-    name = about_of(step)
+    name = step.words.about
     if name == HERE:
         return here
     about = bound(name).pose
     if about is None:
         message = f"{name} is not a pose: nothing turns about joint values"
         raise Refused.because(RefusalReason.PROGRAM, message, clears=f"bind a pose to {name}")
-    return query.hinge_of_tcp(arm, here, about, float(step.args.get("hand_turn", 1.0)))
+    return query.hinge_of_tcp(arm, here, about, 1.0 if step.figures.hand_turn is None else step.figures.hand_turn)

@@ -1,7 +1,7 @@
 """Which facts are trusted, how uncertain poses are, and what would clear a doubt. Pure.
 
 A fact that is not trusted yields a Refusal that states what would clear it. So does a held object whose pose is too
-uncertain for a step. A step states the requirement in its args: `needs_m` and `needs_rad` for all axes, or `needs`, a
+uncertain for a step. A step states the requirement: `needs_m` and `needs_rad` for all axes, or `needs`, a
 seat with its own bounds (`needs_within` in the cell). The elaborator and the binder both check it, because uncertainty
 grows with time and with impacts. The elaborator adds the time of the motions before the step, so that an accepted
 command can end.
@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.messages import Limits
+from rtc.protocol.messages import Limits, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
@@ -122,14 +122,14 @@ def motion_time_s(query: WorldQuery, limits: Limits) -> float:
 
 
 def why_uncertain(
-    query: WorldQuery, arm: str, args: Mapping[str, float | str], clears: Mapping[str, str], ahead_s: float = 0.0
+    query: WorldQuery, arm: str, step: Step, clears: Mapping[str, str], ahead_s: float = 0.0
 ) -> Refusal | None:
     """The refusal of a step for which the grasp of the held object is too uncertain; None: certain, or an empty hand.
 
     `ahead_s`: when the step begins, after the time of the query.
     """
     held = query.holding(arm)
-    within = needed(query, args) if held else None
+    within = needed(query, step) if held else None
     if within is None:
         return None
     key = f"{held}.grasp"
@@ -145,16 +145,15 @@ def why_uncertain(
     )
 
 
-def needed(query: WorldQuery, args: Mapping[str, float | str]) -> Spread | None:
+def needed(query: WorldQuery, step: Step) -> Spread | None:
     """The maximum spread that a step accepts; None if it has no requirement."""
-    seat = args.get("needs")
-    if isinstance(seat, str) and seat:
-        within = query.cell.seat(seat).needs_within
+    if step.words.needs:
+        within = query.cell.seat(step.words.needs).needs_within
         return within.spread if within is not None else None
-    metres, radians = (args.get(name) for name in ("needs_m", "needs_rad"))
-    if not isinstance(metres, float) and not isinstance(radians, float):
+    metres, radians = step.figures.needs_m, step.figures.needs_rad
+    if metres is None and radians is None:
         return None
-    return even(*(n if isinstance(n, float) else math.inf for n in (metres, radians)))
+    return even(*(math.inf if n is None else n for n in (metres, radians)))
 
 
 def _figures(values: Array) -> str:

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import msgspec
 
 from rtc.protocol.messages.shared import Message
+from rtc.protocol.messages.step import Step
 from rtc.protocol.messages.subsystem import EndReport
 from rtc.protocol.messages.world import WorldChange
 from rtc.protocol.outcomes import StopReason
@@ -24,39 +25,6 @@ class Binding(Strict, frozen=True, kw_only=True, omit_defaults=True):
     frame: str | None = None  # the object or seat whose axes the pose is in; None = world
     grasp: list[float] | None = None  # pose of the held object in the hand that this pose was made for
     number: float | None = None
-
-
-class PlannedPath(Strict, frozen=True, kw_only=True, omit_defaults=True):
-    """A way of an arm that an elaborator has found free. A binder may use it if its own planning request has the same
-    digest; otherwise it tests the way again or plans anew (`workers.planning.motion.path_reuse`)."""
-
-    request_digest: bytes  # digest of the planning request: joints of all arms, goal, scene, rules
-    space: Literal["joint", "task"]
-    s: list[float]  # parameter of each knot; rises from 0
-    knots: list[list[float]]  # rad
-    radii: list[float] = []  # of the rounded corners at the inner knots, in the unit of s
-    notes: list[str] = []  # how it was found
-
-
-class Step(Strict, frozen=True, kw_only=True, omit_defaults=True):
-    """One line of a script (Figure 4): do, resource, destination, stop class, interpolation space, trims."""
-
-    do: str  # "proc", "move", "let", "grip", "hold": a row of the binder's program
-    label: str  # in words, for people: "feel one side of the handle (GP1)"
-    name: str = ""  # of the procedure, or of the value that is set
-    who: str = "active_arm"
-    to: str = ""  # a binding's name
-    stop: str = ""  # stop class: move_free, move_to_contact ...
-    space: str = ""  # move_joint, move_task
-    value: str = ""  # of a "let": an expression over bindings
-    op: str = ""  # of a "grip": open, close
-    expect: list[StopReason] = msgspec.field(
-        default_factory=lambda: [StopReason.GOAL]
-    )  # the stop reasons that count as success (A13)
-    keep: dict[str, str] = {}  # binding to set from the report on success: {"GP1": "report.pose"}
-    trims: list[int] = []  # entries of the trimming stack that may correct it, in order (A9)
-    args: dict[str, float | str] = {}  # other parameters of the program's row: speeds, thresholds, widths
-    way: PlannedPath | None = None  # of the first motion of a script
 
 
 class Trim(Strict, frozen=True, kw_only=True, omit_defaults=True):

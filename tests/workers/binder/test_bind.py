@@ -13,7 +13,7 @@ from rtc.language import dictionary
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.kinematics import ArmModel
 from rtc.programs import loader
-from rtc.protocol.messages import Binding, BoundStep, Script, Step, Validity, WorldChange
+from rtc.protocol.messages import Binding, BoundStep, Script, Step, StepFigures, StepWords, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     BodyTouch,
@@ -511,7 +511,7 @@ def test_a_collision_names_both_bodies(bench):
 def test_a_module_in_its_rack_cannot_be_carried_off_sideways(bench):
     bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
     script = bench.elaborate("MOVE RIGHT-ARM BY 10 CM ALONG UP")
-    step = msgspec.structs.replace(script.steps[0], args={"by_m": 0.1, "axis": "Y"})
+    step = msgspec.structs.replace(script.steps[0], figures=StepFigures(by_m=0.1), words=StepWords(axis="Y"))
 
     refusal = bench.bind(script, step)
 

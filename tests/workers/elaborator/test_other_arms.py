@@ -22,9 +22,9 @@ def test_a_smaller_and_weaker_hand_opens_and_grips_as_it_can(bench: Bench) -> No
     model = CellModel(msgspec.structs.replace(CELL, arms=[arm, CELL.arms[1]]))
     script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", model)
     assert not isinstance(script, Refusal), script
-    args = [step.args for step in script.steps]
-    assert next(each["width_m"] for each in args if "width_m" in each) == pytest.approx(0.056)  # 2 mm before its stops
-    assert {each["grip_n"] for each in args if "grip_n" in each} == {25.0}
+    figures = [step.figures for step in script.steps]
+    assert next(each.width_m for each in figures if each.width_m) == pytest.approx(0.056)  # 2 mm before its stops
+    assert {each.grip_n for each in figures if each.grip_n} == {25.0}
 
 
 @pytest.mark.parametrize(

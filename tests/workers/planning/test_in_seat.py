@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -53,7 +54,7 @@ def test_two_arms_draw_a_module_out_before_they_move_it_elsewhere(both_in_the_ba
 def test_two_arms_do_not_turn_a_module_in_its_seat(both_in_the_bay):
     script = both_in_the_bay.elaborate("MOVE BOTH-ARMS BY 5 CM ALONG BACK")
     step = script.steps[0]
-    step.args["by_rad"] = 0.1
+    step = msgspec.structs.replace(step, figures=msgspec.structs.replace(step.figures, by_rad=0.1))
 
     refused = both_in_the_bay.bind(script, step)
 
