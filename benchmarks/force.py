@@ -92,13 +92,13 @@ class Station:
         self, offset: Array, speed_m_s: float, *stops: p.StopFunction, law: p.ControlLaw | None = None
     ) -> m.EndReport:
         """Move the tcp by `offset` (world, m) in a straight line."""
-        start = self.executor._command[0]
+        start = self.executor.command[0]
         pose = geometry.translate(self.model.fk(start), offset)
         return self.end(self.begin(straight(self.model, start, pose, speed_m_s), *stops, law=law))
 
     def to(self, pose: Array, duration_s: float = 3.0) -> None:
         """Move the tcp to a pose, in joint space."""
-        start = self.executor._command[0]
+        start = self.executor.command[0]
         goal = self.model.ik(pose, near=start)[0].tolist()
         still = [[0.0] * len(start)] * 2
         path = p.JointTrajectory(

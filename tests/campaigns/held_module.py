@@ -33,7 +33,7 @@ class HeldModule:
         self._saved = pybullet.saveState(physicsClientId=self.sim.world.client)
         self._world = self.bench.world
         executor = self.subsystem.executors[arm]
-        self.joints, self._hand = list(executor._command[0]), executor._hand
+        self.joints, self._hand = list(executor.command[0]), executor.hand
 
     def restore(self) -> None:
         """Back to the state after the sentences."""

@@ -57,7 +57,7 @@ class Inserter(BeforeBay):
 
     def _go_in(self, goal: Array, turning: float) -> m.EndReport:
         """Follow the line from here to `goal`. A jam makes the arm back off."""
-        start = self.subsystem.executors[ARM]._command[0]
+        start = self.subsystem.executors[ARM].command[0]
         stops = [
             p.StopFunction(reason=StopReason.GOAL, when=p.GoalReached()),
             p.StopFunction(reason=StopReason.FORCE_LIMIT, when=p.ForceAbove(limit_n=LIMIT_N)),

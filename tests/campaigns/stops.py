@@ -271,7 +271,7 @@ def stop_and_leave(n: int, drawn: Drawn) -> Run | None:
     for _ in range(300):
         cluster.tick()
     executor = cluster.mcm.executors[drawn.arm]
-    lead_rad = executor._seen.off(executor._command[0])
+    lead_rad = executor._seen.off(executor.command[0])
     laden = bool(ground.sim.held()[drawn.arm])
     moved, story = leave(cluster, drawn, outcome)
     first = f"{outcome.kind.value}: {outcome.message} || {_clears(outcome)}"

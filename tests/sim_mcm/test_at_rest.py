@@ -12,7 +12,7 @@ from rtc.apps.authoring.draft import draft
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import StopReason
 from rtc.subsystems.base.subsystem import BROKER
-from rtc.subsystems.motion.executor import STRAYED
+from rtc.subsystems.motion.stray_watch import STRAYED
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms import hand
 from sim_mcm.arms.bullet_arm import BulletCell

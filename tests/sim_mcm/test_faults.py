@@ -11,7 +11,6 @@ from rtc.protocol import faults as f
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
-from rtc.subsystems.motion.profiles import Stay
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.faults import Injections
@@ -37,21 +36,20 @@ class Rig:
 
     def turn(self, by_rad: float, *stops: p.StopFunction, watch=None):
         """Turn the first joint."""
-        start = self.executor._command[0]
+        start = self.executor.command[0]
         return self.do(self.make.joint_path(start, [start[0] + by_rad, *start[1:]], 1.0), *stops, watch=watch)
 
     def line(self, by_m, *stops: p.StopFunction):
-        start = self.executor._command[0]
+        start = self.executor.command[0]
         goal = geometry.translate(self.model.fk(start), by_m)
         return self.do(self.make.line_path(self.model, start, goal, 0.1), *stops, limit_s=3.0)
 
     def at_handle(self) -> None:
         """Bring the hand to the handle at once. Exact arms only."""
-        joints = self.model.ik(self.handle, near=self.executor._command[0])[0].tolist()
+        joints = self.model.ik(self.handle, near=self.executor.command[0])[0].tolist()
         self.world.arms[ARM].follow((joints, [0.0] * 6, [0.0] * 6))
         self.world.step()
-        self.executor._use(Stay(joints))
-        self.executor._command = self.executor._profile.at(0.0)
+        self.executor._setpoints.stand_at(joints)
         self.bench.tick()
 
     def grip(self) -> None:
@@ -76,7 +74,7 @@ def physical(cell, make):
 @pytest.mark.parametrize("stuck", [1, 2, 3, 4, 5, 6])
 def test_the_joint_that_is_stuck_is_named(physical, make, stuck) -> None:
     """In motion of all joints: lighter joints are off their commands before it is."""
-    start, ticks = physical.executor._command[0], [0]
+    start, ticks = physical.executor.command[0], [0]
 
     def watch() -> None:
         ticks[0] += 1

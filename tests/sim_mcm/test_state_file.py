@@ -36,7 +36,7 @@ def test_a_module_in_the_hand_is_in_the_hand_of_the_next_process_too(cell, make,
     for n, way in enumerate(ways, 1):
         bench.perform(make.primitive(way, id=f"C-1.{n}"))
     up = geometry.translate(handle, (0.0, 0.0, 0.1))
-    start = bench.subsystem.executors[ARM]._command[0]
+    start = bench.subsystem.executors[ARM].command[0]
     bench.perform(make.primitive(make.line_path(model, start, up, 0.1), id="C-1.4"))
     truth = bench.simulation.truth()
 
@@ -52,7 +52,7 @@ def test_a_module_in_the_hand_is_in_the_hand_of_the_next_process_too(cell, make,
     assert found["joints"][ARM] == pytest.approx(truth["joints"][ARM], abs=2e-4)
     assert geometry.distance(found["poses"][MODULE], truth["poses"][MODULE]) <= tolerance_m
     assert successor.held() == {ARM: [MODULE], "LEFT-ARM": []}
-    start = bench.subsystem.executors[ARM]._command[0]
+    start = bench.subsystem.executors[ARM].command[0]
     bench.perform(make.primitive(make.line_path(model, start, handle, 0.1), id="C-2.2"))
     assert geometry.distance(successor.truth()["poses"][MODULE], cell.object_pose(MODULE)) <= 2 * tolerance_m
     assert successor.held()[ARM] == [MODULE]

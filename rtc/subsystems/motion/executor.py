@@ -11,25 +11,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import msgspec
-import numpy as np
 
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.spatial.geometry import Array
-from rtc.subsystems.base.report_items import STANDARD, reading
 from rtc.subsystems.motion import acceptance, profiles, stop_functions
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
 from rtc.subsystems.motion.bounds import Bounds
-from rtc.subsystems.motion.goals import GOAL_RAD, WIDTH_M, Arrived, arrival
+from rtc.subsystems.motion.goals import GOAL_RAD, Arrived, arrival
+from rtc.subsystems.motion.hand import Hand
 from rtc.subsystems.motion.modes import AFTER_STOP, COUNTING, MOVING, TRANSITIONS, Mode, Trigger
 from rtc.subsystems.motion.observation import WINDOW_TICKS, Observation
-from rtc.subsystems.motion.pace import PathRate
 from rtc.subsystems.motion.reports import Trip, end_report, not_begun
+from rtc.subsystems.motion.running_reports import RunningReports
+from rtc.subsystems.motion.setpoints import Setpoints
 from rtc.subsystems.motion.spindle import SpindleTurn
+from rtc.subsystems.motion.stray_watch import StrayWatch
 
 # After these reasons the arm may lean on an obstacle, so it cannot reach the commanded position.
 TOUCHED = frozenset(
@@ -42,39 +41,15 @@ TOUCHED = frozenset(
     }
 )
 
-# Factor by which a command may exceed a joint's speed limit. Reasons: an offset at the start of a path (0.08 rad/s);
-# braking from an acceleration (0.14 rad/s). A greater excess is an error in the profile.
-COMMAND_SLACK = 1.25
-SQUEEZE_N = 1.0  # a smaller finger force does not count as a grip
 SETTLE_LIMIT_S = 1.0  # maximum wait for measured rest; then the end is reported anyway
 PRESSES_N = 3.0  # an arm that feels more than this since the start of its primitive leans on something
 RELEASE_LIMIT_S = 3.0
-# An arm without a primitive has moved by itself, or was moved, if its joints are farther than this from where they came
-# to rest (norm; rad, m). A new path must begin within the same distance of it.
-STRAYED = 0.01
 # Reflex COMPLY: no spring, damping only. It ends at rest with a smaller force than this, or after this time.
 LIMP = p.Compliance(stiffness=[0.0] * 6)
 COMPLIED_N, COMPLY_LIMIT_S = 1.0, 3.0
 
 Reports = Sequence[m.Started | m.PauseChanged | m.ProgressReport | m.EndReport | m.Strayed]
 NOTHING: Reports = ()
-
-
-@dataclass(slots=True)
-class MotionProgress:
-    """What has happened to the present or latest primitive, beyond its state; and since then.
-
-    These are not attributes of the executor, because Python 3.11 finds attributes of an object with more than 30 of
-    them in a hash table: that took 1.5 us of each tick.
-    """
-
-    stands: bool = False  # on its path, in a pause
-    paused_ticks: int = 0
-    stopped_at_s: float = 0.0  # time along the trajectory, of the latest stop
-    was_compliant: bool = False  # up to the stop
-    releasing: bool = False
-    strayed: str = ""  # how the arm has moved since then, without a primitive; it is braked
-    strayed_from: list[float] | None = None  # until it rests
 
 
 class Executor:
@@ -84,29 +59,22 @@ class Executor:
         self.primitive: p.Primitive | None = None
         self.trip: Trip | None = None
         self._seen = Observation(arm)
-        self._most_rad_s = [COMMAND_SLACK * limit for limit in arm.traits.velocity]
-        self._most_step_rad = [limit * TICK_S for limit in self._most_rad_s]
+        self._setpoints = Setpoints(arm.traits, self.sample.joints)
+        self._hand = Hand(self._seen)
+        self._stray = StrayWatch(self._seen, self._setpoints)
         self._ticks = 0  # since the start of this primitive
-        self._profile: profiles.Profile = profiles.Stay(self.sample.joints)
-        self._profile_ticks = 0
-        self._shift_s = 0.0  # time of the profile minus that of its ticks: what passed at another rate
-        self._pace = PathRate()
-        self._command: Motion = self._profile.at(0.0)
-        self._follow: profiles.Follow | None = None  # the path, if the primitive has one
-        # Its present motions, the tick of the profile of the first, and the tick that needs a whole tick again.
-        self._block: Array = np.empty((0, 3, 0))
-        self._block_from = self._next_check_tick = 0
-        self._hand = HandCommand(self._seen.width_m, arm.traits.max_grip_n, arm.traits.hand_speed_m_s)
+        self._paused_ticks = 0  # of them
+        self._stands = False  # on its path, in a pause
         self._stops: stop_functions.Stops = []
         self._bounds = Bounds([], arm.traits)
         self._arrived: Arrived = lambda time_s: None
-        self._report_every: int | None = None
-        self._report_when: stop_functions.Reports = []  # not reported yet
+        self._reports: RunningReports | None = None  # of the primitive
         self._watch = stop_functions.RetreatWatch([])
-        self._motion = MotionProgress()
         self._spindle: SpindleTurn | None = None  # of the primitive, if it turns one
         # The present control law complies: in EXECUTING, COMPLYING, and until rest if the primitive asks for it.
         self._compliant = False
+        # Of the latest stop: the time along the trajectory, whether the arm was compliant; and whether the hand opens.
+        self._stopped_at_s, self._was_compliant, self._releasing = 0.0, False, False
         self._work: dict[Mode, Callable[[float], Reports]] = {
             Mode.HOLDING: lambda now_s: NOTHING,
             Mode.EXECUTING: self._execute,
@@ -161,7 +129,12 @@ class Executor:
     @property
     def hand(self) -> HandCommand:
         """The latest command of the hand."""
-        return self._hand
+        return self._hand.command
+
+    @property
+    def command(self) -> Motion:
+        """The latest command of the joints."""
+        return self._setpoints.command
 
     def accept(self, primitive: p.Primitive, now_s: float) -> Reports:
         """Start it with the next tick or refuse it: returns `Started` or an end report with the reason REFUSED."""
@@ -176,7 +149,7 @@ class Executor:
     @property
     def path_s(self) -> float:
         """Time along its trajectory that the present or latest primitive has reached (s); infinite at its goal."""
-        return self._profile_time_s if self.state is Mode.EXECUTING else self._motion.stopped_at_s
+        return self._setpoints.time_s if self.state is Mode.EXECUTING else self._stopped_at_s
 
     def halt(self, reason: StopReason = StopReason.HALT, words: str = "") -> bool:
         """Brake with the next tick, in any state. Returns True if the arm was in motion. `reason`: of the end report,
@@ -193,32 +166,32 @@ class Executor:
     @property
     def strayed(self) -> str:
         """How the arm has moved without a primitive since its latest one; empty: it has not."""
-        return self._motion.strayed
+        return self._stray.how
 
     @property
     def paused(self) -> bool:
         """Whether its primitive is to pause on its path, or does."""
-        return self.state is Mode.EXECUTING and self._pace.paused
+        return self.state is Mode.EXECUTING and self._setpoints.pace.paused
 
     @property
     def ramp_s(self) -> float:
         """The time that a pause, or its end, needs from now on."""
-        return self._pace.next_ramp_s(self._profile, self._profile_time_s, self._most_rad_s2)
+        setpoints = self._setpoints
+        return setpoints.pace.next_ramp_s(setpoints.profile, setpoints.time_s, self._most_rad_s2)
 
     def pace(self, paused: bool, ramp_s: float = 0.0) -> None:
         """Pause the primitive on its path, or let it go on, within this time or more. F is checked as before; its time
         limit does not count from the order to pause until the order to go on. Without effect on an arm that stops."""
-        if self.state is not Mode.EXECUTING or paused is self._pace.paused:
+        if self.state is not Mode.EXECUTING or paused is self._setpoints.pace.paused:
             return
-        self._pace.order(paused, ramp_s)
-        self._next_check_tick = 0
+        self._setpoints.order_pace(paused, ramp_s)
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
         if isinstance(trajectory, p.HandMotion):
             if paused:
-                self._freeze_hand()
+                self._hand.freeze()
             else:
-                self._move_hand(trajectory)
+                self._hand.move(trajectory)
         if self._spindle is not None:
             self._pace_spindle(self._spindle, paused)
 
@@ -233,94 +206,62 @@ class Executor:
 
     def tick(self, now_s: float) -> Reports:
         """One servo tick: read the sample, evaluate, command."""
-        seen = self._seen
-        n = self._profile_ticks + 1
-        if n < self._next_check_tick:  # in nearly every tick of a path; half the time of the whole tick below
+        seen, setpoints = self._seen, self._setpoints
+        n = setpoints.ticks + 1
+        if n < setpoints.next_check_tick:  # in nearly every tick of a path; half the time of the whole tick below
             seen.sample = seen.arm.read()  # it does not enter the window; that saves 1 us
             seen.feel(True)
-            if self._bounds.hold(seen, self._command):
+            if self._bounds.hold(seen, setpoints.command):
                 self._ticks += 1
-                self._profile_ticks = n
-                # Lists made as late as this stay in the nearest cache: 2 us less than with lists of the whole block.
-                self._command = command = self._block[n - self._block_from].tolist()
+                command = setpoints.skip(n)
                 if self._compliant:
                     seen.arm.feel(seen.wrench)
                 seen.arm.follow(command)
                 return NOTHING
-            self._next_check_tick = 0
+            setpoints.next_check_tick = 0
             seen.watch()
         else:
             seen.read()
             if self.primitive is None:  # HOLDING
-                if math.dist(seen.sample.joints, seen.stands_at) <= STRAYED:  # in nearly every tick
-                    return NOTHING
-                return self._stray()
+                return NOTHING if self._stray.stands else self._stray.brake(self.name)
         return self._whole_tick(now_s)
 
     def _whole_tick(self, now_s: float) -> Reports:
         """Evaluate all stop functions in their order, and all that depends on time or state; then command."""
-        seen = self._seen
+        seen, setpoints = self._seen, self._setpoints
         if self._ticks == 0:
             seen.begin()
         self._ticks += 1
         seen.feel(self.state in COUNTING)
         reports = self._work[self.state](now_s)
-        if self._pace.full:
-            self._profile_ticks += 1
-            command = self._profile.at(self._profile_ticks * TICK_S + self._shift_s)
-        else:
-            command = self._advance_slowly()
-        if not self._checked and not self._within_limits(command):
+        command = setpoints.advance() if setpoints.pace.full else setpoints.advance_slowly(self._most_rad_s2)
+        if not setpoints.allows(command):
             command = self._brake_instead(command)
-        self._command = command
-        if self._profile is self._follow and self._pace.full and self._follow.block is not self._block:
-            self._look_ahead(self._follow)
+        setpoints.command = command
+        if (path := setpoints.new_block) is not None:
+            self._look_ahead(path)
         if self._compliant:
             seen.arm.feel(seen.wrench)
         seen.arm.follow(command)
         return reports
 
-    def _look_ahead(self, follow: profiles.Follow) -> None:
+    def _look_ahead(self, path: profiles.Follow) -> None:
         """Note for how many ticks of a new block only the sample can end the primitive or cause a report: neither its
         time limit, nor the end of the path, nor a periodic report is due."""
-        self._block, self._block_from, self._next_check_tick = follow.block, self._profile_ticks - follow.latest, 0
-        if self._report_when or not (follow.block_fits and self._bounds.exist):
+        setpoints, reports = self._setpoints, self._reports
+        setpoints.look_ahead(path)
+        if reports is None or reports.conditions or not (path.block_fits and self._bounds.exist):
             return
-        ticks = [
-            len(follow.block) - 1 - follow.latest,
-            (follow.duration_s - self._profile_time_s) / TICK_S - 1 - WINDOW_TICKS,  # rest is watched at its end
+        ticks = (
+            len(path.block) - 1 - path.latest,
+            (path.duration_s - setpoints.time_s) / TICK_S - 1 - WINDOW_TICKS,  # rest is watched at its end
             (self._bounds.time_s - self._elapsed_s) / TICK_S - 1,
-        ]
-        if self._report_every is not None:
-            ticks.append(self._report_every - 1 - self._ticks % self._report_every)
+            reports.ticks_left(self._ticks) - 1,
+        )
         count = int(min(ticks))
         if count > 0:
-            self._next_check_tick = self._profile_ticks + 1 + count
+            setpoints.next_check_tick = setpoints.ticks + 1 + count
             self._seen.forget_window()
-
-    def _stray(self) -> Reports:
-        """Brake an arm that moves without a primitive. A report when it begins, another when the arm rests."""
-        seen, course = self._seen, self._motion
-        if course.strayed_from is None:
-            course.strayed_from = seen.stands_at
-            self.arm.brake(True)
-        elif not seen.joints_rest():
-            return NOTHING
-        joint, off = seen.farthest(course.strayed_from)
-        far = f"{1e3 * off:.0f} mm" if self.arm.traits.margins(1.0)[joint] < 1.0 else f"{math.degrees(off):.1f} deg"
-        rests = "it rests" if seen.joints_rest() else "it moves"
-        course.strayed = f"moved without a command, {self.arm.traits.joint_names[joint]} by {far}; braked, {rests}"
-        if seen.joints_rest():
-            course.strayed_from = None
-            self._stand()
-        return [m.Strayed(arms={self.name: course.strayed})]
-
-    def _stand(self) -> None:
-        """Command the arm to stay where it is."""
-        self._seen.stands_at = self.sample.joints
-        self._use(profiles.Stay(self.sample.joints))
-        self._command = self._profile.at(0.0)
-        self.arm.follow(self._command)
 
     # --- the states ------------------------------------------------------------------------------------
 
@@ -330,45 +271,44 @@ class Executor:
         self._seen.forget_touches(trip.message if trip is not None and touched else None)
         if self._compliant and self.primitive is not None:
             self._stiffen(self.primitive.control_law)
-            self._use(profiles.Stay(self._command[0]))
+            self._setpoints.stay()
         self.primitive = None
         self.trip = None
-        self._follow = None
+        self._setpoints.path = None
         self._seen.stands_at = self.sample.joints
 
     def _begin_executing(self) -> None:
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
-        if self._motion.strayed:
-            self.arm.brake(False)
-        self._ticks, self._motion = 0, MotionProgress()
+        self._stray.release()
+        self._ticks = self._paused_ticks = 0
+        self._stands = self._releasing = False
+        self._stopped_at_s, self._was_compliant = 0.0, False
         self._compliant = self.primitive.control_law.compliance is not None
-        every_s = self.primitive.reporting.every_s
-        self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
-        joints = self._command[0]
         if isinstance(trajectory, p.JointTrajectory):
-            self._follow = profiles.Follow(trajectory, joints, self._most_rad_s)
-            self._use(self._follow)
+            self._setpoints.follow(trajectory)
         else:
-            self._use(profiles.Stay(joints))
+            self._setpoints.stay()
         if isinstance(trajectory, p.HandMotion):
-            self._move_hand(trajectory)
+            self._hand.move(trajectory)
         self._spindle = SpindleTurn(trajectory, self._seen) if isinstance(trajectory, p.SpindleMotion) else None
         if self._spindle is not None:
             self._spindle.run()
-        self._arrived = arrival(trajectory, self._seen, self._profile.duration_s, self._turned_rad)
+        self._arrived = arrival(trajectory, self._seen, self._setpoints.profile.duration_s, self._turned_rad)
 
     def _turned_rad(self) -> float:
         return 0.0 if self._spindle is None else self._spindle.turned_rad
 
     def _execute(self, now_s: float) -> Reports:
         seen, bounds, elapsed_s = self._seen, self._bounds, self._elapsed_s
-        arrived = self._arrived(self._profile_time_s)
+        setpoints, running = self._setpoints, self._reports
+        assert running is not None
+        arrived = self._arrived(setpoints.time_s)
         reports, found = NOTHING, None
         in_time = arrived is None and elapsed_s <= bounds.time_s
-        if self._report_when or not (in_time and bounds.hold(seen, self._command)):
-            moment = seen.moment(elapsed_s, arrived, self._command)
-            reports = self._conditions_met(moment, now_s)
+        if running.conditions or not (in_time and bounds.hold(seen, setpoints.command)):
+            moment = seen.moment(elapsed_s, arrived, setpoints.command)
+            reports = running.conditions_met(moment, now_s)
             found = stop_functions.first(self._stops, moment)
         if found is not None:
             stop, (measured, limit, words) = found
@@ -382,56 +322,46 @@ class Executor:
             )
             self._trip(trip, Trigger.TRIPPED)
             return [*reports, *self._stop(now_s)]
-        if self._pace.paused or self._motion.stands:
+        if setpoints.pace.paused or self._stands:
             reports = [*reports, *self._paced(now_s)]
-        if self._report_every is not None and self._ticks % self._report_every == 0:
-            reports = [*reports, self._progress(now_s)]
+        if running.period is not None and self._ticks % running.period == 0:
+            reports = [*reports, running.progress(now_s)]
         return reports
-
-    def _conditions_met(self, moment: stop_functions.Moment, now_s: float) -> Reports:
-        """A report for each condition of R that is true for the first time."""
-        met: dict[int, m.ProgressReport] = {}
-        for n, check in self._report_when:
-            if (finding := check(moment)) is not None and n not in met:
-                measured, limit, _ = finding
-                progress = self._progress(now_s)
-                met[n] = msgspec.structs.replace(progress, condition=n, measured=measured, limit=limit)
-        if met:
-            self._report_when = [(n, check) for n, check in self._report_when if n not in met]
-        return list(met.values())
 
     def _paced(self, now_s: float) -> Reports:
         """Count a tick of a pause, and report when the arm stands on its path or goes on."""
-        self._motion.paused_ticks += self._pace.paused
-        stands = self._pace.rate == 0.0
-        if stands is self._motion.stands:
+        pace = self._setpoints.pace
+        self._paused_ticks += pace.paused
+        stands = pace.rate == 0.0
+        if stands is self._stands:
             return []
-        self._motion.stands = stands
+        self._stands = stands
         return [m.PauseChanged(primitive=self.primitive_id, at_s=now_s, paused=stands, done=self._done())]
 
     def _done(self) -> float:
         """Share of the path, or of the turn of the spindle."""
         if self._spindle is not None:
             return self._spindle.done
-        return min(1.0, self._profile_time_s / self._profile.duration_s) if self._profile.duration_s else 0.0
+        duration_s = self._setpoints.profile.duration_s
+        return min(1.0, self._setpoints.time_s / duration_s) if duration_s else 0.0
 
     def _begin_stopping(self) -> None:
         assert self.primitive is not None
         assert self.trip is not None
-        self._motion.was_compliant = self._compliant
-        self._motion.stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._profile_time_s
+        self._was_compliant = self._compliant
+        self._stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._setpoints.time_s
         if self._spindle is not None:
             self._spindle.stop()
         compliance = self.primitive.control_law.compliance
         if self._compliant and not (compliance is not None and compliance.until_rest):
             self._stiffen(self.primitive.control_law)
-        self._use(profiles.Brake(self._command, laden=self._seen.grip_n > SQUEEZE_N))
+        self._setpoints.use(profiles.Brake(self.command, laden=self._hand.grips))
         hand_moves = isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL
-        if hand_moves or self._motion.releasing:
-            self._freeze_hand()
+        if hand_moves or self._releasing:
+            self._hand.freeze()
 
     def _stop(self, now_s: float) -> Reports:
-        if self._profile_time_s < self._profile.duration_s:
+        if not self._setpoints.over:
             return []
         assert self.trip is not None
         following = AFTER_STOP[self.trip.reflex]
@@ -441,21 +371,21 @@ class Executor:
     def _begin_retreat(self) -> None:
         assert self.trip is not None
         self._watch = stop_functions.RetreatWatch(self._stops)
-        joints = self._command[0]
-        if self._follow is None or self.trip.back_off_m <= 0.0:
-            self._use(profiles.Stay(joints))  # no path to retrace
+        joints, path = self.command[0], self._setpoints.path
+        if path is None or self.trip.back_off_m <= 0.0:
+            self._setpoints.stay()  # no path to retrace
             return
         tripped_s = self.trip.at_path_s
-        if self._motion.was_compliant:  # the arm may be far behind its command
-            tripped_s = self._follow.nearest_s(joints, tripped_s)
-        self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
+        if self._was_compliant:  # the arm may be far behind its command
+            tripped_s = path.nearest_s(joints, tripped_s)
+        self._setpoints.use(profiles.Retrace(path, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
 
     def _retreat(self, now_s: float) -> Reports:
-        met = self._watch.first(self._seen.moment(self._elapsed_s, None, self._command))
+        met = self._watch.first(self._seen.moment(self._elapsed_s, None, self.command))
         if met is not None:
             self._cut_retreat(*met)
             return self._stop(now_s)
-        if self._profile_time_s < self._profile.duration_s:
+        if not self._setpoints.over:
             return []
         self._apply(Trigger.DONE)
         return self._settle(now_s)
@@ -471,27 +401,25 @@ class Executor:
         self._apply(Trigger.TRIPPED)
 
     def _begin_release(self) -> None:
-        self._motion.releasing = True
-        self._use(profiles.Stay(self._command[0]))
-        traits = self.arm.traits
-        self._use_hand(HandCommand(traits.max_opening_m, traits.max_grip_n, traits.hand_speed_m_s))
+        self._releasing = True
+        self._setpoints.stay()
+        self._hand.open()
 
     def _release(self, now_s: float) -> Reports:
-        opened = self._seen.width_m >= self.arm.traits.max_opening_m - WIDTH_M
-        if not opened and self._profile_time_s < RELEASE_LIMIT_S:
+        if not self._hand.is_open and self._setpoints.time_s < RELEASE_LIMIT_S:
             return []
         self._apply(Trigger.DONE)
         return self._settle(now_s)
 
     def _begin_comply(self) -> None:
         assert self.primitive is not None
-        self._use(profiles.Stay(self._command[0]))
+        self._setpoints.stay()
         self.arm.use_law(_limp(self.primitive.control_law))
         self._compliant = True
 
     def _comply(self, now_s: float) -> Reports:
         rests = self._seen.joints_rest() and self._seen.force_n < COMPLIED_N
-        waited_s = self._profile_time_s
+        waited_s = self._setpoints.time_s
         if waited_s < WINDOW_TICKS * TICK_S or (not rests and waited_s < COMPLY_LIMIT_S):
             return []
         assert self.primitive is not None
@@ -500,20 +428,19 @@ class Executor:
         return self._settle(now_s)
 
     def _begin_settling(self) -> None:
-        self._use(profiles.Stay(self._command[0]))
+        self._setpoints.stay()
 
     def _settle(self, now_s: float) -> Reports:
         """Wait for rest. An arm that leans then gives way: its command goes to where it is, and it presses no more."""
-        if isinstance(self._profile, profiles.Unload):
+        setpoints = self._setpoints
+        if isinstance(setpoints.profile, profiles.Unload):
             rests = self._seen.joints_rest() and self._seen.fingers_rest()
-            if not (rests or self._profile_time_s >= self._profile.duration_s):
+            if not (rests or setpoints.over) or not setpoints.profile.done(setpoints.time_s):
                 return []
-            if not self._profile.done(self._profile_time_s):
-                return []
-        elif not self._still() and self._profile_time_s < SETTLE_LIMIT_S:
+        elif not self._still() and setpoints.time_s < SETTLE_LIMIT_S:
             return []
         elif not self._compliant and (self._leans() or self._off_command() > GOAL_RAD):
-            self._use(profiles.Unload(self._command, lambda: self.sample.joints))
+            setpoints.use(profiles.Unload(setpoints.command, lambda: self.sample.joints))
             return []
         report = self._end_report(now_s)
         self._apply(Trigger.DONE)
@@ -532,7 +459,7 @@ class Executor:
 
     def _off_command(self) -> float:
         """The greatest joint error (rad)."""
-        return self._seen.off(self._command[0])
+        return self._seen.off(self.command[0])
 
     # --- internals -------------------------------------------------------------------------------------
 
@@ -548,7 +475,7 @@ class Executor:
         assert self.trip is None, "a primitive ends for one reason"
         pose = self._seen.tcp().tolist()
         wrench = self._seen.wrench
-        self.trip = msgspec.structs.replace(trip, at_path_s=self._profile_time_s, pose=pose, wrench=wrench)
+        self.trip = msgspec.structs.replace(trip, at_path_s=self._setpoints.time_s, pose=pose, wrench=wrench)
         self._apply(event)
 
     def _objection(self, primitive: p.Primitive) -> str:
@@ -571,96 +498,41 @@ class Executor:
             return str(error)
         except Exception as error:  # a bad primitive must not end the process that controls the other arm
             return f"it cannot be checked: {type(error).__name__}: {error}"
-        self._stops, self._report_when = stops, conditions
-        self._bounds = Bounds(stops, self.arm.traits)
+        self._stops, self._bounds = stops, Bounds(stops, self.arm.traits)
+        self._reports = RunningReports(self.name, self._seen, primitive, conditions)
         return ""
-
-    def _within_limits(self, command: Motion) -> bool:
-        """Whether every joint can reach the commanded position and speed within one tick."""
-        joints, speeds, _ = command
-        for q, before, most, speed, fastest in zip(
-            joints, self._command[0], self._most_step_rad, speeds, self._most_rad_s, strict=True
-        ):
-            if not (-most <= q - before <= most and -fastest <= speed <= fastest):  # false for NaN too
-                return False
-        return True
 
     def _brake_instead(self, refused: Motion) -> Motion:
         """Brake from the last command within limits. Returns the command of this tick."""
+        setpoints = self._setpoints
         if self.state is Mode.EXECUTING:
-            far = [abs(q - before) / TICK_S for q, before in zip(refused[0], self._command[0], strict=True)]
-            k = max(range(len(far)), key=lambda n: far[n] / self._most_rad_s[n])
-            words = f"{self.arm.traits.joint_names[k]} was commanded to turn at {far[k]:.4g} rad/s"
-            limit = self._most_rad_s[k]
-            trip = Trip(reason=StopReason.COMMAND_LIMIT, measured=far[k], limit=limit, message=words)
+            k, speed = setpoints.fastest(refused)
+            words = f"{self.arm.traits.joint_names[k]} was commanded to turn at {speed:.4g} rad/s"
+            limit = setpoints.most_rad_s[k]
+            trip = Trip(reason=StopReason.COMMAND_LIMIT, measured=speed, limit=limit, message=words)
             self._trip(trip, Trigger.TRIPPED)
-        else:  # keep the reason
-            self._use(profiles.Brake(self._command))
-        self._profile_ticks = 1
-        return self._profile.at(TICK_S)
-
-    def _use(self, profile: profiles.Profile) -> None:
-        self._profile = profile
-        self._profile_ticks, self._shift_s = 0, 0.0
-        self._next_check_tick = 0
-        self._pace = PathRate()
-
-    def _advance_slowly(self) -> Motion:
-        """The command of this tick, in a pause or on the way into or out of it."""
-        self._shift_s += self._pace.advance(self._profile, self._profile_time_s, self._most_rad_s2)
-        return self._pace.scaled(self._profile.at(self._profile_time_s))
-
-    @property
-    def _checked(self) -> bool:
-        """Whether the path itself has checked this command; it does so for many ticks at once."""
-        return self._profile is self._follow and self._follow.within_limits and self._pace.full
+            return setpoints.replace(setpoints.profile)
+        return setpoints.replace(profiles.Brake(setpoints.command))  # keep the reason
 
     @property
     def _most_rad_s2(self) -> list[float]:
         most = self.arm.traits.acceleration
-        if self._seen.grip_n > SQUEEZE_N:
+        if self._hand.grips:
             return [min(a, profiles.LADEN_ACCELERATION_RAD_S2) for a in most]
         return most
-
-    def _move_hand(self, motion: p.HandMotion) -> None:
-        self._use_hand(HandCommand(motion.width_m, motion.force_n, motion.speed_m_s))
-
-    def _use_hand(self, command: HandCommand) -> None:
-        self._hand = command
-        self.arm.command_hand(command)
 
     def _stiffen(self, law: p.ControlLaw) -> None:
         """Change from a compliant law to position control, from the measured motion: so the arm stops as quickly as any
         other, presses with nothing, and does not jump to where its spring would have pulled it."""
         still = [0.0] * len(self.sample.joints)
-        self._command = (list(self.sample.joints), list(self.sample.velocities), still)
+        self._setpoints.command = (list(self.sample.joints), list(self.sample.velocities), still)
         self._compliant = False
         self.arm.use_law(p.ControlLaw(gains=law.gains, load=law.load))
-
-    def _freeze_hand(self) -> None:
-        """Stop the fingers. A hand that grips keeps its present force."""
-        pressed, hand = self._seen.grip_n, self._hand
-        if pressed < SQUEEZE_N:
-            self._use_hand(HandCommand(self._seen.width_m, hand.force_n, hand.speed_m_s))
-        else:
-            self._use_hand(HandCommand(hand.width_m, min(pressed, hand.force_n), hand.speed_m_s))
 
     @property
     def _elapsed_s(self) -> float:
         """Since the start of the primitive, without its pauses."""
-        return (self._ticks - self._motion.paused_ticks) * TICK_S
-
-    @property
-    def _profile_time_s(self) -> float:
-        return self._profile_ticks * TICK_S + self._shift_s
-
-    def _progress(self, now_s: float) -> m.ProgressReport:
-        assert self.primitive is not None
-        return m.ProgressReport(
-            primitive=self.primitive_id,
-            at_s=now_s,
-            reading=reading(self.primitive.reporting.items or STANDARD, self.name, self._seen, ended=False),
-        )
+        return (self._ticks - self._paused_ticks) * TICK_S
 
     def _end_report(self, now_s: float) -> m.EndReport:
         assert self.trip is not None

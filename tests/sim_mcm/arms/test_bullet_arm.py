@@ -52,7 +52,7 @@ def go(bench, make, model):
 
     def move(goal, speed_m_s: float, *stops, straight: bool = True, watch=None):
         count[0] += 1
-        start = bench.subsystem.executors[ARM]._command[0]
+        start = bench.subsystem.executors[ARM].command[0]
         if straight:
             path = make.line_path(model, start, goal, speed_m_s)
         else:
@@ -77,7 +77,7 @@ def test_a_line_at_full_speed_is_followed_within_a_tenth_of_a_millimetre(world, 
 
     def watch() -> None:
         executor = bench.subsystem.executors[ARM]
-        error = geometry.distance(model.fk(executor._command[0]), model.fk(executor.sample.joints))
+        error = geometry.distance(model.fk(executor.command[0]), model.fk(executor.sample.joints))
         worst[0] = max(worst[0], error)
 
     report = go(geometry.translate(start, (-0.15, 0.1, -0.25)), 0.25, watch=watch)
@@ -121,7 +121,7 @@ def test_a_guarded_move_feels_the_handle_in_that_tick_and_hardly_presses(bench, 
 
     def watch() -> None:
         executor = bench.subsystem.executors[ARM]
-        seen.append((executor.state, float(np.linalg.norm(executor._command[1]))))
+        seen.append((executor.state, float(np.linalg.norm(executor.command[1]))))
 
     feel = make.stop(StopReason.CONTACT, p.ForceAbove(limit_n=5.0))
     report = go(geometry.translate(handle, (0.0, 0.05, 0.0)), 0.02 * scale, feel, watch=watch)
@@ -254,7 +254,7 @@ def test_an_arm_that_hits_the_other_says_so_and_can_be_moved_away(world, bench, 
     assert theirs.startswith("LEFT-ARM ")
 
     # When it is commanded back, still touching, then it moves
-    here = bench.subsystem.executors[ARM]._command[0]
+    here = bench.subsystem.executors[ARM].command[0]
     back = bench.perform(make.primitive(make.joint_path(here, start, 6.0), touch, id="C-7.2"))
     assert back.reason is StopReason.GOAL
 

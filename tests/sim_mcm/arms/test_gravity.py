@@ -45,12 +45,12 @@ def soft(stiffness_n_m: float) -> p.ControlLaw:
 def test_an_arm_under_gravity_neither_sags_nor_feels_its_own_weight(world, bench, make, earth, law) -> None:
     """Through a motion that turns the hand by 60 degrees."""
     model, executor = ArmModel.of(earth, ARM), bench.subsystem.executors[ARM]
-    start = executor._command[0]
+    start = executor.command[0]
     goal = [start[0] - 0.3, start[1], start[2], start[3], start[4] - 0.6, start[5] + 1.0]
     worst = [0.0]
 
     def watch() -> None:
-        off = geometry.distance(model.fk(executor._command[0]), model.fk(executor.sample.joints))
+        off = geometry.distance(model.fk(executor.command[0]), model.fk(executor.sample.joints))
         worst[0] = max(worst[0], off)
 
     guard = make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=3.0))
@@ -71,11 +71,11 @@ def test_a_module_is_lifted_and_held_under_gravity(world, bench, make, earth) ->
 
     def go(goal, speed_m_s: float = 0.1, law: p.ControlLaw | None = None) -> m.EndReport:
         count[0] += 1
-        path = make.line_path(model, executor._command[0], goal, speed_m_s)
+        path = make.line_path(model, executor.command[0], goal, speed_m_s)
         return bench.perform(make.primitive(path, id=f"C-1.{count[0]}", control_law=law or p.ControlLaw()))
 
     front = geometry.translate(handle, (-0.1, 0.0, 0.0))
-    start = executor._command[0]
+    start = executor.command[0]
     path = make.joint_path(start, model.ik(front, near=start)[0].tolist(), 3.0)
     assert bench.perform(make.primitive(path, id="C-2.1")).reason is StopReason.GOAL
     assert go(handle).reason is StopReason.GOAL

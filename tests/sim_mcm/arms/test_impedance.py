@@ -62,7 +62,7 @@ def before_the_wall(world, bench, make, model) -> None:
     executor = bench.subsystem.executors[ARM]
     world.displace("SATELLITE", [HOME_M + TIP_M + WALL_M - FACE_M, 0.0, 0.0, 0.0, 0.0, 0.0])
     down = geometry.translate(model.fk(executor.sample.joints), (0.0, 0.0, -0.15))
-    path = make.line_path(model, executor._command[0], down, 0.25)
+    path = make.line_path(model, executor.command[0], down, 0.25)
     assert bench.perform(make.primitive(path, id="C-9.1")).reason is StopReason.GOAL
 
 
@@ -239,7 +239,7 @@ def test_backing_off_is_counted_from_where_the_arm_is_and_not_from_its_command(w
     executor = bench.subsystem.executors[ARM]
     front = model.fk(executor.sample.joints)
     goal = geometry.translate(front, (0.06, 0.0, 0.0))
-    path = make.line_path(model, executor._command[0], goal, 0.02)
+    path = make.line_path(model, executor.command[0], goal, 0.02)
     trip = make.stop(StopReason.CONTACT, p.ForceAbove(limit_n=8.0, axis=[0.0, 0.0, -1.0]), Reflex.BACK_OFF, 0.004)
     report = bench.perform(make.primitive(path, trip, id="C-1.2", control_law=impedance(300.0, 10.0)))
     assert report.reason is StopReason.CONTACT
@@ -250,11 +250,11 @@ def test_backing_off_is_counted_from_where_the_arm_is_and_not_from_its_command(w
 def test_an_impedance_follows_a_path_as_position_control_does(world, bench, make, model) -> None:
     executor = bench.subsystem.executors[ARM]
     goal = geometry.translate(model.fk(executor.sample.joints), (-0.10, 0.1, -0.2))
-    path = make.line_path(model, executor._command[0], goal, 0.25)
+    path = make.line_path(model, executor.command[0], goal, 0.25)
     worst = [0.0]
 
     def watch() -> None:
-        error = geometry.distance(model.fk(executor._command[0]), model.fk(executor.sample.joints))
+        error = geometry.distance(model.fk(executor.command[0]), model.fk(executor.sample.joints))
         worst[0] = max(worst[0], error)
 
     report = bench.perform(make.primitive(path, control_law=impedance(400.0, 12.0)), watch=watch)

@@ -29,7 +29,7 @@ def test_a_command_beyond_the_limits_is_not_followed_and_ends_the_primitive(rig,
     rig.accept(rig.swing())
     rig.tick(300)
     leap = _Leap(rig.arm.motion[0] if value == "leap" else [float("nan")] * 6)
-    rig.executor._use(leap)
+    rig.executor._setpoints.use(leap)
 
     report = rig.until_end()
 
@@ -46,7 +46,8 @@ def test_a_leap_while_it_stops_is_braked_and_the_reason_stands(rig, make) -> Non
     rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     rig.tick(2)
     assert rig.executor.state is Mode.STOPPING
-    rig.executor._profile, rig.executor._profile_ticks = _Leap(rig.arm.motion[0]), 200
+    setpoints = rig.executor._setpoints
+    setpoints.profile, setpoints.ticks = _Leap(rig.arm.motion[0]), 200
     rig.arm.wrench = [0.0] * 6
     assert rig.until_end().reason is StopReason.CONTACT
     steps = np.abs(np.diff([motion[0] for motion in rig.arm.commands], axis=0))

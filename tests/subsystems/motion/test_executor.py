@@ -78,7 +78,7 @@ def test_progress_is_reported_at_its_period_and_only_if_asked(rig) -> None:
     assert sum(isinstance(message, m.ProgressReport) for message in rig.sent) == 10
 
     rig.sent.clear()
-    back = rig.executor._command[0]
+    back = rig.executor.command[0]
     rig.home, rig.away = back, rig.home
     rig.accept(rig.swing(id="C-7.2", duration_s=3.0))
     rig.until_end()
@@ -358,14 +358,14 @@ def test_an_arm_may_move_away_from_what_it_touched_at_the_start_but_not_into_it(
     rig.arm.leaning = {floor: 4.0, wall: 0.1}  # something new
     assert rig.until_end().message == wall
 
-    rig.home, rig.away = rig.executor._command[0], rig.home
+    rig.home, rig.away = rig.executor.command[0], rig.home
     rig.arm.leaning = {floor: 4.0}
     rig.accept(rig.swing(collision, id="C-7.2"))
     rig.tick(100)
     rig.arm.leaning = {floor: 25.0}  # harder
     assert rig.until_end().message == floor
 
-    rig.home, rig.away = rig.executor._command[0], rig.away
+    rig.home, rig.away = rig.executor.command[0], rig.away
     rig.arm.leaning = {}  # it rattles: what stopped it last is not felt just now
     rig.accept(rig.swing(collision, id="C-7.3"))
     rig.tick(50)

@@ -119,7 +119,7 @@ def test_a_halt_ends_the_motion_while_it_pauses_is_paused_or_goes_on(rig, make, 
     rig.executor.pace(True)  # late: nothing executes
     rig.tick(10)
     assert rig.executor.state is Mode.HOLDING
-    back = make.joint_path(rig.executor._command[0], rig.home, 1.0)
+    back = make.joint_path(rig.executor.command[0], rig.home, 1.0)
     rig.accept(make.primitive(back, id="C-8.1"))
     assert rig.until_end().reason is StopReason.GOAL  # the next one is not paused
 
