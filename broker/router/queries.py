@@ -127,6 +127,8 @@ def _motion(arm: str, motion: ArmMotion, now: float) -> dict[str, Any]:
         "started_ago_s": now - motion.started_s if motion.started_s else None,
         "time_s": path.time_s,
         "positions": path.positions,
+        "velocities": path.velocities,
+        "accelerations": path.accelerations,
     }
 
 

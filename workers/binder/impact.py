@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -22,7 +23,7 @@ from workers.planning.motion.plan import Motion
 from workers.planning.motion.timing import Timed, slower
 from workers.planning.segments import Target
 
-CHECKED = 9  # knots of a motion at which its impact is computed, evenly spaced
+CHECKED = 17  # times of a motion at which its impact is computed, more of them where it changes its speed
 
 
 class Impact(NamedTuple):
@@ -144,12 +145,13 @@ def _way_m(task: BindTask, arm: ArmModel, target: Target) -> list[float]:
 
 
 def _momenta(arm: ArmModel, timed: Timed, carried_kg: float, least_kg: float) -> Array:
-    """Momentum (N.s) of the tcp and of what it carries, at `CHECKED` knots."""
+    """Momentum (N.s) of the tcp and of what it carries, at `CHECKED` times."""
     found = []
-    for n in np.linspace(0, len(timed.time_s) - 1, CHECKED).round().astype(int):
-        rate = arm.jacobian(timed.positions[n])[:3] @ timed.velocities[n]
+    times_s = quintic.fine_times(timed.time_s, timed.duration_s / CHECKED)
+    for q, v, _ in timed.at(times_s[np.linspace(0, len(times_s) - 1, CHECKED).round().astype(int)]):
+        rate = arm.jacobian(q)[:3] @ v
         speed = float(np.linalg.norm(rate))
-        own_kg = arm.effective_mass_kg(timed.positions[n], rate / speed) if speed > 0.0 else 0.0
+        own_kg = arm.effective_mass_kg(q, rate / speed) if speed > 0.0 else 0.0
         found.append((max(least_kg, own_kg) + carried_kg) * speed)
     return np.array(found)
 

@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 
 import msgspec
+import numpy as np
 
 from rtc.protocol.messages import BoundStep, EvaluationContext, Limits
 from rtc.protocol.outcomes import Refused, StopReason, refuse_if
@@ -26,7 +27,7 @@ from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
 
 DETOUR = 3.0  # a relative step in joint space is reported if the hand travels this many times its distance
-DETOUR_KNOTS = 20  # at which the way of the hand is measured
+DETOUR_POSTURES = 21  # at which the way of the hand is measured
 
 
 def bind_motion(task: BindTask) -> BoundStep:
@@ -124,8 +125,8 @@ def _detour(task: BindTask, motion: Motion) -> str:
     step = task.data.step
     if step.space != "move_joint" or step.figures.by_m is None:
         return ""
-    knots = motion.timed.positions[:: max(1, len(motion.timed.positions) // DETOUR_KNOTS)]
-    places = [task.query.model.arms[task.arm].fk(joints)[:3] for joints in (*knots, motion.goal_joints)]
+    postures = motion.timed.at(np.linspace(0.0, motion.timed.duration_s, DETOUR_POSTURES))[:, 0]
+    places = [task.query.model.arms[task.arm].fk(joints)[:3] for joints in postures]
     way_m = sum(math.dist(here, there) for here, there in itertools.pairwise(places))
     step_m = math.dist(places[0], places[-1])
     if way_m <= DETOUR * step_m:

@@ -26,6 +26,7 @@ from rtc.world.client import WorldClient
 from rtc.world.spread import in_words
 
 BROKER_S = 1.0  # maximum wait for what the arms are doing; the facts are shown without a broker too
+MOTION = ("primitive", "started_ago_s", "time_s", "positions", "velocities", "accelerations")
 HISTORY = 1000  # maximum number of facts of one key that `at` searches
 COLOUR = {Validity.VALID: "green", Validity.SUSPECT: "bold yellow", Validity.INVALID: "red", Validity.CHANGING: "cyan"}
 
@@ -201,7 +202,7 @@ def changing(facts: Iterable[Fact], motions: Sequence[Mapping[str, Any]], now_s:
     added = [
         Fact(
             key=f"{arm}.motion",
-            value={name: one[name] for name in ("primitive", "started_ago_s", "time_s", "positions")},
+            value={name: one[name] for name in MOTION},
             validity=Validity.CHANGING,
             version=known[arm],
             source=one["command"],

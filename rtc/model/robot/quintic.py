@@ -1,4 +1,4 @@
-"""Bounds of quintic trajectories between their knots: position, velocity and acceleration. Pure.
+"""Quintic Hermite trajectories between their knots: values and bounds of position, velocity, acceleration. Pure.
 
 A polynomial lies between the least and the greatest of its Bernstein control points. Subdivision moves the control
 points towards the curve. After a few halvings all points of a piece are inside the limits, or an end is outside.
@@ -15,6 +15,59 @@ from rtc.spatial.geometry import Array, Floats
 
 HALVINGS = 20  # maximum number of subdivisions, to a millionth of the length
 MAX_OPEN = 20_000  # maximum number of undecided pieces; beyond it the trajectory counts as outside
+
+
+# Powers and factors of u in the value, the first and the second derivative of 1, u .. u^5.
+DERIVATIVE_POWERS = np.array([0, 1, 2, 3, 4, 5, 0, 0, 1, 2, 3, 4, 0, 0, 0, 1, 2, 3])
+DERIVATIVE_FACTORS = np.array([1, 1, 1, 1, 1, 1, 0, 1, 2, 3, 4, 5, 0, 0, 2, 6, 12, 20], dtype=np.float64)
+
+
+class Hermite:
+    """The quintic polynomials through position, velocity and acceleration of the knots, each [knots][joints]."""
+
+    def __init__(
+        self, time_s: Sequence[float] | Array, positions: object, velocities: object, accelerations: object
+    ) -> None:
+        q, v, a = (np.asarray(rows, dtype=float) for rows in (positions, velocities, accelerations))
+        self._knots_s = np.asarray(time_s, dtype=float)
+        # All pieces at once: one by one, the start of a long path would make the ticks of other arms late.
+        t = np.diff(self._knots_s)[:, None]
+        dq = np.diff(q, axis=0) - v[:-1] * t - 0.5 * a[:-1] * t * t
+        dv = np.diff(v, axis=0) - a[:-1] * t
+        da = np.diff(a, axis=0)
+        self._pieces = np.stack(  # [pieces][power of the time since the knot][joints]
+            (
+                q[:-1],
+                v[:-1],
+                0.5 * a[:-1],
+                (10 * dq - 4 * dv * t + 0.5 * da * t * t) / t**3,
+                (-15 * dq + 7 * dv * t - da * t * t) / t**4,
+                (6 * dq - 3 * dv * t + 0.5 * da * t * t) / t**5,
+            ),
+            axis=1,
+        )
+
+    def at(self, times_s: Array) -> Array:
+        """[times][3][joints]: positions, velocities, accelerations; before and after the knots those of the ends."""
+        t = np.clip(times_s, 0.0, self._knots_s[-1])
+        piece = np.searchsorted(self._knots_s[1:-1], t, side="right")
+        powers = np.empty((len(t), 6))  # of the time since the knot: 1, u .. u^5
+        powers[:, 0] = 1.0
+        powers[:, 1:] = (t - self._knots_s[piece])[:, None]
+        np.multiply.accumulate(powers, axis=1, out=powers)
+        basis = (powers[:, DERIVATIVE_POWERS] * DERIVATIVE_FACTORS).reshape(-1, 3, 6)
+        coefficients = self._pieces[piece[0]] if piece[0] == piece[-1] else self._pieces[piece]  # the first is quicker
+        motions: Array = basis @ coefficients
+        return motions
+
+
+def fine_times(time_s: Sequence[float] | Array, step_s: float) -> Array:
+    """The times of the knots, and even ones between those that are more than `step_s` apart."""
+    knots_s = np.asarray(time_s, dtype=float)
+    pieces = np.maximum(1, np.ceil(np.diff(knots_s) / step_s - 1e-9)).astype(int)
+    index = np.append(0, np.cumsum(pieces))
+    times_s: Array = np.interp(np.arange(index[-1] + 1), index, knots_s)
+    return times_s
 
 
 class ControlPoints(NamedTuple):

@@ -13,6 +13,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 import ruckig
 
+from rtc.model.robot.quintic import Hermite
 from rtc.protocol.primitive import JointTrajectory
 from rtc.spatial.geometry import Array
 from rtc.subsystems.motion.arm import TICK_S, Motion
@@ -74,8 +75,7 @@ class Follow:
         )
         self.block_fits = False  # the same of all motions of the block, but for the step to the first
         self._length_s = trajectory.duration_s
-        self._knots_s = np.asarray(trajectory.time_s)
-        self._pieces = _hermite(trajectory)
+        self._curve = Hermite(trajectory.time_s, trajectory.positions, trajectory.velocities, trajectory.accelerations)
         self._offset = np.asarray(start) - np.asarray(trajectory.positions[0])
         most = float(np.abs(self._offset).max())
         self._blend_s = max(BLEND_S, 1.875 * most / BLEND_RAD_S) if most > 1e-9 else 0.0
@@ -117,16 +117,7 @@ class Follow:
 
     def path(self, times_s: Array) -> Array:
         """k x 3 x n: joints, velocities, accelerations of the path itself at k times."""
-        t = np.clip(times_s, 0.0, self._length_s)
-        piece = np.searchsorted(self._knots_s[1:-1], t, side="right")
-        powers = np.empty((len(t), 6))  # of the time since the knot: 1, u .. u^5
-        powers[:, 0] = 1.0
-        powers[:, 1:] = (t - self._knots_s[piece])[:, None]
-        np.multiply.accumulate(powers, axis=1, out=powers)
-        basis = (powers[:, DERIVATIVE_POWERS] * DERIVATIVE_FACTORS).reshape(-1, 3, 6)
-        coefficients = self._pieces[piece[0]] if piece[0] == piece[-1] else self._pieces[piece]  # the first is quicker
-        motions: Array = basis @ coefficients
-        return motions
+        return self._curve.at(times_s)
 
     def nearest_s(self, joints: Sequence[float], before_s: float, steps: int = 200) -> float:
         """The path time, at most `before_s`, at which the path is nearest to these joints (largest joint distance)."""
@@ -147,9 +138,6 @@ def _within(rows: Array, most: Array) -> bool:
 
 
 BLOCK_S: Array = TICK_S * np.arange(BLOCK, dtype=np.float64)
-# Powers and factors of u in the value, the first and the second derivative of 1, u .. u^5.
-DERIVATIVE_POWERS = np.array([0, 1, 2, 3, 4, 5, 0, 0, 1, 2, 3, 4, 0, 0, 0, 1, 2, 3])
-DERIVATIVE_FACTORS = np.array([1, 1, 1, 1, 1, 1, 0, 1, 2, 3, 4, 5, 0, 0, 2, 6, 12, 20], dtype=np.float64)
 
 
 class Brake:
@@ -256,29 +244,6 @@ def smooth(x: float) -> tuple[float, float, float]:
 
 def _quintic_step(x: Number) -> tuple[Number, Number, Number]:
     return x**3 * (10 + x * (6 * x - 15)), 30 * (x * (x - 1)) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
-
-
-def _hermite(trajectory: JointTrajectory) -> Array:
-    """Per segment the 6 x n coefficients of the quintic through position, velocity and acceleration of both knots.
-
-    All segments at once: one by one, the start of a long path would make the ticks of other arms late.
-    """
-    q, v, a = (np.asarray(rows) for rows in (trajectory.positions, trajectory.velocities, trajectory.accelerations))
-    t = np.diff(trajectory.time_s)[:, None]
-    dq = np.diff(q, axis=0) - v[:-1] * t - 0.5 * a[:-1] * t * t
-    dv = np.diff(v, axis=0) - a[:-1] * t
-    da = np.diff(a, axis=0)
-    return np.stack(
-        (
-            q[:-1],
-            v[:-1],
-            0.5 * a[:-1],
-            (10 * dq - 4 * dv * t + 0.5 * da * t * t) / t**3,
-            (-15 * dq + 7 * dv * t - da * t * t) / t**4,
-            (6 * dq - 3 * dv * t + 0.5 * da * t * t) / t**5,
-        ),
-        axis=1,
-    )
 
 
 def _state(motion: Motion, acceleration: float, jerk: float) -> ruckig.InputParameter:

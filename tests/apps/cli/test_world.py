@@ -73,7 +73,9 @@ def test_what_a_moving_arm_changes_is_shown_as_changing_with_its_path_and_start(
         m.Fact(key=key, value=value, validity=m.Validity.VALID, version=n, source="C-1/5", at_s=1.0)
         for n, (key, value) in enumerate(values.items())
     ]
+    still = [[0.0, 0.0], [0.0, 0.0]]
     path = {"time_s": [0.0, 4.0], "positions": [[0.0, 0.0], [1.5707963, 0.0]]}
+    path |= {"velocities": still, "accelerations": still}
     motion = {"arm": "RIGHT-ARM", "command": "C-2", "primitive": "C-2.1@x", "started_ago_s": 1.5, **path}
 
     found = {fact.key: fact for fact in changing(facts, [motion], 10.0, whole=True)}

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rtc.model.robot.collision_scene import in_hands
+from rtc.model.robot.quintic import Hermite, fine_times
 from rtc.model.robot.separation import SeparationCheck
 from rtc.model.robot.swept import Boxes, Swept
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
@@ -28,6 +29,7 @@ from workers.planning.motion.request import PlanningRequest
 
 SPACE_M = 0.01  # minimum distance of two moving arms from each other's path
 STEP_M = 0.02  # smallest interval of a path: no point of the arm moves farther in it
+FINE_S = 0.03  # distance of the times at which a path is evaluated; a hand at 5 m/s^2 is 0.6 mm off the line
 MAX_BLOCKS = 48  # of a course, each with its own boxes
 SHORT_BLOCKS = 6  # boxes sort out intervals of at least so many blocks
 MAX_CHECKS = 3000  # beyond it what is not decided counts as meeting; some 60 ms
@@ -204,8 +206,9 @@ class Parts:
 def course(path: JointTrajectory, reach: Array) -> Course:
     """The trajectory in intervals of at most STEP_M. `reach`: of each joint, as in `SeparationCheck.reaches`.
 
-    Between two knots the line is used: the difference is small against SPACE_M."""
-    knots, time_s = np.asarray(path.positions), np.asarray(path.time_s)
+    Between two times FINE_S apart the line is used: the difference is small against SPACE_M."""
+    time_s = fine_times(path.time_s, FINE_S)
+    knots = Hermite(path.time_s, path.positions, path.velocities, path.accelerations).at(time_s)[:, 0]
     pieces = np.maximum(1, np.ceil(np.abs(np.diff(knots, axis=0)) @ reach / STEP_M)).astype(int)
     index = np.append(0, np.cumsum(pieces)).astype(float)
     at = np.arange(pieces.sum() + 1, dtype=float)

@@ -13,6 +13,8 @@ import numpy as np
 
 from rtc.spatial.geometry import Array
 
+MIN_PIECE_S = 1e-5  # a shorter piece is joined to the one before it: it changes nothing above 1e-9 rad
+
 
 @dataclass(frozen=True, eq=False)
 class JerkProfile:
@@ -21,6 +23,12 @@ class JerkProfile:
     duration_s: float
     since_s: Array
     begins: Array  # [pieces][position, speed, acceleration, jerk]
+
+    @property
+    def knots_s(self) -> Array:
+        """The ends of the pieces. Quintic Hermite polynomials between them equal the profile: each piece is a cubic."""
+        ends = np.append(self.since_s, self.duration_s)
+        return np.append(ends[:-1][np.diff(ends) > MIN_PIECE_S], self.duration_s)
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
         """Position, speed and acceleration at each time."""

@@ -1,15 +1,15 @@
 """Time parametrization: converts a path to timed knots, at rest at both ends, within all limits.
 
-A line gets a closed-form jerk-limited profile along its parameter. A curve through way-points gets the time-optimal
-profile within the joint limits (toppra, some 10 ms). A single pace would be limited by the sharpest bend. Joint limits
-of speed, acceleration and torque and the tcp's speed limit hold everywhere.
+A line gets a closed-form jerk-limited profile along its parameter; in joint space its pieces are the knots. A curve
+through way-points gets the time-optimal profile within the joint limits (toppra, some 10 ms). A single pace would be
+limited by the sharpest bend. Joint limits of speed, acceleration and torque and the tcp's speed limit hold everywhere.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
@@ -39,6 +39,7 @@ STILL = 1e-8  # a joint that turns less than this along the path has no speed li
 ON_PATH = 2000  # points of the path with which a timing of an installed package is compared
 END_RAD = 1e-6  # tolerance of its ends, also rad/s and rad/s^2
 SAMPLES = 33  # path samples at which limits are evaluated
+SAMPLED = 100  # intervals of a motion at whose ends its torques are evaluated
 
 # toppra looks for further solvers on the disk for each path.
 toppra.solverwrapper.available_solvers = cache(toppra.solverwrapper.available_solvers)
@@ -70,6 +71,22 @@ class Timed:
     def duration_s(self) -> float:
         return float(self.time_s[-1])
 
+    @cached_property
+    def _curve(self) -> quintic.Hermite:
+        return quintic.Hermite(self.time_s, self.positions, self.velocities, self.accelerations)
+
+    def at(self, times_s: Array) -> Array:
+        """[times][3][joints]: positions, velocities, accelerations."""
+        return self._curve.at(times_s)
+
+    def sampled(self) -> tuple[Array, Array, Array]:
+        """Positions, velocities and accelerations at the knots, and between those that are far apart."""
+        times_s = quintic.fine_times(self.time_s, max(KNOT_S, self.duration_s / SAMPLED))
+        if len(times_s) == len(self.time_s):
+            return self.positions, self.velocities, self.accelerations
+        found = self.at(times_s)
+        return found[:, 0], found[:, 1], found[:, 2]
+
     def trajectory(self) -> JointTrajectory:
         return JointTrajectory(
             space=self.space,
@@ -89,16 +106,16 @@ def time_path(arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, lo
         return _zero_length(path)
     torques = Torques.of(arm, load)
     if (added := _added(arm, path, pace, load)) is not None:
-        excess = torques.excess(added.positions, added.velocities, added.accelerations)
+        excess = torques.excess(*added.sampled())
         return slower(added, math.sqrt(max(1.0, excess)))
     curved = isinstance(path.curve, Blended) or (path.space == "joint" and path.curve is not None)
     timed = _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
-    excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
+    excess = torques.excess(*timed.sampled())
     if excess <= 1.0:
         return timed
     # Too heavy for this acceleration: plan it within the torques; what remains between the samples slows all of it.
     timed = _slowed(arm, _time_curve(arm, path, pace, torques) if curved else _time_line(arm, path, pace, 1 / excess))
-    excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
+    excess = torques.excess(*timed.sampled())
     return slower(timed, math.sqrt(max(1.0, excess)))
 
 
@@ -149,8 +166,11 @@ def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0)
         pace.acceleration_m_s2 / max(rate, 1e-9), float(((acceleration - bend * pace_limit**2) / slope).min())
     )
     profile = rest_to_rest(path.length, pace_limit, change_limit, change_limit / RAMP_S)
-    step_s = KNOT_M / pace.speed_m_s if len(path.s) <= SAMPLES else path.length / len(path.s) / pace_limit
-    time_s = _knot_times(profile.duration_s, pace_limit / change_limit + RAMP_S, step_s)
+    if path.space == "joint":
+        time_s = profile.knots_s
+    else:
+        step_s = KNOT_M / pace.speed_m_s if len(path.s) <= SAMPLES else path.length / len(path.s) / pace_limit
+        time_s = _knot_times(profile.duration_s, pace_limit / change_limit + RAMP_S, step_s)
     along, along_v, along_a = profile.at(time_s)
     q, slope, bend = path.at(along)
     accelerations = bend * along_v[:, None] ** 2 + slope * along_a[:, None]

@@ -6,7 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from rtc.model.robot.quintic import Hermite
 from workers.planning.motion.rest_to_rest import rest_to_rest
 
 
@@ -42,3 +45,14 @@ def test_the_quickest():
     assert rest_to_rest(1.0, 0.5, 1.0, 10.0).duration_s == pytest.approx(1.2 + 0.7 / 0.5)
     # so short that not even the acceleration is reached: four ramps of equal length
     assert rest_to_rest(2e-3, 0.5, 10.0, 1.0).duration_s == pytest.approx(4 * (1e-3) ** (1 / 3))
+
+
+@given(st.floats(1e-4, 10.0), st.floats(1e-3, 5.0), st.floats(1e-2, 20.0), st.floats(1e-1, 200.0))
+def test_polynomials_between_the_ends_of_its_pieces_equal_the_profile(length, speed, acceleration, jerk):
+    profile = rest_to_rest(length, speed, acceleration, jerk)
+    knots_s = profile.knots_s
+    assert len(knots_s) <= 8
+    curve = Hermite(knots_s, *(rows[:, None] for rows in profile.at(knots_s)))
+    times_s = np.linspace(0.0, profile.duration_s, 1000)
+    for got, wanted in zip(np.moveaxis(curve.at(times_s)[:, :, 0], 1, 0), profile.at(times_s), strict=True):
+        assert np.abs(got - wanted).max() < 1e-9 * max(1.0, acceleration)

@@ -100,7 +100,7 @@ def test_some_limit_is_used(right):
         )
         assert used > 0.9
         slow = time_path(right, path, SpeedLimits(0.1))
-        assert speeds(right, slow.positions, slow.velocities).max() > 0.09
+        assert speeds(right, *slow.sampled()[:2]).max() > 0.09
 
 
 def test_a_task_line_runs_at_its_speed_and_stays_straight(right, home):
@@ -144,4 +144,22 @@ def test_it_becomes_the_trajectory_of_a_primitive(right, home):
     assert isinstance(trajectory, JointTrajectory)
     assert trajectory.duration_s == timed.duration_s
     assert len(trajectory.positions[0]) == 6
-    assert np.diff(trajectory.time_s).max() <= KNOT_S + 1e-9
+
+
+def test_the_knots_of_a_line_in_joint_space_are_the_ends_of_its_pieces_and_exact(right):
+    random = np.random.default_rng(5)
+    for n in range(60):
+        start = random.uniform(right.limits.lower, right.limits.upper)
+        end = random.uniform(right.limits.lower, right.limits.upper)
+        path = joint_line(start, start + 10.0 ** -(n % 6) * (end - start))
+        timed = time_path(right, path, SpeedLimits(speed_m_s=10.0 ** random.uniform(-2, 0)))
+        assert len(timed.time_s) <= 8
+        times_s = np.linspace(0.0, timed.duration_s, 2000)
+        q, _, a = np.moveaxis(timed.at(times_s), 1, 0)
+        way = path.knots[-1] - path.knots[0]
+        share = (q - path.knots[0]) @ way / np.sum(way**2)
+        assert np.abs(q - (path.knots[0] + share[:, None] * way)).max() < 1e-9
+        # The jerk of a piece is constant: all but the intervals with an end of a piece have one of three values.
+        jerks = np.diff(a[:, int(np.abs(way).argmax())])
+        jerks /= np.abs(jerks).max()
+        assert (np.abs(jerks[:, None] - (-1.0, 0.0, 1.0)).min(axis=1) < 2e-3).sum() >= len(jerks) - 7
