@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -23,7 +22,7 @@ from workers.planning.motion.plan import Motion
 from workers.planning.motion.timing import Timed, slower
 from workers.planning.segments import Target
 
-CHECKED = 17  # times of a motion at which its impact is computed, more of them where it changes its speed
+CHECKED = 9  # times of a motion at which its impact is computed
 
 
 class Impact(NamedTuple):
@@ -147,8 +146,9 @@ def _way_m(task: BindTask, arm: ArmModel, target: Target) -> list[float]:
 def _momenta(arm: ArmModel, timed: Timed, carried_kg: float, least_kg: float) -> Array:
     """Momentum (N.s) of the tcp and of what it carries, at `CHECKED` times."""
     found = []
-    times_s = quintic.fine_times(timed.time_s, timed.duration_s / CHECKED)
-    for q, v, _ in timed.at(times_s[np.linspace(0, len(times_s) - 1, CHECKED).round().astype(int)]):
+    positions, velocities, _ = timed.sampled()
+    for n in np.linspace(0, len(positions) - 1, CHECKED).round().astype(int):
+        q, v = positions[n], velocities[n]
         rate = arm.jacobian(q)[:3] @ v
         speed = float(np.linalg.norm(rate))
         own_kg = arm.effective_mass_kg(q, rate / speed) if speed > 0.0 else 0.0

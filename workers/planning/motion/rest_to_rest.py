@@ -13,6 +13,7 @@ import numpy as np
 
 from rtc.spatial.geometry import Array
 
+PIECES = 7  # of a profile
 MIN_PIECE_S = 1e-5  # a shorter piece is joined to the one before it: it changes nothing above 1e-9 rad
 
 

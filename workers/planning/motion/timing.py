@@ -25,7 +25,7 @@ from rtc.protocol.primitive import JointTrajectory, Load
 from rtc.spatial.geometry import Array
 from workers.planning.motion.blended import Blended
 from workers.planning.motion.path import Path, even
-from workers.planning.motion.rest_to_rest import rest_to_rest
+from workers.planning.motion.rest_to_rest import PIECES, rest_to_rest
 from workers.planning.motion.torques import Torques
 
 KNOT_S = 0.03  # knot spacing; the quintic Hermite error is some micrometres
@@ -80,11 +80,10 @@ class Timed:
         return self._curve.at(times_s)
 
     def sampled(self) -> tuple[Array, Array, Array]:
-        """Positions, velocities and accelerations at the knots, and between those that are far apart."""
-        times_s = quintic.fine_times(self.time_s, max(KNOT_S, self.duration_s / SAMPLED))
-        if len(times_s) == len(self.time_s):
+        """Positions, velocities and accelerations at many times: the knots, or more if they are ends of pieces."""
+        if len(self.time_s) > PIECES + 1:
             return self.positions, self.velocities, self.accelerations
-        found = self.at(times_s)
+        found = self.at(quintic.fine_times(self.time_s, max(KNOT_S, self.duration_s / SAMPLED)))
         return found[:, 0], found[:, 1], found[:, 2]
 
     def trajectory(self) -> JointTrajectory:
@@ -106,16 +105,16 @@ def time_path(arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, lo
         return _zero_length(path)
     torques = Torques.of(arm, load)
     if (added := _added(arm, path, pace, load)) is not None:
-        excess = torques.excess(*added.sampled())
+        excess = torques.excess(added.sampled)
         return slower(added, math.sqrt(max(1.0, excess)))
     curved = isinstance(path.curve, Blended) or (path.space == "joint" and path.curve is not None)
     timed = _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
-    excess = torques.excess(*timed.sampled())
+    excess = torques.excess(timed.sampled)
     if excess <= 1.0:
         return timed
     # Too heavy for this acceleration: plan it within the torques; what remains between the samples slows all of it.
     timed = _slowed(arm, _time_curve(arm, path, pace, torques) if curved else _time_line(arm, path, pace, 1 / excess))
-    excess = torques.excess(*timed.sampled())
+    excess = torques.excess(timed.sampled)
     return slower(timed, math.sqrt(max(1.0, excess)))
 
 

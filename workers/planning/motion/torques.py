@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -44,13 +45,15 @@ class Torques:
         key = None if load is None else (load.mass_kg, tuple(load.com_m), tuple(load.inertia_kg_m2))
         return _worst_share(self.arm, key)
 
-    def excess(self, joints: Array, velocities: Array, accelerations: Array) -> float:
+    def excess(self, sampled: Callable[[], tuple[Array, Array, Array]]) -> float:
         """The factor by which the accelerations and squared speeds are too great; 1 or less: all within the limits.
 
+        `sampled`: joints, velocities and accelerations, called only if the arm does not need less everywhere.
         Raises Refused if the weight alone is too great for a joint at one of these postures.
         """
         if self.weightless and self.worst_share < FAR_FROM:
             return self.worst_share
+        joints, velocities, accelerations = sampled()
         moving = self.arm.torques(joints, velocities, accelerations, self.laden)
         weight = np.zeros_like(moving)
         if not self.weightless:
