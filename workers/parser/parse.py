@@ -17,6 +17,7 @@ INPUT = ParserInput
 NEEDS_WORLD = False
 NEEDS_CELL = False
 
+KEPT_SENTENCES = 1024  # records and refusals, which never change; plans repeat their sentences
 KEPT_GRAMMARS = 4  # cached grammars: the live one, its predecessor and two on trial
 
 
@@ -35,6 +36,7 @@ def run(compiled: str, cell: object, world: object, data: ParserInput) -> Parsed
     return parse_job(compiled, data.text)
 
 
+@lru_cache(maxsize=KEPT_SENTENCES)
 def parse_job(program: str, text: str | bytes) -> ParsedCommand | Refusal:
     """Parse one sentence by the grammar text `program`. Never raises: every error becomes a Refusal."""
     try:

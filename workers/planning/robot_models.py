@@ -11,10 +11,11 @@ from functools import cached_property
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.kinematics import ArmModel
+from workers.planning.sight import Sight
 
 
 class CellModel:
-    """`arms` by name, `collision` of the whole cell, and the `cell` they were built from. Not thread-safe."""
+    """`arms` by name, `collision` and `sight` of all, and the `cell` they were built from. Not thread-safe."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
@@ -22,6 +23,10 @@ class CellModel:
     @cached_property
     def arms(self) -> dict[str, ArmModel]:
         return {arm.name: ArmModel.of(self.cell, arm.name) for arm in self.cell.arms}
+
+    @cached_property
+    def sight(self) -> Sight:
+        return Sight(self.cell)
 
     @cached_property
     def collision(self) -> CollisionWorld:

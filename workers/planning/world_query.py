@@ -17,7 +17,7 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.facts import Facts
 from rtc.world.model import World
-from workers.planning import axes, sight
+from workers.planning import axes
 from workers.planning.robot_models import CellModel
 
 UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ball of this radius
@@ -66,7 +66,7 @@ class WorldQuery(Facts):
     def cameras(self, body: str) -> list[parts.Camera]:
         """The cameras that can see an object or seat where it is believed to be, the best one first."""
         if body not in self._cameras:
-            self._cameras[body] = sight.cameras(self.cell, body, self.pose(body), self.tcp)
+            self._cameras[body] = self.model.sight.cameras(body, self.pose(body), self.tcp)
         return self._cameras[body]
 
     def finds(self, body: str) -> bool:
