@@ -12,7 +12,7 @@ def test_what_was_seen_before_changes_no_answer(cell, arms):
     kept, random = Sight(cell), np.random.default_rng(3)
     answers = set()
     for n in range(40):
-        postures = {name: random.uniform(-0.5, 0.5, 6) + (0.0, 0.8, -1.6, 0.0, 0.5, 0.0) for name in arms}
+        postures = {name: np.array((0.0, 0.8, -1.6, 0.0, 0.5, 0.0)) + random.uniform(-0.5, 0.5, 6) for name in arms}
         poses = {name: arms[name].fk(q) for name, q in postures.items()}
         body = bodies(cell)[n % len(bodies(cell))]
         pose = geometry.make_pose((0.8, -0.8 + 0.1 * (n % 3), 0.6), geometry.LEVEL)
