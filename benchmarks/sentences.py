@@ -1,0 +1,161 @@
+"""What does a real sentence cost, in processor time, and where?
+
+    python -m benchmarks.sentences [--rounds 3] [--seconds 4] [--against COMMIT]
+
+Sentences run in the cluster of `benchmarks.throughput` as far as a bound motion: real parser, elaborator and binder,
+8 workers, two arms, the journal on. The first table has the processor time of a sentence by process. With `--against`
+the same is measured in a checkout of another commit, in alternation (other, this, this, other), so that a busy machine
+affects both; the ratio is that of the medians.
+
+The second table is made in one process, with the profiler on, of the planners' jobs of other sentences (grasp, carry,
+place): the share of each stage in the time of elaborator and binder. It is for comparing stages, not for adding up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import json
+import os
+import pstats
+import random
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+
+from benchmarks.load.scenarios import Scenario, Workers, sentences
+from benchmarks.report import finish, question
+from benchmarks.throughput import spread
+from rtc.model.cells.cell import Cell
+from rtc.protocol import wire
+from rtc.protocol.messages import WorkerKind
+
+HERE = Path(__file__).parent.parent
+SEED = 20
+REPEATED = 5  # times that each job is done under the profiler
+#: run in either checkout: one measurement, as a line of JSON
+MEASURE = """
+import json
+from benchmarks.throughput import PLANNERS, SATURATING, flood, motion
+run = flood(3, {seconds}, SATURATING, real=PLANNERS, text=motion)
+print(json.dumps(dict(per_s=run.commands_per_s, cpu_us=run.cpu_us)))
+"""
+#: stage -> parts of the names of the files and functions that belong to it; the first that fits counts
+STAGES = {
+    "inverse kinematics": ("puma_ik", "numeric_ik", "ik_along"),
+    "collision": ("collision", "_boxes", "boxes.py", "coal", "separation", "swept"),
+    "timing": ("timing.py", "toppra", "rest_to_rest", "quintic", "blended"),
+    "torques": ("torques", "rnea", "crba"),
+    "path": ("motion/path.py", "spline.py", "smooth.py", "curves.py", "sampl"),
+    "kinematics": ("kinematics.py", "pinocchio"),
+    "cameras": ("sensing", "sight"),
+    "programs": ("rtc/programs", "conditions", "ast.py"),
+    "encoding": ("msgspec", "wire.py"),
+    "planning": ("workers/planning", "workers/elaborator", "workers/binder"),
+}
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--rounds", type=int, default=3)
+    words.add_argument("--seconds", type=float, default=4.0, help="of each measurement")
+    words.add_argument("--against", metavar="COMMIT", help="another commit of this repository, measured in alternation")
+    given = words.parse_args()
+    question("sentences", "what does a real sentence cost, by process and by stage?", seed=SEED)
+    runs: dict[str, list[dict[str, float]]] = {"this": [], "other": []}
+    with checkout(given.against) as other:
+        for number in range(1, given.rounds + 1):
+            order = ["this"] if other is None else ["other", "this"] if number % 2 else ["this", "other"]
+            for name in order:
+                found = measure(HERE if name == "this" else other or HERE, given.seconds)
+                runs[name].append(found)
+                print(f"  round {number}: {name}: {found['per_s']:.0f}/s, {found['sum']:.2f} ms a sentence", flush=True)
+    shares = stages()
+    metrics = {"sentences_per_s": _middle(runs["this"], "per_s"), "sentence_ms": _middle(runs["this"], "sum")}
+    if runs["other"]:
+        metrics["vs_other"] = metrics["sentence_ms"] / _middle(runs["other"], "sum")
+    finish("sentences", metrics, [*rows(runs), *((f"stage {name}", f"{share:.0%}") for name, share in shares.items())])
+
+
+def rows(runs: dict[str, list[dict[str, float]]]) -> Iterator[tuple[str, str]]:
+    for key in runs["this"][0]:
+        unit = "/s" if key == "per_s" else "ms of processor time a sentence"
+        label = {"per_s": "sentences as far as bound", "sum": "all processes"}.get(key, key)
+        mine = spread([run[key] for run in runs["this"]], 0 if key == "per_s" else 2)
+        against = ""
+        if runs["other"] and _middle(runs["other"], key) > 0.0:
+            theirs = spread([run[key] for run in runs["other"]], 0 if key == "per_s" else 2)
+            against = f"; other {theirs}, {_middle(runs['this'], key) / _middle(runs['other'], key):.2f} times"
+        yield label, f"{mine} {unit}{against}"
+
+
+def _middle(runs: list[dict[str, float]], key: str) -> float:
+    return median(run.get(key, 0.0) for run in runs)
+
+
+def measure(tree: Path, seconds: float) -> dict[str, float]:
+    """Sentences per second, and ms of processor time of a sentence: of each process, and their sum."""
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURE.format(seconds=seconds)],
+        cwd=tree,
+        env={**os.environ, "PYTHONPATH": str(tree)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise SystemExit(f"{tree}: {done.stderr[-2000:]}")
+    found = json.loads(done.stdout.splitlines()[-1])
+    by_process = {name: 1e-3 * us for name, us in found["cpu_us"].items()}
+    return {"per_s": found["per_s"], "sum": sum(by_process.values()), **by_process}
+
+
+@contextmanager
+def checkout(commit: str | None) -> Iterator[Path | None]:
+    """A checkout of the commit, with its compiled parts; None without a commit."""
+    if commit is None:
+        yield None
+        return
+    with tempfile.TemporaryDirectory(prefix="rtc-against-") as folder:
+        tree = Path(folder) / "tree"
+        _run("git", "worktree", "add", "--detach", str(tree), commit)
+        try:
+            if (tree / "setup.py").exists():
+                _run(sys.executable, "setup.py", "-q", "build_ext", "--inplace", cwd=tree)
+            yield tree
+        finally:
+            _run("git", "worktree", "remove", "--force", str(tree))
+
+
+def _run(*command: str, cwd: Path = HERE) -> None:
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(command)}: {done.stderr[-2000:]}")
+
+
+def stages() -> dict[str, float]:
+    """The share of each stage in the time of elaborator and binder, the greatest first."""
+    rng, workers = random.Random(SEED), Workers(Cell.load("swapout"))
+    scenario = Scenario(workers, rng)
+    for sentence in sentences(rng):
+        scenario.run(sentence)
+    jobs = [job for job in scenario.jobs if job.kind in (WorkerKind.ELABORATOR, WorkerKind.BINDER)]
+    profile = cProfile.Profile()
+    profile.enable()
+    for job in jobs * REPEATED:
+        wire.raw(workers.do(job))
+    profile.disable()
+    spent: dict[str, float] = {}
+    for (file, _, function), (_, _, own_s, _, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
+        stage = next((name for name, parts in STAGES.items() if any(p in f"{file} {function}" for p in parts)), "other")
+        spent[stage] = spent.get(stage, 0.0) + own_s
+    whole = sum(spent.values())
+    return {name: own_s / whole for name, own_s in sorted(spent.items(), key=lambda one: -one[1])}
+
+
+if __name__ == "__main__":
+    main()
