@@ -19,6 +19,7 @@ import json
 import os
 import pstats
 import random
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -124,15 +125,28 @@ def checkout(commit: str | None) -> Iterator[Path | None]:
         tree = Path(folder) / "tree"
         _run("git", "worktree", "add", "--detach", str(tree), commit)
         try:
-            if (tree / "setup.py").exists():
-                _run(sys.executable, "setup.py", "-q", "build_ext", "--inplace", cwd=tree)
+            _copy_compiled(tree, Path(folder))
             yield tree
         finally:
             _run("git", "worktree", "remove", "--force", str(tree))
 
 
-def _run(*command: str, cwd: Path = HERE) -> None:
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+def _copy_compiled(tree: Path, folder: Path) -> None:
+    """Our compiled collision boxes if the sources are the same, else those of the other commit, built by pip."""
+    package = Path("rtc/model/robot")
+    theirs, ours = tree / package / "_boxes.cpp", HERE / package / "_boxes.cpp"
+    if not theirs.exists():
+        return
+    built = HERE
+    if theirs.read_bytes() != ours.read_bytes():
+        built = folder / "built"
+        _run(sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(built), str(tree))
+    for path in (built / package).glob("_boxes*.so"):
+        shutil.copy(path, tree / package)
+
+
+def _run(*command: str) -> None:
+    done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(command)}: {done.stderr[-2000:]}")
 
