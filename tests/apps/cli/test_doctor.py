@@ -108,6 +108,7 @@ def test_without_a_cluster_the_machine_is_checked_and_the_status_tells(tmp_path:
     monkeypatch.setattr(os, "getloadavg", lambda: (0.1, 0.1, 0.1))
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(doctor, "_may_be_real_time", lambda: True)
+    monkeypatch.setattr(doctor, "compiled", lambda: True)
     monkeypatch.setattr(doctor, "MIN_MEMORY", 0)
     monkeypatch.setattr(doctor, "MIN_DISK", 0)
     done = call("doctor", "--json", "--run-dir", str(tmp_path / "none"))
