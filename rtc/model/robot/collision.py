@@ -241,6 +241,8 @@ class CollisionWorld:
         while index < count:
             last, near = parts(index)
             part = configurations[index - 1 : last]
+            if len(part) == 2 and self._any_too_near(slots, part, near):
+                return index  # wherever on this step it begins
             if near and (found := self._first_too_near(slots, part, near)):
                 return index - 1 + math.ceil(found[0])
             index = last
@@ -416,6 +418,14 @@ class CollisionWorld:
         reach = np.hstack((np.zeros((len(pairs), 1)), np.cumsum(steps, axis=1))).tolist()
         places = ((self._where_too_near(slots, rows, pair, far), pair) for pair, far in zip(pairs, reach, strict=True))
         return min(((place, pair) for place, pair in places if place is not None), default=None)
+
+    def _any_too_near(self, slots: list[int], rows: Array, pairs: list[int]) -> bool:
+        """Whether one of these pairs is nearer than its margin at the last configuration."""
+        if not pairs:
+            return False
+        self._q[slots] = rows[-1]
+        self._place()
+        return any(self._distance_m(pair) < max(float(self._pairs.margin[pair]), 0.0) for pair in pairs)
 
     def _where_too_near(self, slots: list[int], rows: Array, pair: int, reach: list[float]) -> float | None:
         """`_first_too_near` of one pair. `reach`: how much nearer it can be at each configuration than at the first.
