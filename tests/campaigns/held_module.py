@@ -49,7 +49,7 @@ class HeldModule:
         for name, other in self.sim.arms.items():
             other.read()
             self.subsystem.executors[name] = Executor(other)
-        self.subsystem.executors[self.arm]._hand = self._hand
+        self.subsystem.executors[self.arm]._hand.command = self._hand
 
     def holds_still(self) -> bool:
         """Whether the arm rests, with the module in its hand or in the catch of the seat."""
