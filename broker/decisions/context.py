@@ -14,10 +14,11 @@ from broker.decisions.action_stack import NOMINAL, ActionStack
 from broker.decisions.effects import DispatchJob, Effect, PublishNote, StartTimer, StopTimer
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import WORLD, Quarantine
-from broker.decisions.state import NOTES_KEPT, ArmMotion, Command, PendingJob, ScriptHead, State, StepHead
+from broker.decisions.state import NOTES_KEPT, SPACES_KEPT, ArmMotion, Command, PendingJob, ScriptHead, State, StepHead
 from rtc.protocol import wire
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Measured
+from rtc.protocol.primitive import Box, apart
 
 read_step = wire.decoder(StepHead)
 PLANNERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # they plan beside the motions of other arms
@@ -82,13 +83,20 @@ class DecisionContext:
             for name in left.names:
                 self.state.resources.quarantine.setdefault(name, Quarantine(WORLD, command))
 
-    def begin_motion(self, command: Command, arm: str, body: msgspec.Raw) -> None:
+    def begin_motion(self, command: Command, arm: str, body: msgspec.Raw, space: list[Box]) -> None:
         """Other arms plan beside this motion from now on: it is known where the arm goes."""
         self.state.motions[arm] = ArmMotion(
-            command=command.id, primitive=command.primitive, body=body, beside=command.beside
+            command=command.id, primitive=command.primitive, body=body, space=space, beside=command.beside
         )
         self.state.motions_begun += 1
+        self.state.spaces_mm = [*self.state.spaces_mm, space][-SPACES_KEPT:]
         self._recheck_space(arm)
+
+    def is_clear(self, command: Command, space: list[Box]) -> bool:
+        """Whether a motion in this space keeps clear of all that began after the job which planned it was created."""
+        begun = self.state.motions_begun - command.motions_seen[0]
+        latest = self.state.spaces_mm[-begun:] if begun else []
+        return len(latest) == begun and all(apart(space, other) for other in latest)
 
     def end_motions(self, command: Command) -> None:
         """The world database has the results of this command's motions. Stimulate the commands that wait for that."""

@@ -12,6 +12,7 @@ from broker.decisions.effects import CancelJob, DispatchJob, Effect, PublishNote
 from broker.decisions.resources import WORLD, number
 from broker.decisions.state import NIL, State, queues_of
 from rtc.protocol.messages import Phase, WorkerKind
+from rtc.protocol.primitive import apart
 from rtc.protocol.primitive_id import command_of
 
 MOVING = (Phase.EXECUTING, Phase.HALTING)
@@ -78,8 +79,9 @@ def _space(state: State) -> Iterable[str]:
         if motion.command not in state.commands and arm not in state.resources.quarantine:
             yield f"the motion {motion.primitive} of {arm} is of a command that has ended"
         for _, other in motions[n + 1 :]:
-            same = motion.command == other.command
-            if not same and other.primitive not in motion.beside and motion.primitive not in other.beside:
+            if motion.command == other.command or apart(motion.space, other.space):
+                continue
+            if other.primitive not in motion.beside and motion.primitive not in other.beside:
                 yield f"{motion.primitive} and {other.primitive} were planned without each other"
     lines = {(command, arm) for arm, waiting in state.space_lines.items() for command in waiting}
     if lines != {(c.id, c.waits_for) for c in state.commands.values() if c.phase is Phase.WAITING}:

@@ -14,10 +14,12 @@ from broker.decisions.action_stack import ActionStack
 from broker.decisions.resources import Resources
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Measured, OutcomeKind, Refusal, StopReason
+from rtc.protocol.primitive import Box
 from rtc.protocol.sentence import Condition
 
 NOTES_KEPT = 400  # maximum length of one command's trace; entries in the middle are dropped
 
+SPACES_KEPT = 16  # motions begun meanwhile, at most, that a plan is compared with; beyond it, it is made again
 NIL = msgspec.Raw(b"\xc0")  # MessagePack nil: the value is absent
 
 
@@ -134,6 +136,8 @@ class ArmMotion(msgspec.Struct, kw_only=True, gc=False):
     """Id of the primitive."""
     body: msgspec.Raw
     """The encoded primitive, input of the binders of other arms."""
+    space: list[Box] = []
+    """The space of the primitive."""
     beside: list[str] = []
     """Ids of the motions of other arms that its binder knew."""
     started_s: float = 0.0
@@ -399,6 +403,8 @@ class State(msgspec.Struct, kw_only=True):
     """Arm -> its motion, until the world database has the result."""
     motions_begun: int = 0
     """Number of entries that `motions` has got so far."""
+    spaces_mm: list[list[Box]] = []
+    """The spaces of the motions begun last, at most SPACES_KEPT."""
     motions_ended: int = 0
     """Number of entries that have been removed from `motions`."""
     space_lines: dict[str, list[str]] = {}

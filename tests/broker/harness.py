@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -26,7 +27,7 @@ from rtc.protocol.messages import (
     Trim,
 )
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
-from rtc.protocol.primitive import GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove
+from rtc.protocol.primitive import Box, GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove
 from rtc.protocol.sentence import ParsedCommand
 from tests.broker.flat_events import made
 
@@ -244,9 +245,10 @@ def trim(n: int = 1, then: Any = "retry_step", steps: int = 1) -> Trim:
     return Trim(n=n, label=f"trim {n}", then=then, steps=[Step(do="move", label="mend") for _ in range(steps)])
 
 
-def bound(primitive: str, performer: str = "RIGHT-ARM", *, moves: bool = False) -> BoundStep:
+def bound(primitive: str, performer: str = "RIGHT-ARM", *, moves: bool = False, space: Sequence[Box] = ()) -> BoundStep:
     """`moves`: the arm leaves its place."""
-    body = Primitive(id=primitive, performer=performer, trajectory=PATH if moves else HoldStill(), stop_functions=F)
+    path = PATH if moves else HoldStill()
+    body = Primitive(id=primitive, performer=performer, trajectory=path, stop_functions=F, space_mm=list(space))
     evaluation = EvaluationContext(context=CONTEXT, step=Step(do="move", label="x"), arm=performer)
     return BoundStep(subsystem="MCM", primitive=body, evaluation=evaluation, limit_s=5.0)
 

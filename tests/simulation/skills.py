@@ -29,6 +29,7 @@ from rtc.protocol.messages import (
 )
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
+    Box,
     GoalReached,
     HoldStill,
     JointTrajectory,
@@ -37,6 +38,7 @@ from rtc.protocol.primitive import (
     TimeAbove,
     Trajectory,
 )
+from rtc.protocol.primitive_id import command_of
 from rtc.protocol.sentence import ParsedCommand
 
 ARMS = {"LEFT": "LEFT-ARM", "RIGHT": "RIGHT-ARM"}
@@ -58,6 +60,8 @@ MOTIONS: dict[str, Trajectory] = {
     "late-mended": HoldStill(),  # or a trim can,
     "late-skipped": HoldStill(),  # or it is expected
 }
+#: of the motions of a command, by its number: two are apart, one meets both, one is not known
+SPACES: list[list[Box]] = [[(0, 0, 0, 9, 9, 9)], [(20, 0, 0, 29, 9, 9)], [(5, 0, 0, 25, 9, 9)], []]
 TIME_S = 0.015  # the limit of what has no end of its own
 read_parsed = wire.decoder(ElaboratorInput)
 read_step = wire.decoder(BinderInput)
@@ -123,7 +127,13 @@ def bind(data: bytes) -> BoundStep | Refusal:
         StopFunction(reason=StopReason.GOAL, when=GoalReached()),
         StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(TIME_S if step.do.startswith("late") else 5.0)),
     ]
-    primitive = Primitive(id=asked.primitive_id, performer=arm, trajectory=MOTIONS[step.do], stop_functions=stops)
+    primitive = Primitive(
+        id=asked.primitive_id,
+        performer=arm,
+        trajectory=MOTIONS[step.do],
+        stop_functions=stops,
+        space_mm=SPACES[int(command_of(asked.primitive_id)[2:]) % len(SPACES)],
+    )
     evaluation = EvaluationContext(context=asked.context, step=step, arm=arm)
     return BoundStep(subsystem="MCM", primitive=primitive, evaluation=evaluation, limit_s=LIMIT_S)
 

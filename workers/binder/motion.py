@@ -135,16 +135,19 @@ def _detour(task: BindTask, motion: Motion) -> str:
 
 
 def _beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep:
-    """The step with the conditions of its start beside the motions of other arms."""
-    if not task.query.moving or bound.primitive is None:
+    """The step with its space, and with the conditions of its start beside the motions of other arms."""
+    motion = bound.primitive
+    if len(request.joints) == 1 or motion is None:
         return bound
-    conditions = beside.start_conditions(request, bound.primitive, task.query.moving)
+    motion = msgspec.structs.replace(motion, space_mm=beside.space_of(request, motion))
+    bound = msgspec.structs.replace(bound, primitive=motion)
+    conditions = beside.start_conditions(request, motion, task.query.moving)
     if not conditions:
         return bound
     awaited = ", ".join(command_of(condition.primitive) for condition in conditions)
     return msgspec.structs.replace(
         bound,
-        primitive=msgspec.structs.replace(bound.primitive, start_after=conditions),
+        primitive=msgspec.structs.replace(motion, start_after=conditions),
         limit_s=bound.limit_s + max(condition.within_s for condition in conditions),
         note=f"{bound.note}; starts when {awaited} has left the space that it needs",
     )

@@ -111,7 +111,7 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
     primitive = read_primitive(result.primitive)
     if message := _fault(context, command, result, primitive, subsystem):
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
-    elif primitive.paths and context.state.motions_begun != command.motions_seen[0]:
+    elif primitive.paths and not context.is_clear(command, primitive.space_mm):
         bind_step(context, command, "another arm has begun to move meanwhile: planned again beside it")
     else:
         begin(context, command, result, primitive)
@@ -141,7 +141,7 @@ def begin(context: DecisionContext, command: Command, result: BoundHead, primiti
     command.evaluation = result.evaluation
     command.limit_s = result.limit_s
     for arm in primitive.paths:
-        context.begin_motion(command, arm, result.primitive)
+        context.begin_motion(command, arm, result.primitive, primitive.space_mm)
     if result.remark:
         command.step_words += f" ({result.remark})"
     if primitive.start_after:

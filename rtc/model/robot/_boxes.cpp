@@ -215,6 +215,46 @@ class Boxes {
         return {count, {}};
     }
 
+    // Boxes in the axes of the world around `boxes` on a way, [boxes][6]: low corner, high corner (m). `rows` as for
+    // `way`; `levers` [boxes][values]. No point of them moves farther than `step` (m) between two tested configurations.
+    Doubles space(Doubles q, Ints slots, Doubles rows, Ints boxes, Doubles levers, double step) {
+        const auto slot = slots.unchecked<1>();
+        const auto row = rows.unchecked<2>();
+        const auto number = boxes.unchecked<1>();
+        const auto lever = levers.unchecked<2>();
+        const py::ssize_t width = slot.shape(0), count = number.shape(0);
+        if (row.shape(1) != width || row.shape(0) < 2 || lever.shape(0) != count || lever.shape(1) != width || step <= 0)
+            throw std::invalid_argument("values do not fit the joints, slots and boxes");
+        std::vector<double> found(6 * count, HUGE_VAL), near(count), at(q.data(), q.data() + q.size());
+        for (py::ssize_t n = 0; n < count; ++n) std::fill_n(&found[6 * n + 3], 3, -HUGE_VAL);
+        for (py::ssize_t n = 0; n + 1 < row.shape(0); ++n) {
+            double most = 0.0;
+            for (py::ssize_t b = 0; b < count; ++b) {
+                near[b] = 0.0;
+                for (py::ssize_t k = 0; k < width; ++k) near[b] += lever(b, k) * std::fabs(row(n + 1, k) - row(n, k));
+                most = std::max(most, near[b]);
+            }
+            const int parts = std::max(1, static_cast<int>(std::ceil(most / step)));
+            for (int part = 0; part < parts; ++part) {
+                const double share = (part + 0.5) / parts;
+                for (py::ssize_t k = 0; k < width; ++k) at.at(slot(k)) = row(n, k) + share * (row(n + 1, k) - row(n, k));
+                move(at.data());
+                for (py::ssize_t b = 0; b < count; ++b) {
+                    const Pose& pose = placed(number(b));
+                    for (int i = 0; i < 3; ++i) {
+                        double reach = 0.5 * near[b] / parts;
+                        for (int j = 0; j < 3; ++j) reach += std::fabs(pose.r[3 * i + j]) * boxes_[number(b)].half[j];
+                        found[6 * b + i] = std::min(found[6 * b + i], pose.p[i] - reach);
+                        found[6 * b + 3 + i] = std::max(found[6 * b + 3 + i], pose.p[i] + reach);
+                    }
+                }
+            }
+        }
+        Doubles made({count, py::ssize_t{6}});
+        std::copy(found.begin(), found.end(), made.mutable_data());
+        return made;
+    }
+
    private:
     std::vector<Joint> joints_;
     std::vector<Box> boxes_;
@@ -325,5 +365,6 @@ PYBIND11_MODULE(_boxes, module) {
         .def("place", &Boxes::place)
         .def("use", &Boxes::use)
         .def("undecided", &Boxes::undecided)
-        .def("way", &Boxes::way);
+        .def("way", &Boxes::way)
+        .def("space", &Boxes::space);
 }

@@ -20,6 +20,7 @@ except ImportError:  # it was installed without a compiler
     _boxes = None  # type: ignore[assignment]
 
 KINDS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteU", "JointModelP")  # one value each
+STEP_M = 0.02  # greatest displacement of a piece between two configurations of which its space is made
 HALVINGS = 4  # of a line between two configurations of a path; what is undecided then is measured
 
 
@@ -62,6 +63,13 @@ class Boxes:
         two rows is halved `HALVINGS` times before it counts as undecided.
         """
         return self._proof.way(q, slots, rows, levers, HALVINGS)
+
+    def space(self, q: Array, slots: list[int], rows: Array, pieces: list[int], levers: Array) -> Array:
+        """Boxes in the axes of the world around these pieces on a way, [pieces][6]: low corner, high corner (m).
+
+        `q`, `slots` and `rows` as for `way`; `levers`: of each piece, [pieces][slots]."""
+        found: Array = self._proof.space(q, slots, rows, pieces, levers, STEP_M)
+        return found
 
 
 def boxes_of(bodies: Bodies) -> Boxes | None:

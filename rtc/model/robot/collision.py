@@ -259,6 +259,19 @@ class CollisionWorld:
                     return False
         return self.free_until(arm, configurations, others, scene) == len(configurations)
 
+    def space(self, arm: str, path: Array, others: Mapping[str, Floats], scene: Scene) -> Array | None:
+        """Boxes in the axes of the world around the pieces of an arm and of what it holds, on its whole path (rad).
+
+        [pieces][6]: low corner, high corner (m). The hand counts as open. None without the compiled kernel."""
+        if self._boxes is None:
+            return None
+        self._set({**others, arm: path[0]}, scene)
+        q = self._q.copy()
+        q[self._bodies.arms[arm].fingers] = 0.5 * self.cell.arm(arm).gripper.max_opening_m
+        pieces = np.flatnonzero(self._table.carriers(scene) == self._table.number[arm]).tolist()
+        slots = self._bodies.arms[arm].joints
+        return self._boxes.space(q, slots, path, pieces, self._levers[pieces][:, slots])
+
     def compare_arms(self, arm: str, other: str, scene: Scene) -> SeparationCheck:
         """Checks of the distance between two arms, each with what it holds in this scene. Both hands count as open."""
         if scene is not self._scene:

@@ -9,12 +9,14 @@ A primitive contains frames and numbers only, neither objects, verbs nor sentenc
 Joint order is that of the arm's URDF. `tcp` is the tool centre point; tool z points out of the palm, the
 fingers close along tool y. A primitive checks itself when it is constructed, so the MCM never gets an incomplete one.
 
-One module for each of the four, `limits` of their values, and `primitive`. Other packages import them from here.
+One module for each of the four, `limits` of their values, the `space` of a motion, and `primitive`. Other packages
+import them from here.
 """
 
 from rtc.protocol.primitive.control_law import *
 from rtc.protocol.primitive.limits import *
 from rtc.protocol.primitive.primitive import *
 from rtc.protocol.primitive.reporting import *
+from rtc.protocol.primitive.space import *
 from rtc.protocol.primitive.stop_functions import *
 from rtc.protocol.primitive.trajectory import *

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rtc.protocol.primitive.control_law import ControlLaw
 from rtc.protocol.primitive.limits import MAX_S
 from rtc.protocol.primitive.reporting import Reporting
+from rtc.protocol.primitive.space import Box
 from rtc.protocol.primitive.stop_functions import GoalReached, StopFunction, TimeAbove, in_priority
 from rtc.protocol.primitive.trajectory import JointTrajectory, Look, Trajectory
 from rtc.protocol.strict import Strict
@@ -48,6 +49,7 @@ class Primitive(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="Prim
     reporting: Reporting = Reporting()
     start_after: list[StartAfter] = []  # all must be met before it starts; nothing moves until then
     partner: Partner | None = None  # a second arm that moves with it
+    space_mm: list[Box] = []  # all that its arms may reach on their paths, for other planners; empty: not known
 
     def __post_init__(self) -> None:
         for stops in (self.stop_functions, *([self.partner.stop_functions] if self.partner else ())):

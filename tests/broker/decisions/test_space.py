@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import msgspec
+import pytest
 
 from broker.decisions.effects import DispatchJob
 from broker.decisions.invariants import violations
+from broker.decisions.state import SPACES_KEPT
 from rtc.protocol import wire
 from rtc.protocol.messages import BinderInput, BoundStep
 from rtc.protocol.outcomes import RefusalReason, StopReason
@@ -61,6 +63,32 @@ def test_of_two_plans_made_at_once_the_later_one_is_made_again():
     assert (s.phase(right), moving_of(s, right)) == ("binding", ["C-1.1"])
     assert "primitive C-2.1 to MCM" in s.answers(right, bound(f"{right}.1", moves=True))
     assert violations(s.state) == []
+
+
+HERE, ASIDE, BETWEEN = [(0, 0, 0, 9, 9, 9)], [(20, 0, 0, 29, 9, 9)], [(40, 0, 0, 49, 9, 9), (9, 5, 9, 20, 6, 9)]
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "sent"),
+    [(HERE, ASIDE, True), (HERE, BETWEEN, False), (HERE, HERE, False), (HERE, [], False), ([], ASIDE, False)],
+)
+def test_a_plan_whose_space_is_apart_from_motions_begun_meanwhile_is_not_made_again(mine, theirs, sent):
+    s = Harness()
+    left, right = left_binds(s), s.elaborated()
+    s.answers(left, bound(f"{left}.1", "LEFT-ARM", moves=True, space=theirs))
+    assert ("primitive C-2.1 to MCM" in s.answers(right, bound(f"{right}.1", moves=True, space=mine))) is sent
+    assert violations(s.state) == []
+
+
+def test_a_plan_is_made_again_if_more_motions_began_meanwhile_than_are_kept():
+    s = Harness()
+    right = s.elaborated()
+    for _ in range(SPACES_KEPT + 1):
+        left = left_binds(s)
+        s.answers(left, bound(f"{left}.1", "LEFT-ARM", moves=True, space=ASIDE))
+        s.reports(left)
+        s.answers(left, go_on())
+    assert f"primitive {right}.1 to MCM" not in s.answers(right, bound(f"{right}.1", moves=True, space=HERE))
 
 
 def test_a_step_that_does_not_move_the_arm_is_not_planned_again():

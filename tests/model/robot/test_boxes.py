@@ -8,7 +8,9 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from rtc.model.cells.cell import Cell
@@ -152,3 +154,40 @@ def test_paths_have_the_same_verdicts_without_boxes(coal_alone: CollisionWorld) 
             "RIGHT-ARM", rows, others, scene
         )
     assert 10 < hits < 110
+
+
+@needs_boxes
+def test_the_space_of_a_way_contains_all_that_moves_on_it(shadowed):
+    rng = np.random.default_rng(9)
+    for scene in scenes(shadowed.cell):
+        start, goal = postures(shadowed, rng), postures(shadowed, rng)
+        for arm in start:
+            rows = start[arm] + np.linspace(0.0, 1.0, 5)[:, None] * (goal[arm] - start[arm])
+            boxes = shadowed.space(arm, rows, start, scene)
+            assert boxes is not None
+            for share in rng.uniform(0.0, 1.0, 10):
+                shadowed._set({**start, arm: start[arm] + share * (goal[arm] - start[arm])}, scene)
+                for piece, box in zip(coal_pieces(shadowed, arm, scene), boxes, strict=True):
+                    assert least_room_m(*piece, box) > -1e-6
+
+
+def coal_pieces(
+    world: CollisionWorld, arm: str, scene: Scene
+) -> Iterator[tuple[coal.CollisionGeometry, coal.Transform3s]]:
+    """The solids of an arm and of what it holds, with their present placements."""
+    bodies = world._bodies
+    pin.forwardKinematics(bodies.model, world._data, world._q)
+    pin.updateGeometryPlacements(bodies.model, world._data, bodies.geometry, world._geometry_data)
+    for n in np.flatnonzero(world._table.carriers(scene) == world._table.number[arm]).tolist():
+        at = world._geometry_data.oMg[n]
+        yield bodies.geometry.geometryObjects[n].geometry, coal.Transform3s(at.rotation, at.translation)
+
+
+def least_room_m(solid: coal.CollisionGeometry, at: coal.Transform3s, box: np.ndarray) -> float:
+    """The least distance of a solid from the outside of a box [6], behind each of its six faces."""
+    found = []
+    for axis, unit in enumerate(np.eye(3)):
+        for outside in (coal.Halfspace(unit, box[axis]), coal.Halfspace(-unit, -box[axis + 3])):
+            result = coal.DistanceResult()
+            found.append(coal.distance(solid, at, outside, coal.Transform3s(), coal.DistanceRequest(), result))
+    return min(found)

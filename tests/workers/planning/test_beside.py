@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from rtc.model.robot import compiled
 from rtc.model.robot.collision_scene import Scene
 from rtc.protocol.outcomes import IN_THE_WAY, StopReason
 from rtc.protocol.primitive import (
@@ -17,10 +18,11 @@ from rtc.protocol.primitive import (
     Primitive,
     StopFunction,
     TimeAbove,
+    apart,
 )
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.refusals import refusal_of
-from workers.planning.motion.beside import SPACE_M, clear_from, course, start_conditions
+from workers.planning.motion.beside import SPACE_M, clear_from, course, space_of, start_conditions
 from workers.planning.motion.path import joint_line
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import time_path
@@ -53,6 +55,24 @@ def conditions(mine: Primitive, theirs: Primitive) -> object:
 INTO = motion(RIGHT, at(RIGHT, -0.4), at(RIGHT, 0.1))  # into the middle
 OUT = motion(RIGHT, at(RIGHT, 0.1), at(RIGHT, -0.4))
 MINE = motion(LEFT, at(LEFT, 0.4), at(LEFT, 0.0), "C-2.1")
+
+
+def with_space(motion: Primitive) -> Primitive:
+    request = PlanningRequest(MODEL.arms[motion.performer], MODEL.collision, HOME, SCENE)
+    return msgspec.structs.replace(motion, space_mm=space_of(request, motion))
+
+
+@pytest.mark.skipif(not compiled(), reason="spaces are computed by the compiled kernel")
+def test_motions_with_spaces_apart_have_no_start_condition_and_those_that_meet_are_not_apart():
+    random, apart_count = np.random.default_rng(5), 0
+    for _ in range(30):
+        y = random.uniform(-0.45, 0.45, 4)
+        mine = motion(LEFT, at(LEFT, max(y[0], -0.1)), at(LEFT, max(y[1], -0.1)), "C-2.1")
+        theirs = motion(RIGHT, at(RIGHT, min(y[2], 0.1)), at(RIGHT, min(y[3], 0.1)))
+        if apart(with_space(mine).space_mm, with_space(theirs).space_mm):
+            apart_count += 1
+            assert conditions(mine, theirs) == []  # found by the search, which does not know the spaces
+    assert 0 < apart_count < 30
 
 
 def test_motions_that_do_not_meet_start_at_once():

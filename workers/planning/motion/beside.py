@@ -22,7 +22,7 @@ from rtc.model.robot.quintic import Hermite, fine_times
 from rtc.model.robot.separation import SeparationCheck
 from rtc.model.robot.swept import Boxes, Swept
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
-from rtc.protocol.primitive import MAX_S, JointTrajectory, Primitive, StartAfter
+from rtc.protocol.primitive import MAX_S, Box, JointTrajectory, Primitive, StartAfter, apart
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial.geometry import Array
 from workers.planning.motion.request import PlanningRequest
@@ -64,7 +64,7 @@ def start_conditions(request: PlanningRequest, motion: Primitive, others: Sequen
     conditions = []
     for other in others:
         pairs = [(arm, their) for arm in motion.paths for their in other.paths if their in request.joints]
-        if set(motion.performers) & set(other.performers) or not pairs:
+        if set(motion.performers) & set(other.performers) or not pairs or apart(motion.space_mm, other.space_mm):
             continue
         free_from_s = 0.0
         for arm, their in pairs:
@@ -87,6 +87,23 @@ def _clear_from(request: PlanningRequest, motion: Primitive, arm: str, other: Pr
     mine, theirs = (course(*pair) for pair in zip(paths, check.reaches, strict=True))
     space_m = max(SPACE_M, _off_m(request, arm) + _off_m(request, their))
     return clear_from(check, mine, theirs, space_m + _softness_m(motion) + _softness_m(other))
+
+
+def space_of(request: PlanningRequest, motion: Primitive) -> list[Box]:
+    """Boxes around all that the arms of a motion may reach; empty where they cannot be computed (decision 0071).
+
+    Two motions whose boxes do not touch keep from each other what `start_conditions` demands, whatever their times.
+    """
+    found: list[Box] = []
+    for arm, path in motion.paths.items():
+        rows = Hermite(path.time_s, path.positions, path.velocities, path.accelerations)
+        boxes = request.world.space(arm, rows.at(fine_times(path.time_s, FINE_S))[:, 0], request.joints, request.scene)
+        if boxes is None:
+            return []
+        room_m = 0.5 * SPACE_M + _off_m(request, arm) + _softness_m(motion)
+        low, high = np.floor(1e3 * (boxes[:, :3] - room_m)), np.ceil(1e3 * (boxes[:, 3:] + room_m))
+        found += map(tuple, np.hstack((low, high)).astype(int).tolist())
+    return found
 
 
 def _off_m(request: PlanningRequest, arm: str) -> float:
