@@ -39,7 +39,7 @@ def bind_motion(task: BindTask) -> BoundStep:
     request = planning_request(ruled, keep.speed_m_s)
     motion = _planned(ruled, request, target, keep)
     bound = _assembled(ruled, motion, keep)
-    return _beside_others(task, request, bound)
+    return _beside_others(task, request, motion, bound)
 
 
 def _target(task: RuledTask) -> Target:
@@ -134,20 +134,21 @@ def _detour(task: BindTask, motion: Motion) -> str:
     return f"the hand travels {way_m:.2f} m to be {in_words(round(step_m, 3), 'm')} away"
 
 
-def _beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep:
+def _beside_others(task: BindTask, request: PlanningRequest, motion: Motion, bound: BoundStep) -> BoundStep:
     """The step with its space, and with the conditions of its start beside the motions of other arms."""
-    motion = bound.primitive
-    if len(request.joints) == 1 or motion is None:
+    made = bound.primitive
+    if len(request.joints) == 1 or made is None:
         return bound
-    motion = msgspec.structs.replace(motion, space_mm=beside.space_of(request, motion))
-    bound = msgspec.structs.replace(bound, primitive=motion)
-    conditions = beside.start_conditions(request, motion, task.query.moving)
+    timed = {task.arm: motion.timed} | ({task.data.context.partner: motion.partner} if motion.partner else {})
+    made = msgspec.structs.replace(made, space_mm=beside.space_of(request, made, timed))
+    bound = msgspec.structs.replace(bound, primitive=made)
+    conditions = beside.start_conditions(request, made, task.query.moving)
     if not conditions:
         return bound
     awaited = ", ".join(command_of(condition.primitive) for condition in conditions)
     return msgspec.structs.replace(
         bound,
-        primitive=msgspec.structs.replace(motion, start_after=conditions),
+        primitive=msgspec.structs.replace(made, start_after=conditions),
         limit_s=bound.limit_s + max(condition.within_s for condition in conditions),
         note=f"{bound.note}; starts when {awaited} has left the space that it needs",
     )

@@ -226,6 +226,10 @@ class Boxes {
         if (row.shape(1) != width || row.shape(0) < 2 || lever.shape(0) != count || lever.shape(1) != width || step <= 0)
             throw std::invalid_argument("values do not fit the joints, slots and boxes");
         std::vector<double> found(6 * count, HUGE_VAL), near(count), at(q.data(), q.data() + q.size());
+        move(at.data());
+        std::vector<bool> used(joints_.size());  // the joints that place these boxes; the others need not be moved
+        for (py::ssize_t n = 0; n < count; ++n)
+            for (int joint = boxes_.at(number(n)).joint; joint >= 0; joint = joints_[joint].parent) used[joint] = true;
         for (py::ssize_t n = 0; n < count; ++n) std::fill_n(&found[6 * n + 3], 3, -HUGE_VAL);
         for (py::ssize_t n = 0; n + 1 < row.shape(0); ++n) {
             double most = 0.0;
@@ -238,7 +242,7 @@ class Boxes {
             for (int part = 0; part < parts; ++part) {
                 const double share = (part + 0.5) / parts;
                 for (py::ssize_t k = 0; k < width; ++k) at.at(slot(k)) = row(n, k) + share * (row(n + 1, k) - row(n, k));
-                move(at.data());
+                move(at.data(), &used);
                 for (py::ssize_t b = 0; b < count; ++b) {
                     const Pose& pose = placed(number(b));
                     for (int i = 0; i < 3; ++i) {
@@ -271,8 +275,9 @@ class Boxes {
     const double* levers_ = nullptr;
     Open undecided_;
 
-    void move(const double* q) {
+    void move(const double* q, const std::vector<bool>* used = nullptr) {
         for (size_t n = 0; n < joints_.size(); ++n) {
+            if (used && !(*used)[n]) continue;
             const Pose own = moved(joints_[n], q[n]);
             at_[n] = joints_[n].parent < 0 ? own : compose(at_[joints_[n].parent], own);
         }

@@ -20,7 +20,7 @@ except ImportError:  # it was installed without a compiler
     _boxes = None  # type: ignore[assignment]
 
 KINDS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteU", "JointModelP")  # one value each
-STEP_M = 0.02  # greatest displacement of a piece between two configurations of which its space is made
+STEP_M = 0.03  # greatest displacement of a piece between two configurations of which its space is made
 HALVINGS = 4  # of a line between two configurations of a path; what is undecided then is measured
 
 

@@ -259,18 +259,18 @@ class CollisionWorld:
                     return False
         return self.free_until(arm, configurations, others, scene) == len(configurations)
 
-    def space(self, arm: str, path: Array, others: Mapping[str, Floats], scene: Scene) -> Array | None:
+    def space(self, arm: str, path: Array, scene: Scene) -> Array | None:
         """Boxes in the axes of the world around the pieces of an arm and of what it holds, on its whole path (rad).
 
         [pieces][6]: low corner, high corner (m). The hand counts as open. None without the compiled kernel."""
         if self._boxes is None:
             return None
-        self._set({**others, arm: path[0]}, scene)
-        q = self._q.copy()
-        q[self._bodies.arms[arm].fingers] = 0.5 * self.cell.arm(arm).gripper.max_opening_m
+        if self._scene is None or not _same_places(self._scene, scene):
+            self._arrange(scene)
         pieces = np.flatnonzero(self._table.carriers(scene) == self._table.number[arm]).tolist()
-        slots = self._bodies.arms[arm].joints
-        return self._boxes.space(q, slots, path, pieces, self._levers[pieces][:, slots])
+        slots, q = self._bodies.arms[arm], self._q.copy()
+        q[slots.fingers] = 0.5 * self.cell.arm(arm).gripper.max_opening_m
+        return self._boxes.space(q, slots.joints, path, pieces, self._levers[pieces][:, slots.joints])
 
     def compare_arms(self, arm: str, other: str, scene: Scene) -> SeparationCheck:
         """Checks of the distance between two arms, each with what it holds in this scene. Both hands count as open."""
@@ -596,12 +596,7 @@ class CollisionWorld:
         """Applies a scene: poses, parents and openings; then active pairs and margins."""
         before, self._scene = self._scene, None  # None until done: after an error the scene is applied in part only
         # Scenes often differ only in active pairs and margins; then no body has to be placed again.
-        if before is None or not (
-            scene.poses is before.poses
-            and scene.held is before.held
-            and not before.hung
-            and scene.openings_m is before.openings_m
-        ):
+        if before is None or not _same_places(before, scene):
             self._place_bodies(scene)
         self._switch(scene)
         self._scene = scene
@@ -677,6 +672,12 @@ class CollisionWorld:
         self._built_pose: dict[str, Floats] = {seat.name: seat.frame.pose for seat in self.cell.seats}
         self._built_pose |= {thing.name: self.cell.object_pose(thing.name) for thing in self.cell.objects}
         self._built_pose |= {region.name: region.frame.pose for region in self.cell.regions}
+
+
+def _same_places(before: Scene, scene: Scene) -> bool:
+    """Whether all bodies are where they were, so that none has to be placed again."""
+    same = scene.poses is before.poses and scene.held is before.held and scene.openings_m is before.openings_m
+    return same and not before.hung
 
 
 @cache

@@ -163,7 +163,7 @@ def test_the_space_of_a_way_contains_all_that_moves_on_it(shadowed):
         start, goal = postures(shadowed, rng), postures(shadowed, rng)
         for arm in start:
             rows = start[arm] + np.linspace(0.0, 1.0, 5)[:, None] * (goal[arm] - start[arm])
-            boxes = shadowed.space(arm, rows, start, scene)
+            boxes = shadowed.space(arm, rows, scene)
             assert boxes is not None
             for share in rng.uniform(0.0, 1.0, 10):
                 shadowed._set({**start, arm: start[arm] + share * (goal[arm] - start[arm])}, scene)

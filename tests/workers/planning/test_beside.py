@@ -11,6 +11,7 @@ from rtc.model.robot.collision_scene import Scene
 from rtc.protocol.outcomes import IN_THE_WAY, StopReason
 from rtc.protocol.primitive import (
     MAX_S,
+    Box,
     Compliance,
     ControlLaw,
     GoalReached,
@@ -57,9 +58,10 @@ OUT = motion(RIGHT, at(RIGHT, 0.1), at(RIGHT, -0.4))
 MINE = motion(LEFT, at(LEFT, 0.4), at(LEFT, 0.0), "C-2.1")
 
 
-def with_space(motion: Primitive) -> Primitive:
-    request = PlanningRequest(MODEL.arms[motion.performer], MODEL.collision, HOME, SCENE)
-    return msgspec.structs.replace(motion, space_mm=space_of(request, motion))
+def space(motion: Primitive) -> list[Box]:
+    arm, path = MODEL.arms[motion.performer], motion.trajectory.positions
+    request = PlanningRequest(arm, MODEL.collision, HOME, SCENE)
+    return space_of(request, motion, {motion.performer: time_path(arm, joint_line(path[0], path[-1]))})
 
 
 @pytest.mark.skipif(not compiled(), reason="spaces are computed by the compiled kernel")
@@ -69,7 +71,7 @@ def test_motions_with_spaces_apart_have_no_start_condition_and_those_that_meet_a
         y = random.uniform(-0.45, 0.45, 4)
         mine = motion(LEFT, at(LEFT, max(y[0], -0.1)), at(LEFT, max(y[1], -0.1)), "C-2.1")
         theirs = motion(RIGHT, at(RIGHT, min(y[2], 0.1)), at(RIGHT, min(y[3], 0.1)))
-        if apart(with_space(mine).space_mm, with_space(theirs).space_mm):
+        if apart(space(mine), space(theirs)):
             apart_count += 1
             assert conditions(mine, theirs) == []  # found by the search, which does not know the spaces
     assert 0 < apart_count < 30
