@@ -120,7 +120,8 @@ class _WiderMargins:
 class CollisionWorld:
     """The bodies of one cell. Not thread-safe: it keeps the last scene."""
 
-    def __init__(self, cell: cells.Cell) -> None:
+    def __init__(self, cell: cells.Cell, *, boxes: bool = True) -> None:
+        """`boxes`: the compiled proof comes before coal, where it is installed; without it coal decides everything."""
         self.cell = cell
         self.cell_digest = cell.digest()
         self._bodies = bodies.build(cell)
@@ -142,7 +143,7 @@ class CollisionWorld:
         self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
         self._apart: SeparationCheck | None = None  # made when it is first needed
         self._table = PairTable(self._bodies)
-        self._boxes = boxes_of(self._bodies)
+        self._boxes = boxes_of(self._bodies) if boxes else None
         self._measure_bodies()
         self._put_in_force(self._table.of_scene(AS_BUILT))
         self._arrange(AS_BUILT)

@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 from rtc.model.cells.cell import Cell
-from rtc.model.robot import collision, compiled
+from rtc.model.robot import compiled
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import AttachedBody, Held, Scene
 from rtc.spatial import geometry
@@ -34,10 +34,8 @@ def shadowed(request: pytest.FixtureRequest) -> CollisionWorld:
 
 
 @pytest.fixture(scope="module")
-def coal_alone() -> Iterator[CollisionWorld]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collision, "boxes_of", lambda bodies: None)
-        yield CollisionWorld(Cell.load("swapout"))
+def coal_alone() -> CollisionWorld:
+    return CollisionWorld(Cell.load("swapout"), boxes=False)
 
 
 def scenes(cell: Cell) -> list[Scene]:
