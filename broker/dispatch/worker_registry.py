@@ -12,7 +12,7 @@ a busy machine a healthy job may take any time on the clock.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from broker.decisions.effects import DispatchJob
@@ -100,12 +100,14 @@ class LostJob(NamedTuple):
 
 class Worker:
     __slots__ = (
-        *("assigned", "done", "kind", "last_seen_s", "mean_s", "name", "node", "pid"),
+        *("abilities", "assigned", "done", "kind", "last_seen_s", "mean_s", "name", "node", "pid"),
         *("progress_at_s", "retiring", "since_s", "worked_s"),
     )
 
-    def __init__(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> None:
-        self.name, self.node, self.kind, self.pid = name, node, kind, pid
+    def __init__(
+        self, name: str, node: int, kind: WorkerKind, pid: int, now: float, abilities: Sequence[str] = ()
+    ) -> None:
+        self.name, self.node, self.kind, self.pid, self.abilities = name, node, kind, pid, list(abilities)
         self.assigned: dict[str, DispatchJob] = {}  # jobs in order; the first is in progress
         self.since_s = now  # time when the first job began
         self.worked_s = 0.0  # processor time that it has reported for the first job
@@ -140,10 +142,12 @@ class WorkerRegistry:
 
     # --- workers come and go --------------------------------------------------------------------------
 
-    def register(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> list[LostJob]:
+    def register(
+        self, name: str, node: int, kind: WorkerKind, pid: int, now: float, abilities: Sequence[str] = ()
+    ) -> list[LostJob]:
         """Add a ready worker. Returns the jobs that an earlier worker of that name has lost."""
         lost = self.remove(name)
-        self.workers[name] = Worker(name, node, kind, pid, now)
+        self.workers[name] = Worker(name, node, kind, pid, now, abilities)
         return lost
 
     def remove(self, name: str) -> list[LostJob]:

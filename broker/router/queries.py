@@ -68,6 +68,7 @@ def _worker(worker: Worker) -> dict[str, Any]:
         "node": worker.node,
         "kind": worker.kind.value,
         "pid": worker.pid,
+        "abilities": worker.abilities,
         "busy_with": next(iter(worker.assigned), ""),
         "queued": max(0, len(worker.assigned) - 1),
         "done": worker.done,

@@ -10,6 +10,7 @@ VERSION = 2
 
 ARRAYS = "arrays"  # it reads arrays of messages; else each message travels alone
 PAUSES = "pauses"  # a subsystem: it obeys SetPaused; else its commands pause between two steps only
+BOXES = "boxes"  # a worker: its collision checks begin with the compiled boxes (decision 0069)
 
 
 def misfit(peer: str, version: int, own: str) -> str:

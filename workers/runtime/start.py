@@ -11,9 +11,10 @@ import os
 from typing import Any
 
 from rtc.model.cells.cell import Cell
+from rtc.model.robot import compiled
 from rtc.protocol.messages import WorkerHello, WorkerKind
 from rtc.protocol.outcomes import ClusterError
-from rtc.protocol.versions import VERSION
+from rtc.protocol.versions import BOXES, VERSION
 from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.link import Link
@@ -33,8 +34,12 @@ def work(settings: Settings, kind: WorkerKind, node: int, prepared: Preloaded) -
     name = f"{kind}@{node}"
     process.show_name(name)
     with process.start(name, ".") as me:
-        hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid(), protocol=VERSION)
+        hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid(), protocol=VERSION, abilities=_abilities())
         run(me, settings, hello, prepared)
+
+
+def _abilities() -> list[str]:
+    return [BOXES] if compiled() else []
 
 
 def join(key: KeyFile, kind: WorkerKind, node: int | None, contact: BrokerContact, me: Process) -> None:
@@ -50,6 +55,7 @@ def join(key: KeyFile, kind: WorkerKind, node: int | None, contact: BrokerContac
         pid=os.getpid(),
         instance=os.urandom(8).hex() if node is None else "",
         protocol=VERSION,
+        abilities=_abilities(),
     )
     try:
         why = run(me, key, hello, preload([kind], cell=None), contact)

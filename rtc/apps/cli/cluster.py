@@ -33,7 +33,10 @@ from rtc.apps.cli.output import (
     table,
 )
 from rtc.client.client import Client
+from rtc.model.robot import collision_checks
+from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import NoCluster, TimedOut
+from rtc.protocol.versions import BOXES
 from rtc.runtime import process_table
 from rtc.runtime.run_dir import supervised
 from rtc.runtime.settings import MAX_DIM, MAX_REMOTE_WORKERS, MAX_WORKERS, MCMS, MIN_DIM, Mcm, Settings, default_run_dir
@@ -43,6 +46,7 @@ SILENT = (
     "(its log is logs/broker.log in the run directory; rtc halt works meanwhile)"
 )
 DEFAULT = Settings(run_dir="")  # the defaults of `rtc up`
+PLANNERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # workers that check collisions
 SUPERVISOR_SILENT_S = 3.0  # maximum age of the process table, which it sends every second
 SAME_AGE_S = 1.0  # maximum age difference of a cluster and a broker that was not restarted
 
@@ -216,6 +220,8 @@ def show_status(report: dict[str, Any]) -> None:
     _subsystems(report.get("subsystems", []))
     if "programs" in report:
         console.print(Text("programs: ", style="bold") + Text(programs_in_words(report)))
+    if checks := collision_checks_in_words(report):
+        console.print(Text("collision checks: ", style="bold") + Text(checks))
     for name in ("queues", "halts", "counters"):
         figures = {key: value for key, value in report.get(name, {}).items() if value not in (0, None, "", [], {})}
         if name == "counters" and "halts" in report:
@@ -224,6 +230,16 @@ def show_status(report: dict[str, Any]) -> None:
             console.print(
                 Text(f"{name}: ", style="bold") + Text(", ".join(f"{k} {_plain(v)}" for k, v in figures.items()))
             )
+
+
+def collision_checks_in_words(report: dict[str, Any]) -> str:
+    """What decides on collisions in the workers that plan; empty if there are none."""
+    planners = [row for row in report.get("workers", []) if row.get("kind") in PLANNERS]
+    slower = [row["name"] for row in planners if BOXES not in row.get("abilities", ())]
+    if not slower:
+        return collision_checks(True) if planners else ""
+    where = "" if len(slower) == len(planners) else f" ({', '.join(slower)})"
+    return collision_checks(False) + where
 
 
 def programs_in_words(report: dict[str, Any]) -> str:

@@ -131,7 +131,7 @@ def installation() -> Iterator[Finding]:
     words = ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items())
     yield Finding("libraries", words, f"pip install {' '.join(absent)}" if absent else "")
     slower = "" if compiled() else "planning takes about twice as long; install a C++ compiler, then rtc again"
-    yield Finding("collision checks", collision_checks(), slower)
+    yield Finding("collision checks", collision_checks(compiled()), slower)
     for extra in EXTRAS:
         yield Finding(f"extra for {extra}", missing(extra) or "installed")  # optional: no warning
     for group in registry.GROUPS:

@@ -18,7 +18,7 @@ from rtc import __version__
 from rtc.apps.cli.interrupts import raise_at_interrupts
 from rtc.apps.cli.output import LEFT_RUNNING, NO_CLUSTER, cli_error, errors
 from rtc.apps.cli.stdio import OutputClosed, attach
-from rtc.model.robot import collision_checks
+from rtc.model.robot import collision_checks, compiled
 from rtc.protocol.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
 
 #: command -> module of this package with its function (for a group: its app); in the order of the help
@@ -95,7 +95,9 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        print(f"rtc {__version__} (Python {platform.python_version()}; collision checks: {collision_checks()})")
+        print(
+            f"rtc {__version__} (Python {platform.python_version()}; collision checks: {collision_checks(compiled())})"
+        )
         raise typer.Exit()
 
 

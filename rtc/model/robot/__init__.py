@@ -11,6 +11,6 @@ def compiled() -> bool:
     return find_spec(f"{__name__}._boxes") is not None
 
 
-def collision_checks() -> str:
+def collision_checks(boxes: bool) -> str:
     """What decides on collisions, in words."""
-    return "compiled boxes, then coal" if compiled() else "coal alone, installed without a C++ compiler"
+    return "compiled boxes, then coal" if boxes else "coal alone, installed without a C++ compiler"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rtc.apps.cli.cluster import folded, programs_in_words
+from rtc.apps.cli.cluster import collision_checks_in_words, folded, programs_in_words
 
 
 def row(name: str, state: str = "ready", restarts: int = 0) -> dict[str, Any]:
@@ -27,3 +27,14 @@ def test_programs_are_named_by_file_and_age() -> None:
         "elaborator my_lift.yaml (loaded 3 min ago), the others: default programs"
     )
     assert programs_in_words({}) == "all as they come with rtc"
+
+
+def test_collision_checks_are_those_of_the_workers_that_plan_and_slower_ones_are_named() -> None:
+    parser = {"name": "parser@0", "kind": "parser", "abilities": []}
+    quick = {"name": "binder@2", "kind": "binder", "abilities": ["boxes"]}
+    slow = {"name": "elaborator@1", "kind": "elaborator", "abilities": []}
+
+    assert collision_checks_in_words({"workers": [parser]}) == ""
+    assert "coal alone" not in collision_checks_in_words({"workers": [parser, quick]})
+    assert "elaborator@1" in collision_checks_in_words({"workers": [quick, slow]})
+    assert "coal alone" in collision_checks_in_words({"workers": [slow]})
