@@ -111,7 +111,7 @@ class Judge:
     def _primitive(self, request: PlanningRequest, motion: Motion, name: str) -> Primitive:
         arm = request.arm.name
         made = Primitive(id=name, performer=arm, trajectory=motion.timed.trajectory(), stop_functions=STOPS)
-        return msgspec.structs.replace(made, space_mm=beside.space_of(request, made, {arm: motion.timed}))
+        return msgspec.structs.replace(made, space_mm=beside.space_of(request, made))
 
 
 def main() -> None:

@@ -39,7 +39,7 @@ def bind_motion(task: BindTask) -> BoundStep:
     request = planning_request(ruled, keep.speed_m_s)
     motion = _planned(ruled, request, target, keep)
     bound = _assembled(ruled, motion, keep)
-    return _beside_others(task, request, motion, bound)
+    return _beside_others(task, request, bound)
 
 
 def _target(task: RuledTask) -> Target:
@@ -134,13 +134,12 @@ def _detour(task: BindTask, motion: Motion) -> str:
     return f"the hand travels {way_m:.2f} m to be {in_words(round(step_m, 3), 'm')} away"
 
 
-def _beside_others(task: BindTask, request: PlanningRequest, motion: Motion, bound: BoundStep) -> BoundStep:
-    """The step with its space, and with the conditions of its start beside the motions of other arms."""
+def _beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep:
+    """The step with its space, and with the conditions of its start, if other arms move or may soon do so."""
     made = bound.primitive
-    if len(request.joints) == 1 or made is None:
+    if made is None or not (task.query.moving or task.data.others):
         return bound
-    timed = {task.arm: motion.timed} | ({task.data.context.partner: motion.partner} if motion.partner else {})
-    made = msgspec.structs.replace(made, space_mm=beside.space_of(request, made, timed))
+    made = msgspec.structs.replace(made, space_mm=beside.space_of(request, made))
     bound = msgspec.structs.replace(bound, primitive=made)
     conditions = beside.start_conditions(request, made, task.query.moving)
     if not conditions:

@@ -84,7 +84,9 @@ def bind_step(context: DecisionContext, command: Command, note: str = "") -> Non
         context.enter(command, Phase.PAUSED, "paused between two steps")
         return
     name = primitive_id(command.id, command.primitives + 1, context.state.life)
-    context.create_job(command, WorkerKind.BINDER, {**actions.binder_input(name), "at_s": context.now})
+    others = len(context.state.commands) > 1
+    data = {**actions.binder_input(name), "at_s": context.now, "others": others}
+    context.create_job(command, WorkerKind.BINDER, data)
     context.enter(command, Phase.BINDING, note)
 
 

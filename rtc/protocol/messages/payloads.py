@@ -118,7 +118,9 @@ class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
-    """`at_s`, `moving`: as in `ElaboratorInput`. `moved_s`: how long this command has moved, in arm time."""
+    """`at_s`, `moving`: as in `ElaboratorInput`. `moved_s`: how long this command has moved, in arm time.
+
+    `others`: other commands are in progress, so another arm may begin to move before this step is sent."""
 
     primitive_id: str
     context: ScriptContext
@@ -127,6 +129,7 @@ class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     at_s: float = 0.0
     moving: list[Primitive] = []
     moved_s: float = 0.0
+    others: bool = False
 
 
 class AnalyzerInput(Strict, frozen=True, kw_only=True, omit_defaults=True):

@@ -9,7 +9,7 @@ from broker.decisions.effects import DispatchJob
 from broker.decisions.invariants import violations
 from broker.decisions.state import SPACES_KEPT
 from rtc.protocol import wire
-from rtc.protocol.messages import BinderInput, BoundStep
+from rtc.protocol.messages import BinderInput, BoundStep, WorkerKind
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.protocol.primitive import ControlLaw, Partner
 from tests.broker.harness import PATH, F, Harness, bound, give_up, go_on, script
@@ -37,6 +37,16 @@ def test_a_planner_knows_what_the_other_arm_does():
     s = Harness()
     right_moves(s)
     assert moving_of(s, left_binds(s)) == ["C-1.1"]
+
+
+def test_a_binder_knows_whether_another_command_may_begin_to_move():
+    s = Harness()
+    right, left = s.elaborated(), left_binds(s)
+    jobs = [e for e in s.log if isinstance(e, DispatchJob) and e.kind is WorkerKind.BINDER]
+    assert {e.job.partition("/")[0]: wire.decoder(BinderInput)(e.input).others for e in jobs} == {
+        right: False,
+        left: True,
+    }
 
 
 def test_an_arm_that_stays_in_its_place_is_not_planned_around():

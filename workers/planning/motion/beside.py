@@ -12,7 +12,7 @@ further (`rtc.model.robot.separation`). It is conservative: it never calls two m
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,6 @@ from rtc.protocol.primitive import MAX_S, Box, JointTrajectory, Primitive, Start
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial.geometry import Array
 from workers.planning.motion.request import PlanningRequest
-from workers.planning.motion.timing import Timed
 
 SPACE_M = 0.01  # minimum distance of two moving arms from each other's path
 STEP_M = 0.02  # smallest interval of a path: no point of the arm moves farther in it
@@ -65,7 +64,9 @@ def start_conditions(request: PlanningRequest, motion: Primitive, others: Sequen
     conditions = []
     for other in others:
         pairs = [(arm, their) for arm in motion.paths for their in other.paths if their in request.joints]
-        if set(motion.performers) & set(other.performers) or not pairs or apart(motion.space_mm, other.space_mm):
+        if set(motion.performers) & set(other.performers) or not pairs:
+            continue
+        if motion.space_mm and apart(motion.space_mm, other.space_mm or space_of(request, other)):
             continue
         free_from_s = 0.0
         for arm, their in pairs:
@@ -90,16 +91,15 @@ def _clear_from(request: PlanningRequest, motion: Primitive, arm: str, other: Pr
     return clear_from(check, mine, theirs, space_m + _softness_m(motion) + _softness_m(other))
 
 
-def space_of(request: PlanningRequest, motion: Primitive, timed: Mapping[str, Timed]) -> list[Box]:
+def space_of(request: PlanningRequest, motion: Primitive) -> list[Box]:
     """Boxes around all that the arms of a motion may reach; empty where they cannot be computed (decision 0071).
 
-    `timed`: the paths of its arms. Two motions whose boxes do not touch keep from each other what `start_conditions`
-    demands, whatever their times.
+    Two motions whose boxes do not touch keep from each other what `start_conditions` demands, whatever their times.
     """
     found: list[Box] = []
-    for arm, path in timed.items():
-        rows = path.at(fine_times(path.time_s, FINE_S))[:, 0]
-        boxes = request.world.space(arm, rows, request.scene)
+    for arm, path in motion.paths.items():
+        rows = Hermite(path.time_s, path.positions, path.velocities, path.accelerations)
+        boxes = request.world.space(arm, rows.at(fine_times(path.time_s, FINE_S))[:, 0], request.scene)
         if boxes is None:
             return []
         room_m = 0.5 * SPACE_M + _off_m(request, arm) + _softness_m(motion)
