@@ -64,6 +64,7 @@ class JobFinished(Event, frozen=True, kw_only=True, gc=False):
     node: str
     product: msgspec.Raw
     took_s: float = 0.0
+    world: int = 0  # version of the world that the job read, for its repetition
 
 
 class JobDeclined(Event, frozen=True, kw_only=True, gc=False):
@@ -73,6 +74,7 @@ class JobDeclined(Event, frozen=True, kw_only=True, gc=False):
     attempt: int
     node: str
     refusal: Refusal
+    world: int = 0  # as in JobFinished
 
 
 class JobLost(Event, frozen=True, kw_only=True, gc=False):

@@ -3,7 +3,8 @@
 One row of the table `turns` holds the events of one batch of the broker's loop, as one MessagePack list. It is written
 in one transaction (WAL, so a commit takes some microseconds). A killed process loses nothing that was committed. A
 crash of the operating system ends the run, and its journal is not continued, so nothing waits for the disk. Snapshots
-of the whole state make earlier events unnecessary: they bound the size of the journal and the time of a replay.
+of the whole state bound the time of a restart and the size of the journal: events before the last but one are deleted.
+The events between the last two are kept so that the jobs of recent commands can be repeated (`rtc replay`).
 
 The table `records` holds the records of the `RECORDS_KEPT` commands that ended last. They are written some at a time.
 Unwritten records are recovered by replay: their events are kept until the next snapshot, which writes the records.
@@ -26,11 +27,12 @@ RECORDS_KEPT = 20_000  # maximum number of records of ended commands
 RECORDS_AT_ONCE = 64  # unwritten records that are written together
 DELETED_AT_ONCE = 400  # batches; to delete all those of a snapshot together would delay the loop
 CHECKPOINT_PAGES = 128  # of the WAL, copied to the database in small parts for the same reason
+SNAPSHOTS_KEPT = 2
 SNAPSHOT = 2  # layout of the stored state; one of another layout is refused, because it would be read wrongly
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT);
 CREATE TABLE IF NOT EXISTS turns (n INTEGER PRIMARY KEY, events BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS snapshot (one INTEGER PRIMARY KEY CHECK (one = 1), n INTEGER, state BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS snapshots (n INTEGER PRIMARY KEY, state BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS records (ended INTEGER PRIMARY KEY, n INTEGER UNIQUE NOT NULL, record BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS programs (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 """
@@ -66,7 +68,7 @@ class Journal:
         before = db.execute("SELECT value FROM about WHERE key = 'run'").fetchone()
         if before is None or before[0] != run:
             with journal.transaction():
-                for table in ("turns", "snapshot", "records", "programs", "about"):
+                for table in ("turns", "snapshots", "records", "programs", "about"):
                     db.execute(f"DROP TABLE {table}")  # another release may have another schema
                 for statement in SCHEMA.split(";"):
                     db.execute(statement)
@@ -95,13 +97,21 @@ class Journal:
                 self._write_records()
 
     def snapshot(self, state: State) -> None:
-        """Write the state as it is now; the events up to now are not needed any more."""
+        """Write the state as it is now; a restart does not need the events up to now any more."""
         self._write_records()
         with self.transaction():
             last = self.db.execute("SELECT coalesce(max(n), 0) FROM turns").fetchone()[0]
-            self.db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?)", (last, wire.encode((SNAPSHOT, state))))
-        self._forget_before = last  # this batch stays, so that SQLite numbers the next one above it
+            self.db.execute("INSERT OR REPLACE INTO snapshots VALUES (?, ?)", (last, wire.encode((SNAPSHOT, state))))
+            self.db.execute(
+                "DELETE FROM snapshots WHERE n NOT IN (SELECT n FROM snapshots ORDER BY n DESC LIMIT ?)",
+                (SNAPSHOTS_KEPT,),
+            )
+        self._forget_before = self._oldest_snapshot()  # its batch stays: SQLite numbers the next one above it
         self.events_since_snapshot = 0
+
+    def _oldest_snapshot(self) -> int:
+        oldest: int = self.db.execute("SELECT min(n) FROM snapshots").fetchone()[0]
+        return oldest
 
     def tidy(self) -> None:
         """Write unwritten records and delete some unnecessary batches; call it periodically."""
@@ -125,8 +135,17 @@ class Journal:
 
     def last_snapshot(self) -> tuple[int, State]:
         """(number of its last batch, state)."""
-        n, state = self.db.execute("SELECT n, state FROM snapshot").fetchone()
-        self._forget_before = n
+        self._forget_before = self._oldest_snapshot()
+        return self._snapshot("max")
+
+    def first_snapshot(self) -> tuple[int, State]:
+        """The one before the oldest events that are kept for a repetition."""
+        return self._snapshot("min")
+
+    def _snapshot(self, which: Literal["min", "max"]) -> tuple[int, State]:
+        """Raises WireError if it is damaged or of another release."""
+        chosen = f"SELECT n, state FROM snapshots WHERE n = (SELECT {which}(n) FROM snapshots)"
+        n, state = self.db.execute(chosen).fetchone()
         try:
             return n, read_snapshot(state)[1]
         except WireError as error:
@@ -135,7 +154,7 @@ class Journal:
     def last_batch(self) -> int:
         """The number of the last batch; 0 in a new journal."""
         newest: int = self.db.execute("SELECT coalesce(max(n), 0) FROM turns").fetchone()[0]
-        return max(newest, self._forget_before)
+        return max(newest, self.db.execute("SELECT max(n) FROM snapshots").fetchone()[0])
 
     def batches(self, after: int = 0) -> Iterator[list[Event]]:
         for (events,) in self.db.execute("SELECT events FROM turns WHERE n > ? ORDER BY n", (after,)):

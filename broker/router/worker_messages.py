@@ -70,12 +70,20 @@ class WorkerMessages:
 
 def _finished(node: str, result: m.JobDone, now: float) -> Event:
     return JobFinished(
-        at_s=now, job=result.id, attempt=result.attempt, node=node, product=result.product, took_s=result.took_s
+        at_s=now,
+        job=result.id,
+        attempt=result.attempt,
+        node=node,
+        product=result.product,
+        took_s=result.took_s,
+        world=result.world,
     )
 
 
 def _declined(node: str, result: m.JobRefused, now: float) -> Event:
-    return JobDeclined(at_s=now, job=result.id, attempt=result.attempt, node=node, refusal=result.refusal)
+    return JobDeclined(
+        at_s=now, job=result.id, attempt=result.attempt, node=node, refusal=result.refusal, world=result.world
+    )
 
 
 def _crashed(node: str, result: m.JobCrashed, now: float) -> Event:

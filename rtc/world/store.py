@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
 
 from rtc.protocol.messages import Fact, Validity, WorldChange
-from rtc.world.model import changed
+from rtc.world.model import World, changed
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS facts (key TEXT PRIMARY KEY, value TEXT, validity TEXT, version INTEGER,
@@ -89,6 +90,15 @@ class Store:
     def close(self) -> None:
         self.save()
         self._db.close()
+
+
+def world_at(path: Path, version: int) -> World:
+    """The world as it was at a version, from the history in a file, which another process may be writing."""
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as db:
+        # SQLite takes the other columns from the row with the maximum.
+        columns = COLUMNS.replace("version", "max(version)")
+        rows = db.execute(f"SELECT {columns} FROM history WHERE version <= ? GROUP BY key", (version,))
+        return World(version, {row[0]: _fact(row) for row in rows})
 
 
 def _row(fact: Fact) -> Row:

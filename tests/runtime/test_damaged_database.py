@@ -71,7 +71,7 @@ def test_a_row_that_is_no_event_is_damage(tmp_path):
 def test_a_snapshot_of_another_layout_is_put_aside_rather_than_read_wrongly(tmp_path):
     path = tmp_path / "journal.db"
     opened = Journal.open(path, "r", State())
-    opened.db.execute("UPDATE snapshot SET state = ?", (wire.encode(State(accepted=7)),))
+    opened.db.execute("UPDATE snapshots SET state = ?", (wire.encode(State(accepted=7)),))
     opened.close()
     notes = []
     _, state, _ = open_or_set_aside(path, lambda: journal(path), notes.append)

@@ -285,7 +285,8 @@ class WorkerLoop:
             return
         took_s = time.perf_counter() - started_s
         self._slow_s = max(took_s, 0.9 * self._slow_s)
-        self._answer(msgspec.structs.replace(result, took_s=took_s))
+        world = self._view.version if self._function.NEEDS_WORLD else 0
+        self._answer(msgspec.structs.replace(result, took_s=took_s, world=world))
 
     def _work(self, job: Job, came_s: float) -> msgspec.Raw:
         """Run the function and commit the changes of its product; returns the encoded product. Raises Refused."""
@@ -378,6 +379,11 @@ class WorldView:
         self._client = client
         self._world = World()
         self._read_at_s = -1.0
+
+    @property
+    def version(self) -> int:
+        """Of the copy that the latest job read."""
+        return self._world.version
 
     def at(self, came_s: float) -> World:
         """The current world, for a job that arrived at `came_s`.

@@ -37,6 +37,7 @@ COMMANDS = {
     "log": "log",
     "trace": "trace",
     "why": "trace",
+    "replay": "replay",
     "cell": "cell",
     "names": "names",
     "teach": "teach",

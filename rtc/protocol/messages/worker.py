@@ -71,6 +71,7 @@ class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag
     attempt: int
     product: msgspec.Raw  # ParsedCommand | Script | BoundStep | Assessment
     took_s: float = 0.0
+    world: int = 0  # version of the world that the job read; 0 if it read none
 
 
 class JobRefused(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="refused"):
@@ -78,6 +79,7 @@ class JobRefused(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
     attempt: int
     refusal: Refusal
     took_s: float = 0.0
+    world: int = 0  # as in JobDone
 
 
 class JobCrashed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="crashed"):

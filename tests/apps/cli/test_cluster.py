@@ -141,6 +141,15 @@ def test_trace_and_why_tell_the_story(rtc: Run) -> None:
     assert "decision: SUCCEEDED" in why.stdout
 
 
+def test_the_jobs_of_a_command_give_the_same_bytes_in_a_fresh_process(rtc: Run) -> None:
+    done = rtc("do", "MOVE LEFT-ARM BY 2 CM ALONG Z", "--json")
+    assert done.returncode == 0
+    repeated = rtc("replay", last_json(done)["results"][0]["command"], "--json")
+    assert repeated.returncode == 0
+    kinds = [job["kind"] for job in last_json(repeated)["jobs"]]
+    assert kinds == ["parser", "elaborator", "binder", "analyzer"]
+
+
 def test_why_without_a_number_is_of_the_last_command_and_log_lists_it(rtc: Run) -> None:
     number = last_json(rtc("do", "STOW RIGHT-ARM", "--json"))["results"][0]["command"]
     log = last_json(rtc("log", "-n", "2", "--json"))["commands"]

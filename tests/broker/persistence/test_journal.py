@@ -65,6 +65,7 @@ def test_replay_goes_on_from_a_snapshot(path):
     s.executing()
     s.journal.snapshot(s.state)
     s.reports("C-1")
+    s.journal.snapshot(s.state)
     s.answers("C-1", go_on())
     s.journal.close()
     journal = Journal.open(path, "run", State())
