@@ -68,10 +68,11 @@ def _first_difference(before: Any, after: Any, where: str) -> str:
     if isinstance(before, dict) and isinstance(after, dict) and before.keys() == after.keys():
         pairs = [(f"{where}.{key}", before[key], after[key]) for key in before]
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
-        pairs = [(f"{where}[{n}]", *both) for n, both in enumerate(zip(before, after, strict=True))]
+        pairs = [(f"{where}[{n}]", old, new) for n, (old, new) in enumerate(zip(before, after, strict=True))]
     else:
         return "" if before == after else f"{where}: {before!r:.{WORDS}} was recorded, now {after!r:.{WORDS}}"
-    return next((found for where, *both in pairs if (found := _first_difference(*both, where))), "")
+    found = (_first_difference(old, new, place) for place, old, new in pairs)
+    return next(filter(None, found), "")
 
 
 def main(world_db: str) -> None:
