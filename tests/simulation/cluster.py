@@ -4,7 +4,7 @@ The real parts are the broker's loop (`broker.router.loop`) with its Decision Un
 every byte on its sockets, and replay after a crash. Real are also the MCM's subsystem and executors, and the world
 database's server and store. Simulated: clock, sockets and the other processes (tests/simulation/processes.py).
 
-What must hold is checked after each batch of the broker (`broker.decisions.invariants`), in each message of the MCM
+What must hold is checked after each batch of the broker (`tests.simulation.invariants`), in each message of the MCM
 (`ledger`) and at the end. `simulated_broker` can be killed at any point; `cluster_faults` has all faults.
 """
 
@@ -19,7 +19,6 @@ from typing import Any
 import msgspec
 
 from broker.decisions.events import CommandReceived, Event, HaltCalled
-from broker.decisions.invariants import violations
 from broker.decisions.state import State
 from broker.persistence.journal import SCHEMA, Journal
 from broker.persistence.replay import replay
@@ -32,6 +31,7 @@ from rtc.world.server import Server
 from rtc.world.store import Store
 from tests.simulation import network, skills
 from tests.simulation.cluster_faults import FAULTS
+from tests.simulation.invariants import violations
 from tests.simulation.ledger import Ledger
 from tests.simulation.processes import ARMS, Caller, Client, Mcm, Supervisor, Worker
 from tests.simulation.simulated_broker import SETTINGS, Broker

@@ -18,11 +18,11 @@ from typing import Any
 from broker.decisions import effects as do
 from broker.decisions import events
 from broker.decisions.decide import decide
-from broker.decisions.invariants import forbidden, violations
 from broker.decisions.state import State
 from rtc.protocol import wire
 from rtc.protocol.messages import Phase, WorkerKind
 from tests.simulation.arrivals import event_of
+from tests.simulation.invariants import forbidden, violations
 from tests.simulation.mcm_model import OF_MCM, acknowledge, called, execute, hello, order_halt, pace, send_hello
 from tests.simulation.model import (
     ARMS,

@@ -15,7 +15,6 @@ import msgspec
 from broker.decisions import effects as do
 from broker.decisions import events
 from broker.decisions.decide import decide
-from broker.decisions.invariants import violations
 from broker.decisions.state import State
 from rtc.drawing.scene import SceneView
 from rtc.programs import loader
@@ -30,6 +29,7 @@ from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from rtc.world.model import World, initial_facts
 from tests.broker.flat_events import made
+from tests.simulation.invariants import violations
 from tests.workers.conftest import MODEL, record
 from tests.workers.eyes import Ideal
 from workers.analyzer import analyze as analyzer

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from broker.decisions.events import ArmStrayed
-from broker.decisions.invariants import violations
 from broker.decisions.resources import WORLD
 from rtc.protocol import wire
 from rtc.protocol.outcomes import OutcomeKind
 from tests.broker.harness import Harness, script
+from tests.simulation.invariants import violations
 
 HOW = "moved without a command, joint_3 by 1.2 deg; braked, it moves"
 

@@ -12,11 +12,11 @@ from broker.decisions import decide
 from broker.decisions.command.dependencies import _waits_for
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import HaltConfirmed, PrimitiveEnded, SubsystemConnected, SubsystemGone
-from broker.decisions.invariants import violations
 from broker.decisions.state import ParsedHead
 from broker.decisions.subsystem_link import MAX_SUBSYSTEMS
 from rtc.protocol.messages import Declined, Phase
 from tests.broker.harness import Harness, bound, go_on, record, report, script
+from tests.simulation.invariants import violations
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 
 from broker.decisions import events
 from broker.decisions.decide import decide
-from broker.decisions.invariants import MOVING, forbidden, violations
 from broker.decisions.state import NIL, Deferral, State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, WorkerKind
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from tests.broker.flat_events import made
 from tests.broker.harness import Harness, bound, give_up, go_on, mend, record, script, stated, trim
+from tests.simulation.invariants import MOVING, forbidden, violations
 
 ARMS = (("RIGHT-ARM",), ("LEFT-ARM",), ("LEFT-ARM", "RIGHT-ARM"), ("RIGHT-ARM", "MODULE"))
 

@@ -8,13 +8,13 @@ import pytest
 
 from broker.decisions import effects as do
 from broker.decisions import events
-from broker.decisions.invariants import violations
 from broker.decisions.state import State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Step
 from rtc.protocol.outcomes import Sighting, StopReason
 from rtc.protocol.primitive import GoalReached, Look, Primitive, StopFunction, TagGeometry, TimeAbove
 from tests.broker.harness import CONTEXT, Harness, bound, brief, go_on, script
+from tests.simulation.invariants import violations
 
 CAMERA, EYES = "CAMERA-1", "S&P"
 HERE = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]

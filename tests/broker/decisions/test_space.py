@@ -6,13 +6,13 @@ import msgspec
 import pytest
 
 from broker.decisions.effects import DispatchJob
-from broker.decisions.invariants import violations
 from broker.decisions.state import SPACES_KEPT
 from rtc.protocol import wire
 from rtc.protocol.messages import BinderInput, BoundStep, WorkerKind
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.protocol.primitive import ControlLaw, Partner
 from tests.broker.harness import PATH, F, Harness, bound, give_up, go_on, script
+from tests.simulation.invariants import violations
 
 LEFT = ("LEFT-ARM",)
 

@@ -7,21 +7,21 @@ from pathlib import Path
 
 import pytest
 
-from broker.decisions import drawing
 from broker.decisions.command.table import COMMAND
 from broker.decisions.context import DecisionContext
-from broker.decisions.drawing import MACHINES
 from broker.decisions.events import Stimulus
 from broker.decisions.machine import Ignored, InvalidTransition, Machine, cell
 from broker.decisions.state import State
 from rtc.protocol.messages import Phase
+from tests import decision_unit_page
+from tests.decision_unit_page import MACHINES
 
 PAGE = Path(__file__).parents[3] / "docs" / "decision_unit.md"
 
 
 def test_the_docs_show_the_tables_as_they_are():
-    hint = "draw it anew: python -m broker.decisions.drawing > docs/decision_unit.md"
-    assert PAGE.read_text() == drawing.as_page(), hint
+    hint = "draw it anew: python -m tests.decision_unit_page > docs/decision_unit.md"
+    assert PAGE.read_text() == decision_unit_page.as_page(), hint
 
 
 @pytest.mark.parametrize("name", MACHINES)

@@ -14,7 +14,6 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as tries
 from hypothesis import strategies as st
 
-from broker.decisions.invariants import violations
 from broker.decisions.state import State
 from broker.router.client_messages import QUERIES_PER_S
 from rtc.protocol import messages as m
@@ -22,6 +21,7 @@ from rtc.protocol import wire
 from rtc.protocol.versions import VERSION
 from tests.broker.router.bench import ENDPOINTS, MCM, PARSER, SETTINGS, Bench
 from tests.campaigns import hostile
+from tests.simulation.invariants import violations
 
 
 @given(seed=st.integers(0, 1 << 32))

@@ -1,6 +1,6 @@
 """Invariants of the Decision Unit that hold in every reachable state. Pure.
 
-The property tests, the model check and the cluster simulation use them; production does not.
+The property tests, the model check and the cluster simulation use them.
 """
 
 from __future__ import annotations

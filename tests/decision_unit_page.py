@@ -1,4 +1,4 @@
-"""The machines of the Decision Unit as a page: `python -m broker.decisions.drawing > docs/decision_unit.md`. Pure."""
+"""The machines of the Decision Unit as a page: `python -m tests.decision_unit_page > docs/decision_unit.md`. Pure."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ Table: `{path}`.
 
 INTRODUCTION = """# The Decision Unit
 
-Drawn from the tables of `broker/decisions/` by `python -m broker.decisions.drawing > docs/decision_unit.md`; a test
+Drawn from the tables of `broker/decisions/` by `python -m tests.decision_unit_page > docs/decision_unit.md`; a test
 compares.
 
 `decide(state, event) -> effects` (`broker/decisions/decide.py`) is pure: the time is a field of the event, and the same
