@@ -6,7 +6,7 @@ know it. Faults end with the process; displaced things stay where they are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from typing import Any, cast
 
 import msgspec
@@ -26,7 +26,9 @@ MAX_SENSED = 1000.0  # N or N.m, maximum offset of a sensor
 MIN_SLOW_S, MAX_SLOW_S = 1e-4, 0.05  # per tick; more would count as a hung process
 MOVED_M, MOVED_RAD = 0.001, 0.01  # a displaced object that is farther from there was moved since
 
-Undo = Callable[[], str]  # returns a note for the user, or ''
+#: The life of a fault: its checks, then a `yield`; its beginning, then a `yield` until it is undone. It returns a note
+#: for the user, if there is one. Where it cannot be undone now, it yields the reason.
+Course = Generator[str, None, Any]
 
 
 class Refused(Exception):
@@ -38,7 +40,7 @@ class Injections:
 
     def __init__(self, cell: Cell, simulation: Simulation, executors: Mapping[str, Executor]) -> None:
         self._cell, self._simulation, self._executors = cell, simulation, executors
-        self._active: dict[str, tuple[str, Undo]] = {}  # name -> words, how to undo it
+        self._active: dict[str, tuple[str, Course]] = {}  # name -> words, and what undoes it
         self.blind: set[str] = set()  # cameras
         self.tick_s = 0.0
         self.drifts: dict[str, list[float]] = {}  # object -> velocity
@@ -58,14 +60,15 @@ class Injections:
 
     def inject(self, fault: f.AnyFault) -> str:
         """Returns the reason of a refusal, or ''."""
+        course = COURSES[type(fault)](self, fault)
         try:
-            BEGIN[type(fault)](self, fault, check=True)
+            next(course)
             if fault.name in self._active:
                 self._undo(fault.name)
-            undo = BEGIN[type(fault)](self, fault, check=False)
+            next(course)
         except Refused as refused:
             return str(refused)
-        self._active[fault.name] = (fault.words, undo)
+        self._active[fault.name] = (fault.words, course)
         return ""
 
     def undo(self, name: str) -> tuple[str, str]:
@@ -83,125 +86,114 @@ class Injections:
         if name not in self._active:
             known = ", ".join(self._active) or "none"
             raise Refused(f"{name} is not injected; active are: {known}")
-        note = self._active[name][1]()
-        del self._active[name]
-        return note
+        try:
+            refused = next(self._active[name][1])
+        except StopIteration as undone:
+            del self._active[name]
+            return undone.value or ""
+        raise Refused(refused)
 
-    # --- one method per fault: check it, or begin it and return how to undo it ----------------------------
+    # --- one method per fault -----------------------------------------------------------------------------
 
-    def _displace(self, fault: f.Displaced, check: bool) -> Undo:
+    def _displace(self, fault: f.Displaced) -> Course:
         name, offset = fault.object, fault.offset
         if len(offset) != 6 or not all(abs(part) <= FARTHEST for part in offset):  # false for NaN too
             raise Refused(f"offset: six finite numbers are required, none beyond {FARTHEST:g} m or rad")
         _known(name, (thing.name for thing in self._cell.objects), "object")
-        if check:
-            holders = [arm for arm, held in self._simulation.held().items() if name in held]
-            if holders:
-                raise Refused(f"{name} is held by {', '.join(holders)}")
-            return _nothing
-        self._move(name, offset)
+        holders = [arm for arm, held in self._simulation.held().items() if name in held]
+        if holders:
+            raise Refused(f"{name} is held by {', '.join(holders)}")
+        yield ""
+        if error := self._simulation.displace(name, offset):
+            raise Refused(error)
         there = self._simulation.truth()["poses"][name]
-
-        def back() -> str:
+        turned = geometry.inverse(geometry.from_rpy((0.0, 0.0, 0.0), offset[3:]))
+        back = [*(-x for x in offset[:3]), *geometry.to_rpy(turned).tolist()]
+        yield ""
+        while True:
             here = self._simulation.truth()["poses"][name]
             if geometry.distance(here, there) > MOVED_M or geometry.angle(here, there) > MOVED_RAD:
                 return f"{name} was moved since, and stays where it is"
-            turned = geometry.inverse(geometry.from_rpy((0.0, 0.0, 0.0), offset[3:]))
-            self._move(name, [*(-x for x in offset[:3]), *geometry.to_rpy(turned).tolist()])
-            return ""
+            if not (error := self._simulation.displace(name, back)):
+                return None
+            yield error
 
-        return back
-
-    def _drift(self, fault: f.Drifting, check: bool) -> Undo:
+    def _drift(self, fault: f.Drifting) -> Course:
         velocity = fault.velocity
         if len(velocity) != 6 or not all(abs(part) <= FASTEST for part in velocity):  # false for NaN too
             raise Refused(f"velocity: six finite numbers are required, none beyond {FASTEST:g} m/s or rad/s")
         _known(fault.object, (thing.name for thing in self._cell.objects), "object")
-        if check:
-            return _nothing
+        yield ""
         self.drifts[fault.object] = list(velocity)
-        return _quietly(lambda: self.drifts.pop(fault.object))
+        yield ""
+        del self.drifts[fault.object]
 
-    def _move(self, name: str, offset: list[float]) -> None:
-        if error := self._simulation.displace(name, offset):
-            raise Refused(error)
-
-    def _stick(self, fault: f.StuckJoint, check: bool) -> Undo:
+    def _stick(self, fault: f.StuckJoint) -> Course:
         _known(fault.arm, self._executors, "arm")
         joints = self._executors[fault.arm].arm.traits.joint_names
         _known(fault.joint, joints, f"joint of {fault.arm}")
         n = joints.index(fault.joint)
-        if check:
-            return _nothing
+        yield ""
         self._simulation.stick(fault.arm, n, True)
-        return _quietly(lambda: self._simulation.stick(fault.arm, n, False))
+        yield ""
+        self._simulation.stick(fault.arm, n, False)
 
-    def _falsify(self, fault: f.FalseSensor, check: bool) -> Undo:
+    def _falsify(self, fault: f.FalseSensor) -> Course:
         _known(fault.arm, self._executors, "arm")
         offset = fault.offset
         if offset is not None and (len(offset) != 6 or not all(abs(part) <= MAX_SENSED for part in offset)):
             raise Refused(f"offset: six finite numbers are required, none beyond {MAX_SENSED:g} N or N.m")
-        if check:
-            return _nothing
+        yield ""
         faulty = self._faulty(fault.arm)
         faulty.wrench, faulty.frozen = (faulty.read().wrench, True) if offset is None else (offset, False)
+        yield ""
+        faulty.wrench = None
+        self._heal(fault.arm)
 
-        def heal() -> None:
-            faulty.wrench = None
-            self._heal(fault.arm)
-
-        return _quietly(heal)
-
-    def _jam(self, fault: f.JammedSeat, check: bool) -> Undo:
+    def _jam(self, fault: f.JammedSeat) -> Course:
         _known(fault.seat, (seat.name for seat in self._cell.seats), "seat")
-        if check:
-            return _nothing
+        yield ""
         self._simulation.jam(fault.seat, True)
-        return _quietly(lambda: self._simulation.jam(fault.seat, False))
+        yield ""
+        self._simulation.jam(fault.seat, False)
 
-    def _strip(self, fault: f.StrippedBolt, check: bool) -> Undo:
+    def _strip(self, fault: f.StrippedBolt) -> Course:
         bolts = [thing.name for thing in self._cell.objects if thing.thread is not None]
         if not bolts:
             raise Refused(f"there is no bolt {fault.bolt}: the cell {self._cell.name} has no bolts")
         _known(fault.bolt, bolts, "bolt")
-        if not check and (error := self._simulation.strip(fault.bolt, True)):
+        yield ""
+        if error := self._simulation.strip(fault.bolt, True):
             raise Refused(error)
-        return _quietly(lambda: self._simulation.strip(fault.bolt, False))
+        yield ""
+        self._simulation.strip(fault.bolt, False)
 
-    def _drop(self, fault: f.FailedHand, check: bool) -> Undo:
+    def _drop(self, fault: f.FailedHand) -> Course:
         _known(fault.arm, self._executors, "arm")
-        if check:
-            if fault.name not in self._active and not self._simulation.held()[fault.arm]:
-                raise Refused(f"{fault.arm} holds nothing")
-            return _nothing
+        if fault.name not in self._active and not self._simulation.held()[fault.arm]:
+            raise Refused(f"{fault.arm} holds nothing")
+        yield ""
         faulty = self._faulty(fault.arm)
         faulty.fail_hand(self._executors[fault.arm].hand)
+        yield ""
+        faulty.heal_hand()
+        self._heal(fault.arm)
 
-        def heal() -> None:
-            faulty.heal_hand()
-            self._heal(fault.arm)
-
-        return _quietly(heal)
-
-    def _blind(self, fault: f.BlindCamera, check: bool) -> Undo:
+    def _blind(self, fault: f.BlindCamera) -> Course:
         _known(fault.camera, (camera.name for camera in self._cell.cameras), "camera")
-        if check:
-            return _nothing
+        yield ""
         self.blind.add(fault.camera)
-        return _quietly(lambda: self.blind.discard(fault.camera))
+        yield ""
+        self.blind.discard(fault.camera)
 
-    def _slow(self, fault: f.SlowLoop, check: bool) -> Undo:
+    def _slow(self, fault: f.SlowLoop) -> Course:
         if not MIN_SLOW_S <= fault.tick_s <= MAX_SLOW_S:  # false for NaN too
             least, most = 1e3 * MIN_SLOW_S, 1e3 * MAX_SLOW_S
             raise Refused(f"a tick can be slowed by {least:g} to {most:g} ms, not by {1e3 * fault.tick_s:g} ms")
-        if check:
-            return _nothing
+        yield ""
         self.tick_s = fault.tick_s
-
-        def heal() -> None:
-            self.tick_s = 0.0
-
-        return _quietly(heal)
+        yield ""
+        self.tick_s = 0.0
 
     # --- faulty arms --------------------------------------------------------------------------------------
 
@@ -263,19 +255,7 @@ def _known(name: str, known: Iterable[str], kind: str) -> None:
         raise Refused(unknown(kind, name, names))
 
 
-def _nothing() -> str:
-    return ""
-
-
-def _quietly(undo: Callable[[], object]) -> Undo:
-    def call() -> str:
-        undo()
-        return ""
-
-    return call
-
-
-BEGIN: dict[type, Callable[..., Undo]] = {
+COURSES: dict[type, Callable[..., Course]] = {
     f.Displaced: Injections._displace,
     f.Drifting: Injections._drift,
     f.StuckJoint: Injections._stick,
