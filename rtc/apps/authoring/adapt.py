@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from rtc.apps.authoring.hull import hull_of
-from rtc.apps.authoring.robot_file import PACKAGE, RobotFile, number, numbers, origin
+from rtc.apps.authoring.robot_file import PACKAGE, RobotFile
 from rtc.language.alike import unknown
 from rtc.model.cells import urdf_values
+from rtc.model.cells.urdf import number, numbers, origin
 from rtc.model.cells.urdf_values import MOVING
 from rtc.model.robot.numeric_ik import MIN_JOINTS
 from rtc.protocol.outcomes import ProgramError
@@ -28,7 +29,6 @@ BELOW_TIP_M = 0.015  # distance of the tcp below the finger tips, at most a quar
 TCP = "tcp"
 GYRATION = 1.0  # greatest plausible radius of gyration, as a share of the size of a link
 INERTIA = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-OPPOSED = 1e-3
 DEFAULT_EFFORT, DEFAULT_SPEED = 50.0, 1.0  # of a joint without a motor in the URDF
 SENSOR_WORDS = ("force", "torque", "ft_", "_ft", "wrench")
 DATA_PACKAGE = "pybullet_data"  # its visual meshes are named by package, so that a cell does not name a folder
@@ -115,7 +115,7 @@ def _fingers(robot: RobotFile, notes: list[str]) -> tuple[str, str] | None:
     slides = [j for j in robot.joints if robot.type(j) == "prismatic" and not _moves(robot, robot.child[j])]
     for n, a in enumerate(slides):
         for b in slides[n + 1 :]:
-            if robot.parent[a] == robot.parent[b] and _opposed(robot, a, b):
+            if robot.parent[a] == robot.parent[b] and robot.opposed(a, b):
                 return a, b
     loose = [j for j in robot.joints if robot.joints[j].find("mimic") is not None]
     if loose:
@@ -126,11 +126,6 @@ def _fingers(robot: RobotFile, notes: list[str]) -> tuple[str, str] | None:
         )
     notes.append("it has no hand with two sliding fingers: a parallel hand with a wrist sensor is mounted")
     return None
-
-
-def _opposed(robot: RobotFile, a: str, b: str) -> bool:
-    turned = [robot.placement(joint)[:3, :3] @ robot.axis(joint) for joint in (a, b)]
-    return float(np.linalg.norm(turned[0] + turned[1])) < OPPOSED
 
 
 def _moves(robot: RobotFile, link: str) -> bool:

@@ -19,9 +19,10 @@ import pinocchio as pin
 
 from rtc.apps.authoring import self_collisions
 from rtc.apps.authoring.adapt import TCP, AdaptedArm, adapt
-from rtc.apps.authoring.robot_file import RobotFile, number
+from rtc.apps.authoring.robot_file import RobotFile
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Arm, Box, Frame, GraspPoint, Gripper, Object, Place, Seat, Vec3
+from rtc.model.cells.urdf import number
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import Scene
 from rtc.model.robot.kinematics import ArmModel

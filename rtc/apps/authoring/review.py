@@ -20,12 +20,13 @@ import yaml
 
 from rtc.apps.authoring import self_collisions, words_and_keys
 from rtc.apps.authoring.adapt import GYRATION
-from rtc.apps.authoring.robot_file import RobotFile, kinematics, number
+from rtc.apps.authoring.robot_file import RobotFile, kinematics
 from rtc.language.alike import unknown
 from rtc.model.cells import cell as cells
 from rtc.model.cells import extension, model_checks, urdf_values
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Arm, Box, GraspPoint, Object
+from rtc.model.cells.urdf import number
 from rtc.model.cells.urdf_values import MOVING
 from rtc.model.robot import finger_mass
 from rtc.model.robot.collision import CollisionWorld

@@ -1,7 +1,4 @@
-"""A URDF as a tree of links and joints, with its meshes. Reads mesh files, changes nothing.
-
-Poses are 4 x 4 matrices, child in parent. Values are rad and m.
-"""
+"""A URDF file as one tree of links and joints, with its meshes. Reads mesh files, changes nothing."""
 
 from __future__ import annotations
 
@@ -14,10 +11,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from rtc.model.cells import urdf_values
-from rtc.model.cells.urdf_values import MOVING
+from rtc.model.cells.urdf import Urdf, numbers
 from rtc.protocol.outcomes import ProgramError
-from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 
 PACKAGE = "package://"
@@ -25,32 +20,28 @@ ANCESTORS = 4  # directories above a URDF in which the packages of its meshes ar
 Element = ElementTree.Element
 
 
-class RobotFile:
+class RobotFile(Urdf):
     """A parsed URDF. Raises ProgramError for a file that cannot be read, or is not one tree of links."""
 
     def __init__(self, path: Path, text: str | None = None) -> None:
         """`text`: instead of that of the file."""
         self.path = path
         try:
-            self.robot = ElementTree.fromstring(path.read_text(encoding="utf-8") if text is None else text)
+            robot = ElementTree.fromstring(path.read_text(encoding="utf-8") if text is None else text)
         except OSError as error:
             raise ProgramError(f"cannot read {path}: {error.strerror}") from error
         except (ElementTree.ParseError, UnicodeDecodeError) as error:
             raise ProgramError(f"{path} is not XML: {error}") from error
-        if self.robot.tag != "robot":
-            raise ProgramError(f"{path} is not a URDF: its outermost element is <{self.robot.tag}>, not <robot>")
-        self.name = self.robot.get("name", path.stem)
-        self.index()
+        if robot.tag != "robot":
+            raise ProgramError(f"{path} is not a URDF: its outermost element is <{robot.tag}>, not <robot>")
+        self.name = robot.get("name", path.stem)
+        super().__init__(robot)
 
     def index(self) -> None:
         """Builds the tables of links and joints. Raises ProgramError if they are not one tree."""
-        self.links = {str(link.get("name")): link for link in self.robot.findall("link")}
-        self.joints = {str(joint.get("name")): joint for joint in self.robot.findall("joint")}
-        self.parent = {name: end(joint, "parent") for name, joint in self.joints.items()}
-        self.child = {name: end(joint, "child") for name, joint in self.joints.items()}
+        super().index()
         for faulty in self._broken():
             raise ProgramError(f"{self.path}: {faulty}")
-        self.carrier = {link: name for name, link in self.child.items()}
         self.root = next(link for link in self.links if link not in self.carrier)
 
     def _broken(self) -> Iterator[str]:
@@ -71,44 +62,12 @@ class RobotFile:
             ring = ", ".join(link for link in self.links if link not in reached)
             yield f"one tree is needed; the joints of {ring} form a ring"
 
-    def type(self, joint: str) -> str:
-        return str(self.joints[joint].get("type"))
-
-    def way_to(self, link: str) -> list[str]:
-        """The joints from the root to a link, in order."""
-        way: list[str] = []
-        while link in self.carrier:
-            way.append(self.carrier[link])
-            link = self.parent[way[-1]]
-        return way[::-1]
-
-    def moving_way(self, link: str) -> list[str]:
-        return [joint for joint in self.way_to(link) if self.type(joint) in MOVING]
-
     def below(self, link: str) -> list[str]:
         """The links carried by a link, itself first."""
         found = [link]
         for one in found:
             found += [self.child[joint] for joint in self.joints if self.parent[joint] == one]
         return found
-
-    def limits(self, joint: str) -> tuple[float, float]:
-        """(lower, upper); of a continuous joint one turn either way."""
-        if self.type(joint) == "continuous":
-            return -2 * np.pi, 2 * np.pi
-        limit = self.joints[joint].find("limit")
-        if limit is None:
-            return 0.0, 0.0
-        return number(limit, "lower"), number(limit, "upper")
-
-    def axis(self, joint: str) -> Array:
-        """The axis in the axes of the child link, of unit length."""
-        element = self.joints[joint].find("axis")
-        axis = np.array(numbers(element, "xyz", (1.0, 0.0, 0.0)))
-        return axis / max(float(np.linalg.norm(axis)), 1e-12)
-
-    def placement(self, joint: str) -> Array:
-        return origin(self.joints[joint])
 
     def pose_in(self, link: str, ancestor: str) -> Array:
         """Pose of a link in the axes of an ancestor, all joints at zero."""
@@ -157,33 +116,6 @@ def _package(name: str) -> list[str]:
     return list(found.submodule_search_locations or []) if found is not None else []
 
 
-def end(joint: Element, which: str) -> str:
-    found = joint.find(which)
-    return "" if found is None else str(found.get("link"))
-
-
-def number(element: Element, field: str, otherwise: float = 0.0) -> float:
-    """A numeric attribute. Raises ProgramError if it is not a finite number."""
-    text = element.get(field)
-    if text is None:
-        return otherwise
-    values = urdf_values.parsed(text)
-    if values is None or len(values) != 1:
-        raise ProgramError(f"<{element.tag} {field}={text!r}> is not a number")
-    return values[0]
-
-
-def numbers(element: Element | None, field: str, otherwise: tuple[float, float, float]) -> tuple[float, float, float]:
-    text = None if element is None else element.get(field)
-    if text is None:
-        return otherwise
-    values = urdf_values.parsed(text)
-    if values is None or len(values) != 3:
-        raise ProgramError(f"<{element.tag if element is not None else ''} {field}={text!r}>: three numbers")
-    x, y, z = values
-    return x, y, z
-
-
 def kinematics(urdf: str, path: Path) -> pin.Model:
     """The model of a URDF text. `path`: of its file. Raises ProgramError if pinocchio cannot read it."""
     try:
@@ -192,10 +124,3 @@ def kinematics(urdf: str, path: Path) -> pin.Model:
         raise ProgramError(
             f"{path}: pinocchio cannot read it: {error} Expected: a URDF that `check_urdf` accepts"
         ) from error
-
-
-def origin(element: Element) -> Array:
-    """The <origin> of a joint, collision or visual as a 4 x 4 matrix."""
-    place = element.find("origin")
-    xyz, rpy = numbers(place, "xyz", (0.0, 0.0, 0.0)), numbers(place, "rpy", (0.0, 0.0, 0.0))
-    return geometry.to_matrix(geometry.from_rpy(xyz, rpy))

@@ -9,35 +9,13 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 from rtc.model.cells.cell import Cell
+from rtc.model.cells.urdf import Urdf
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 
 WORLD = "world"  # root of all frames
-
-
-@dataclass(frozen=True)
-class JointFrame:
-    """A joint of a URDF. `origin`: pose of the child link in the parent link at joint value 0."""
-
-    name: str
-    parent: str
-    child: str
-    kind: str  # of the URDF: revolute, prismatic, fixed ...
-    origin: Array
-    axis: tuple[float, float, float]
-
-    def pose(self, value: float) -> Array:
-        """Pose of the child link in the parent link at a joint value (rad or m)."""
-        x, y, z = self.axis
-        if self.kind in ("revolute", "continuous"):
-            sine = math.sin(0.5 * value)
-            return geometry.compose(self.origin, (0.0, 0.0, 0.0, x * sine, y * sine, z * sine, math.cos(0.5 * value)))
-        if self.kind == "prismatic":
-            return geometry.compose(self.origin, (x * value, y * value, z * value, 0.0, 0.0, 0.0, 1.0))
-        return self.origin
 
 
 class ArmFrames:
@@ -45,11 +23,9 @@ class ArmFrames:
 
     def __init__(self, cell: Cell, arm: str) -> None:
         self._arm = cell.arm(arm)
-        robot = ET.fromstring(cell.urdf(arm))
-        self.joints = [_joint_frame(element, arm) for element in robot.iter("joint")]
-        children = {joint.child for joint in self.joints}
-        roots = [name for link in robot.iter("link") if (name := f"{arm}/{link.get('name')}") not in children]
-        self._base = [(WORLD, root, self._arm.base.pose) for root in roots]
+        self._robot = Urdf(ET.fromstring(cell.urdf(arm)))
+        self._origins = {name: geometry.from_matrix(self._robot.placement(name)) for name in self._robot.joints}
+        self._axes = {name: self._robot.axis(name).tolist() for name in self._robot.joints}
 
     def values(self, joints: list[float], hand_width_m: float) -> dict[str, float]:
         """Joint values by the joint's frame name: those measured (rad), and each finger at half the opening (m)."""
@@ -59,9 +35,24 @@ class ArmFrames:
 
     def transforms(self, values: Mapping[str, float]) -> Iterator[tuple[str, str, Array]]:
         """(parent frame, child frame, pose of the child in the parent) of the base and of every joint."""
-        yield from self._base
-        for joint in self.joints:
-            yield joint.parent, joint.child, joint.pose(values.get(joint.name, 0.0))
+        arm, robot = self._arm.name, self._robot
+        yield from ((WORLD, f"{arm}/{link}", self._arm.base.pose) for link in robot.links if link not in robot.carrier)
+        for joint in robot.joints:
+            pose = self._pose(joint, values.get(f"{arm}/{joint}", 0.0))
+            yield f"{arm}/{robot.parent[joint]}", f"{arm}/{robot.child[joint]}", pose
+
+    def _pose(self, joint: str, value: float) -> Array:
+        """Pose of the child link in the parent link at a joint value (rad or m)."""
+        x, y, z = self._axes[joint]
+        match self._robot.type(joint):
+            case "revolute" | "continuous":
+                sine = math.sin(0.5 * value)
+                turn = (0.0, 0.0, 0.0, x * sine, y * sine, z * sine, math.cos(0.5 * value))
+                return geometry.compose(self._origins[joint], turn)
+            case "prismatic":
+                return geometry.compose(self._origins[joint], (x * value, y * value, z * value, 0.0, 0.0, 0.0, 1.0))
+            case _:
+                return self._origins[joint]
 
 
 def urdf_of(cell: Cell, arm: str) -> bytes:
@@ -76,28 +67,3 @@ def urdf_of(cell: Cell, arm: str) -> bytes:
         elif element.tag == "mimic":
             element.set("joint", f"{arm}/{element.get('joint')}")
     return ET.tostring(robot, encoding="utf-8", xml_declaration=True)
-
-
-def _joint_frame(element: ET.Element, arm: str) -> JointFrame:
-    origin, axis = element.find("origin"), element.find("axis")
-    xyz, rpy = (_numbers(None if origin is None else origin.get(name), "0 0 0") for name in ("xyz", "rpy"))
-    along = _numbers(None if axis is None else axis.get("xyz"), "1 0 0")
-    length = math.hypot(*along)
-    return JointFrame(
-        name=f"{arm}/{element.get('name')}",
-        parent=f"{arm}/{_link(element, 'parent')}",
-        child=f"{arm}/{_link(element, 'child')}",
-        kind=element.get("type", "fixed"),
-        origin=geometry.from_rpy(xyz, rpy),
-        axis=(along[0] / length, along[1] / length, along[2] / length),
-    )
-
-
-def _link(element: ET.Element, tag: str) -> str:
-    found = element.find(tag)
-    assert found is not None, f"joint {element.get('name')} has no {tag}"
-    return found.get("link", "")
-
-
-def _numbers(text: str | None, default: str) -> list[float]:
-    return [float(word) for word in (text or default).split()]

@@ -10,20 +10,16 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from rtc.language.alike import unknown
 from rtc.model.cells import urdf_values
 from rtc.model.cells.parts import Arm
+from rtc.model.cells.urdf import Urdf
 from rtc.model.cells.urdf_values import MOVING
-from rtc.spatial import geometry
 
 HULL = ".obj"
 WIDTH_SLACK_M = 0.0005
-OPPOSED = 1e-3  # maximum norm of the sum of two opposed unit vectors
 
 Problems = Iterator[tuple[str, str]]  # place in the cell, problem
-Element = ElementTree.Element
 
 
 def problems(arms: Sequence[Arm], texts: Mapping[str, str]) -> Problems:
@@ -37,45 +33,8 @@ def problems(arms: Sequence[Arm], texts: Mapping[str, str]) -> Problems:
             yield f"{place}.urdf", f"the model of {arm.name} is not XML: {error}"
             continue
         wrong = [f"{where}: {problem}; expected: {expected}" for where, problem, expected in urdf_values.faults(root)]
-        for field, problem in [("urdf", one) for one in wrong] or _arm(arm, _Model(root), texts):
+        for field, problem in [("urdf", one) for one in wrong] or _arm(arm, Urdf(root), texts):
             yield f"{place}.{field}", f"{arm.urdf}: {problem}"
-
-
-class _Model:
-    """A URDF: links, joints, and the joint that carries each link."""
-
-    def __init__(self, root: Element) -> None:
-        self.links = {str(link.get("name")) for link in root.findall("link")}
-        self.joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
-        self.carriers = {_link(joint, "child"): name for name, joint in self.joints.items()}
-        self.meshes = sorted({str(mesh.get("filename")) for mesh in root.findall("link/collision//mesh")})
-
-    def type(self, joint: str) -> str:
-        return str(self.joints[joint].get("type"))
-
-    def way_to(self, link: str) -> list[str]:
-        """The joints from the root to a link, in order."""
-        way: list[str] = []
-        while link in self.carriers and len(way) <= len(self.joints):
-            way.append(self.carriers[link])
-            link = _link(self.joints[way[-1]], "parent")
-        return way[::-1]
-
-    def limits(self, joint: str) -> tuple[float, float] | None:
-        """(lower, upper) in rad or m; None: without limits."""
-        limit = self.joints[joint].find("limit")
-        if limit is None or self.type(joint) == "continuous":
-            return None
-        return float(limit.get("lower", "0")), float(limit.get("upper", "0"))
-
-    def axis(self, joint: str) -> geometry.Array:
-        """The axis of motion: a unit vector in the axes of the parent link."""
-        element = self.joints[joint]
-        origin, axis = element.find("origin"), element.find("axis")
-        turn = _numbers(origin, "rpy", (0.0, 0.0, 0.0))
-        direction = np.asarray(_numbers(axis, "xyz", (1.0, 0.0, 0.0)))
-        found: geometry.Array = geometry.rotate(geometry.from_rpy((0.0, 0.0, 0.0), turn), direction)
-        return found / float(np.linalg.norm(found))
 
 
 def hulls(urdf: str) -> list[str]:
@@ -84,11 +43,15 @@ def hulls(urdf: str) -> list[str]:
         root = ElementTree.fromstring(urdf)
     except ElementTree.ParseError:
         return []
-    return [mesh for mesh in _Model(root).meshes if mesh.endswith(HULL) and not mesh.startswith(("/", "package:"))]
+    return [mesh for mesh in _meshes(root) if mesh.endswith(HULL) and not mesh.startswith(("/", "package:"))]
 
 
-def _arm(arm: Arm, model: _Model, texts: Mapping[str, str]) -> Problems:
-    fields: dict[str, tuple[Sequence[str], Mapping[str, object] | set[str], str]] = {
+def _meshes(robot: ElementTree.Element) -> list[str]:
+    return sorted({str(mesh.get("filename")) for mesh in robot.findall("link/collision//mesh")})
+
+
+def _arm(arm: Arm, model: Urdf, texts: Mapping[str, str]) -> Problems:
+    fields: dict[str, tuple[Sequence[str], Mapping[str, object], str]] = {
         "joints": (arm.joints, model.joints, "joint"),
         "tcp_link": ([arm.tcp_link], model.links, "link"),
         "sensor_joint": ([arm.sensor_joint] if arm.sensor_joint is not None else [], model.joints, "joint"),
@@ -105,18 +68,18 @@ def _arm(arm: Arm, model: _Model, texts: Mapping[str, str]) -> Problems:
     if missing:
         yield from missing
         return
-    for name in sorted(model.links & set(model.joints)):
+    for name in sorted(model.links.keys() & model.joints.keys()):
         yield "urdf", f"a link and a joint have the name {name}: rename the joint, here and in the cell"
     yield from _chain(arm, model)
     yield from _postures(arm, model)
     yield from _fingers(arm, model)
-    for mesh in model.meshes:
+    for mesh in _meshes(model.robot):
         if mesh not in texts and not (mesh.startswith("/") and Path(mesh).is_file()):
             yield "urdf", f"mesh {mesh} is not found: `rtc cell new` makes hulls of meshes; or use boxes and cylinders"
 
 
-def _chain(arm: Arm, model: _Model) -> Problems:
-    moving = [joint for joint in model.way_to(arm.tcp_link) if model.type(joint) in MOVING]
+def _chain(arm: Arm, model: Urdf) -> Problems:
+    moving = model.moving_way(arm.tcp_link)
     endless = [joint for joint in moving if model.type(joint) == "continuous"]
     if endless:
         yield "joints", f"{', '.join(endless)} is continuous: make it revolute with limits, such as -6.28 and 6.28"
@@ -140,14 +103,14 @@ def _chain(arm: Arm, model: _Model) -> Problems:
         )
 
 
-def _postures(arm: Arm, model: _Model) -> Problems:
+def _postures(arm: Arm, model: Urdf) -> Problems:
     postures = {"home_deg": (arm.home_deg, arm.home_rad), "stow_deg": (arm.stow_deg, arm.stow_rad)}
     for field, (given, values) in postures.items():
         for joint, written, value in zip(arm.joints, given, values, strict=False):
             slides, limits = model.type(joint) == "prismatic", model.limits(joint)
             if slides != isinstance(written, str):
                 yield field, f"{joint} {'slides: write metres, such as 0.5 m' if slides else 'turns: write degrees'}"
-            elif limits is not None and not limits[0] <= value <= limits[1]:
+            elif model.joints[joint].find("limit") is not None and not limits[0] <= value <= limits[1]:
                 at = written if slides else f"{written:g} deg"
                 yield field, f"{joint} is at {at} there; its limits are {_range(limits, slides)}"
     for joint, rate in zip(arm.joints, arm.acceleration_deg_s2, strict=False):
@@ -160,7 +123,7 @@ def _range(limits: tuple[float, float], slides: bool) -> str:
     return f"{low:g} and {high:g} m" if slides else f"{math.degrees(low):.1f} and {math.degrees(high):.1f} deg"
 
 
-def _fingers(arm: Arm, model: _Model) -> Problems:
+def _fingers(arm: Arm, model: Urdf) -> Problems:
     half_m = 0.5 * arm.gripper.max_opening_m
     for joint, link in zip(arm.gripper.finger_joints, arm.gripper.finger_links, strict=True):
         place = "gripper.finger_joints"
@@ -169,9 +132,9 @@ def _fingers(arm: Arm, model: _Model) -> Problems:
             return
         if model.joints[joint].find("mimic") is not None:
             yield place, f"{joint} mimics another joint; each finger needs its own motor"
-        if _link(model.joints[joint], "child") != link:
-            yield "gripper.finger_links", f"{joint} carries {_link(model.joints[joint], 'child')}, not {link}"
-        low, high = model.limits(joint) or (0.0, 0.0)
+        if model.child[joint] != link:
+            yield "gripper.finger_links", f"{joint} carries {model.child[joint]}, not {link}"
+        low, high = model.limits(joint)
         if low < -WIDTH_SLACK_M or high < half_m - WIDTH_SLACK_M:
             yield (
                 "gripper.max_opening_m",
@@ -180,20 +143,5 @@ def _fingers(arm: Arm, model: _Model) -> Problems:
     a, b = arm.gripper.finger_joints
     if a == b:
         yield "gripper.finger_joints", f"{a} is named twice"
-    elif _link(model.joints[a], "parent") == _link(model.joints[b], "parent") and (
-        float(np.linalg.norm(model.axis(a) + model.axis(b))) > OPPOSED
-    ):
+    elif model.parent[a] == model.parent[b] and not model.opposed(a, b):
         yield "gripper.finger_joints", f"{a} and {b} do not move in opposite directions"
-
-
-def _link(joint: Element, which: str) -> str:
-    found = joint.find(which)
-    return "" if found is None else str(found.get("link"))
-
-
-def _numbers(element: Element | None, field: str, otherwise: tuple[float, float, float]) -> tuple[float, float, float]:
-    text = None if element is None else element.get(field)
-    if text is None:
-        return otherwise
-    x, y, z = (float(part) for part in text.split())
-    return x, y, z

@@ -41,5 +41,6 @@ def test_the_attached_urdf_has_the_names_of_the_frames(cell):
     robot = ET.fromstring(urdf_of(cell, "RIGHT-ARM"))
     children = {child for _, child, _ in frames.transforms({})}
     assert {link.get("name") for link in robot.iter("link")} == children
-    assert {joint.get("name") for joint in robot.iter("joint")} == {joint.name for joint in frames.joints}
+    named = set(frames.values([0.0] * 6, 0.04))
+    assert named <= {joint.get("name") for joint in robot.iter("joint")}
     assert {part.get("link") for tag in ("parent", "child") for part in robot.iter(tag)} <= children
