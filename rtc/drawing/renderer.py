@@ -20,14 +20,14 @@ from rtc.drawing.scene import CameraPicture, Drawn, Picture, SceneView
 from rtc.protocol.outcomes import RtcError
 from rtc.sensing.optics import Window
 
-COMMAND = [sys.executable, "-P", "-m", "sim_mcm.cameras.render", "--serve"]
+COMMAND = [sys.executable, "-P", "-m", "sim_mcm.cameras.render"]
 NICENESS = 15  # the servo's ticks go first
 LIMIT_S = 60.0  # for one picture on a slow, busy machine; it takes one or two seconds
 END_S = 2.0
 
 
 class Renderer:
-    """Context manager; the process starts with it and ends with it. One picture at a time."""
+    """Context manager; the process starts with it and ends with it. It draws in the order of the requests."""
 
     def __init__(self, niceness: int = NICENESS) -> None:
         self._niceness = niceness
@@ -82,7 +82,7 @@ class Renderer:
         return pixels
 
     def request(self, picture: Picture | CameraPicture) -> None:
-        """Order one picture, without waiting; call `drawn` until it is there. Raises RtcError."""
+        """Order one picture, without waiting; call `drawn` once for each until it is there. Raises RtcError."""
         stdin = self._process.stdin
         assert stdin is not None
         try:

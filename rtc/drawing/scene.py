@@ -161,14 +161,7 @@ def believed(
 
 
 def true_scene(truth: m.SimTruthReply) -> SceneView:
-    return SceneView(
-        poses=truth.poses,
-        joints=truth.joints,
-        fingers=truth.fingers,
-        tcp=truth.tcp,
-        seats=truth.seats,
-        blind=truth.blind,
-    )
+    return msgspec.convert(truth, SceneView, from_attributes=True)
 
 
 # --- for people ----------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFilter, ImageFont
 
 Pixels = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -35,15 +35,8 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 def outline(mask: Mask, width: int = OUTLINE_PX) -> Mask:
     """The pixels just outside the mask."""
-    grown = mask.copy()
-    for _ in range(width):
-        near = grown.copy()
-        near[1:, :] |= grown[:-1, :]
-        near[:-1, :] |= grown[1:, :]
-        near[:, 1:] |= grown[:, :-1]
-        near[:, :-1] |= grown[:, 1:]
-        grown = near
-    return grown & ~mask
+    grown = Image.fromarray(mask.astype(np.uint8)).filter(ImageFilter.MaxFilter(2 * width + 1))
+    return np.asarray(grown, dtype=np.bool_) & ~mask
 
 
 def painted(pixels: Pixels, masks: Sequence[Mask]) -> Pixels:

@@ -1,6 +1,6 @@
-"""Renders the cell: `python -m sim_mcm.cameras.render --truth FILE.json --out scene.png`.
+"""Renders the cell: `python -m sim_mcm.cameras.render`, for `rtc.drawing.renderer`.
 
-With --serve it renders one picture per line of JSON (`rtc.drawing.scene.Picture` or `CameraPicture`) on stdin.
+It renders one picture per line of JSON (`rtc.drawing.scene.Picture` or `CameraPicture`) on stdin.
 
 Rendering runs in its own process, because pybullet holds the interpreter lock while it draws, and a tick must not wait.
 The process builds the cell in a client without physics, sets all poses from the scene and uses the software renderer,
@@ -9,11 +9,8 @@ which needs no display.
 
 from __future__ import annotations
 
-import argparse
 import math
-import struct
 import sys
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -283,16 +280,6 @@ def backdrop(camera: CellCamera, pose: geometry.Floats) -> Image:
     return found
 
 
-def draw(cell: Cell, scene: SceneView, width: int = 960, height: int = 720, camera: str = "overview") -> Image:
-    """One scene without text, height x width x 3. `camera`: as for `SceneRenderer.camera`."""
-    studio = SceneRenderer(cell)
-    try:
-        studio.pose(scene)
-        return studio.photograph(studio.camera(camera, scene, width / height), width, height).pixels
-    finally:
-        studio.close()
-
-
 def compose(studio: SceneRenderer, wanted: Picture) -> sheet.Sheet:
     """The panels of a picture with their text, all from the same camera."""
     size = ALONE if len(wanted.panels) == 1 else PANEL
@@ -372,46 +359,5 @@ def serve() -> None:
         print(msgspec.json.encode(Drawn(error=error)).decode(), flush=True)
 
 
-def write_png(image: Image, file: Path) -> None:
-    """Write a PNG without a library: header, one deflated block, end."""
-    height, width, _ = image.shape
-    rows = b"".join(b"\0" + row.tobytes() for row in image)
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows, 6)), (b"IEND", b""))
-    body = b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
-    )
-    file.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    size = int(width), int(height)
-    if not all(16 <= n <= 4096 for n in size):
-        raise argparse.ArgumentTypeError("a size is WIDTHxHEIGHT, each from 16 to 4096")
-    return size
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    words = argparse.ArgumentParser(prog="python -m sim_mcm.cameras.render", description=__doc__)
-    words.add_argument("--truth", type=Path, help="SimTruthReply as JSON; default: the initial state of the cell")
-    words.add_argument("--out", type=Path, help="the PNG to write")
-    words.add_argument("--cell", default="swapout", help="name or file of the cell")
-    words.add_argument("--camera", default="overview", help="a view, or the name of a thing of the cell")
-    words.add_argument("--size", type=_size, default=(960, 720), help="WIDTHxHEIGHT")
-    words.add_argument("--serve", action="store_true", help="render the pictures requested on stdin")
-    given = words.parse_args(arguments)
-    if given.serve:
-        return serve()
-    if given.out is None:
-        words.error("--out or --serve is needed")
-    try:
-        scene = msgspec.json.decode(given.truth.read_bytes(), type=SceneView) if given.truth else SceneView()
-        width, height = given.size
-        write_png(draw(Cell.load(given.cell), scene, width, height, given.camera), given.out)
-    except (OSError, msgspec.MsgspecError, RtcError) as error:
-        words.exit(1, f"{words.prog}: {error}\n")
-
-
 if __name__ == "__main__":
-    main()
+    serve()

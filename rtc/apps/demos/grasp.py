@@ -7,22 +7,22 @@ the checks query the simulator.
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import msgspec
 from rich.console import Console
 
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
+from rtc.drawing.renderer import Renderer
+from rtc.drawing.scene import Panel, Picture, true_scene
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.spatial import geometry
 
+CELL = "swapout"
 HELD = {"RIGHT-ARM": "MACS-NEW", "LEFT-ARM": "MACS-OLD"}  # module that each arm carries
 GRASPS = ["GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "GRASP LEFT-END-EFF MACS-OLD HANDLE-B"]
 LIFTS = ["LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM", "LIFT MACS-OLD BY 15 CM WITH LEFT-ARM"]
@@ -65,12 +65,13 @@ def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
     """Run the demo; True if every check passed. Writes pictures to `out`; ends all processes."""
     narrator = Narrator(console)
     narrator.chapter("A cluster: broker, world database, four workers, and two arms in a physics simulator")
-    with own_cluster(speed=speed) as run_dir, Client(run_dir) as rtc:
-        narrator.line(f"ready; {len(rtc.status().get('workers', []))} workers, run directory {run_dir}")
-        pictures = Pictures(out)
-        _run(narrator, rtc, pictures)
-    narrator.line("everything stopped")
-    pictures.check(narrator)
+    with Renderer() as renderer:
+        pictures = Pictures(out, renderer)
+        with own_cluster(cell=CELL, speed=speed) as run_dir, Client(run_dir) as rtc:
+            narrator.line(f"ready; {len(rtc.status().get('workers', []))} workers, run directory {run_dir}")
+            _run(narrator, rtc, pictures)
+        narrator.line("everything stopped")
+        pictures.check(narrator)
     return narrator.passed()
 
 
@@ -180,29 +181,21 @@ def _check_stowed(narrator: Narrator, rtc: Client, truth: m.SimTruthReply) -> No
 
 
 class Pictures:
-    """Pictures, drawn by other processes: drawing needs the simulator's library, and the demo continues meanwhile."""
+    """Pictures of the true scene, drawn by another process while the demo continues."""
 
-    def __init__(self, out: Path) -> None:
-        self._out = out
-        self._under_way: list[tuple[Path, subprocess.Popen[bytes]]] = []
+    def __init__(self, out: Path, renderer: Renderer) -> None:
+        self._out, self._renderer = out, renderer
+        self._files: list[Path] = []
         out.mkdir(parents=True, exist_ok=True)
 
     def take(self, name: str, truth: m.SimTruthReply, camera: str = "overview") -> None:
         file = self._out / f"{name}.png"
         file.unlink(missing_ok=True)
-        data = file.with_suffix(".json")
-        data.write_bytes(msgspec.json.encode(truth))
-        # nice: the simulator's ticks have priority.
-        command = ["nice", "-n", "15", sys.executable, "-P", "-m", "sim_mcm.cameras.render", "--truth", str(data)]
-        command += ["--camera", camera]
-        self._under_way.append((file, subprocess.Popen([*command, "--out", str(file)], stderr=subprocess.DEVNULL)))
+        panels = [Panel(title=name, scene=true_scene(truth))]
+        self._renderer.request(Picture(out=str(file.absolute()), cell=CELL, panels=panels, camera=camera))
+        self._files.append(file)
 
     def check(self, narrator: Narrator) -> None:
         """Wait for all pictures."""
-        for file, drawing in self._under_way:
-            try:
-                drawing.wait(RENDER_S)
-            except subprocess.TimeoutExpired:
-                drawing.kill()
-            file.with_suffix(".json").unlink()
-            narrator.check(f"picture {file}", drawing.returncode == 0 and file.is_file())
+        for file in self._files:
+            narrator.check(f"picture {file}", self._renderer.drawn(RENDER_S) and file.is_file())
