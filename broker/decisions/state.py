@@ -69,6 +69,7 @@ class ScriptHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """Product of the elaborator: steps, trims and the names to claim."""
 
     context: msgspec.Raw
+    case: int
     steps: list[msgspec.Raw]
     trims: list[TrimHead] = []
     bindings: dict[str, msgspec.Raw] = {}
@@ -262,6 +263,11 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     def stands(self) -> bool:
         """Whether it is paused on the path of its motion."""
         return self.phase is Phase.EXECUTING and bool(self.primitive) and self.paused_primitive == self.primitive
+
+    @property
+    def case(self) -> int:
+        """Of its script (R68); 0 before there is one."""
+        return 0 if self.actions is None else self.actions.script.case
 
     @property
     def shown_phase(self) -> Phase:

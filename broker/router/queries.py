@@ -158,6 +158,7 @@ def trace(
             accepted_at_s=live.accepted_at_s,
             phase=live.shown_phase,
             notes=live.notes,
+            case=live.case,
         )
         return m.TraceReply(request=query.request, record=record)
     if (kept := ended(query.command)) is not None:

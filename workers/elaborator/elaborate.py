@@ -22,7 +22,7 @@ from workers.conditions import reflexes
 from workers.elaborator import arm_candidates, command_fields, look, make_way, no_script, set_fact
 from workers.elaborator.backtrack import Planned, can_be_seen, plan
 from workers.elaborator.script_checks import CHECKS, why_uncertain, why_unsure_grasp, why_unsure_place
-from workers.elaborator.script_options import ScriptOption, fits_sentence, only_looks, ranked
+from workers.elaborator.script_options import ScriptOption, fits_sentence, in_words, only_looks, ranked
 from workers.elaborator.script_steps import (
     FIRST_SKILL,
     Compiled,
@@ -205,5 +205,5 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
             dict.fromkeys([*names_of(script.writes, candidate, held), *others, *with_seats(candidate, doubtful)])
         ),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
-        notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out],
+        notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out, *in_words(options)],
     )

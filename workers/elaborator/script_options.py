@@ -43,6 +43,11 @@ def ranked(
     return sorted(options, key=lambda one: (sum(score(one) for score in scores), -one.branch.likelihood))
 
 
+def in_words(options: list[ScriptOption]) -> list[str]:
+    """The ranking, where there was a choice (R70). Other notes have the reasons against those before the chosen one."""
+    return [f"candidates by rank: {', '.join(one.name for one in options)}"] if len(options) > 1 else []
+
+
 def only_looks(script: ScriptFile) -> bool:
     """Whether only a camera works for this script."""
     return "camera" in script.resources and "active_arm" not in script.resources

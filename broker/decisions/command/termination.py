@@ -85,6 +85,7 @@ def _report_end(context: DecisionContext, command: Command, outcome: Outcome) ->
         notes=command.notes,
         outcome=outcome,
         ended_at_s=context.now,
+        case=command.case,
     )
     context.effects.append(ReportEnd(client=command.client, ended=ended, record=record))
     return ended

@@ -33,6 +33,14 @@ from rtc.runtime.settings import default_run_dir
 
 DID = {"parser": "parsed", "elaborator": "planned", "binder": "bound", "analyzer": "judged"}  # kind of worker -> verb
 
+#: the case of a command (R68, R76), in words
+CASES = {
+    1: "an action, fully specified",
+    2: "an action; its path or arm was chosen before the start",
+    3: "a skill: a fixed sequence, with figures that are measured on the way",
+    4: "a skill: its sequence may change on the way",
+}
+
 NUMBER = re.compile(r"(?:C-)?(\d{1,17})", re.ASCII | re.IGNORECASE)
 
 Command = Annotated[
@@ -130,6 +138,8 @@ def print_trace(record: m.CommandRecord) -> None:
     console.print(
         Text(f"{record.command}  {quoted(record.text)}  ", style="bold") + Text(f"({record.source})", style="dim")
     )
+    if record.case:
+        console.print(f"case {record.case}: {CASES[record.case]}", style="dim")
     console.print(Text(f"{'since':>9}  {'took':>8}  {'done by':<13} {'at':<4} now", style="bold"))
     step, node = "", ""
     for note in record.notes:

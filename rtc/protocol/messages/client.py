@@ -177,6 +177,7 @@ class CommandRecord(Message, frozen=True, kw_only=True):
     notes: list[ProgressNote] = []
     outcome: Outcome | None = None
     ended_at_s: float | None = None
+    case: int = 0  # of its script, 1 to 4 (R68); 0 before there is one
     reports: list[ProgressNote] = []  # the latest reports of EVERY and WHEN; the broker that sent them keeps some
     reports_older: int = 0  # number of those before them
 

@@ -137,6 +137,7 @@ def test_trace_and_why_tell_the_story(rtc: Run) -> None:
 
     nodes = {note.get("node", "") for note in last_json(trace)["notes"]}
     assert {"parser@0", "elaborator@1", "binder@2"} <= nodes
+    assert last_json(trace)["case"] == 1
     assert why.stdout.startswith(f"{number} was given by the operator: STOW LEFT-ARM")
     assert "decision: SUCCEEDED" in why.stdout
 
