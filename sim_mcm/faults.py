@@ -14,9 +14,11 @@ import msgspec
 from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.protocol import faults as f
+from rtc.protocol.outcomes import PRIORITY, StopReason
 from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Sample, Simulation
 from rtc.subsystems.motion.executor import Executor
+from rtc.subsystems.motion.modes import Mode
 
 ALL = "ALL"
 FARTHEST = 10.0  # m or rad, maximum displacement; pybullet fails at 1e300 m
@@ -25,6 +27,17 @@ DRIFT_TICKS = 5  # it is moved once in so many ticks
 MAX_SENSED = 1000.0  # N or N.m, maximum offset of a sensor
 MIN_SLOW_S, MAX_SLOW_S = 1e-4, 0.05  # per tick; more would count as a hung process
 MOVED_M, MOVED_RAD = 0.001, 0.01  # a displaced object that is farther from there was moved since
+
+#: reasons with which a motion can be made to end: those of stop functions that find a fault
+FORCED = [
+    *(
+        reason
+        for reason, n in PRIORITY.items()
+        if PRIORITY[StopReason.COLLISION] <= n <= PRIORITY[StopReason.OBJECT_LOST]
+    ),
+    StopReason.TIMEOUT,
+    StopReason.NO_CONTACT,
+]
 
 #: The life of a fault: its checks, then a `yield`; its beginning, then a `yield` until it is undone. It returns a note
 #: for the user, if there is one. Where it cannot be undone now, it yields the reason.
@@ -44,14 +57,21 @@ class Injections:
         self.blind: set[str] = set()  # cameras
         self.tick_s = 0.0
         self.drifts: dict[str, list[float]] = {}  # object -> velocity
+        self.ends: dict[str, f.ForcedEnd] = {}  # arm -> how its motion is to end
         self._ticks = 0
 
-    def advance(self) -> None:
-        """Move what drifts. Call it in every tick if there is a drift."""
+    def advance(self) -> bool:
+        """Move what drifts, and end what is to end; True if a fault has ended by that. Call it in every tick if there
+        is a drift or an end."""
+        executing = [fault for fault in self.ends.values() if self._executors[fault.arm].state is Mode.EXECUTING]
+        for fault in executing:
+            self._executors[fault.arm].halt(fault.reason, f"forced: {fault.words}")
+            self._undo(fault.name)
         self._ticks += 1
         if self._ticks % DRIFT_TICKS == 0:
             for name, velocity in self.drifts.items():
                 self._simulation.displace(name, [DRIFT_TICKS * TICK_S * part for part in velocity])
+        return bool(executing)
 
     @property
     def active(self) -> list[str]:
@@ -186,6 +206,14 @@ class Injections:
         yield ""
         self.blind.discard(fault.camera)
 
+    def _end(self, fault: f.ForcedEnd) -> Course:
+        _known(fault.arm, self._executors, "arm")
+        _known(fault.reason, FORCED, "reason to force")
+        yield ""
+        self.ends[fault.arm] = fault
+        yield ""
+        del self.ends[fault.arm]
+
     def _slow(self, fault: f.SlowLoop) -> Course:
         if not MIN_SLOW_S <= fault.tick_s <= MAX_SLOW_S:  # false for NaN too
             least, most = 1e3 * MIN_SLOW_S, 1e3 * MAX_SLOW_S
@@ -264,5 +292,6 @@ COURSES: dict[type, Callable[..., Course]] = {
     f.StrippedBolt: Injections._strip,
     f.FailedHand: Injections._drop,
     f.BlindCamera: Injections._blind,
+    f.ForcedEnd: Injections._end,
     f.SlowLoop: Injections._slow,
 }

@@ -10,6 +10,8 @@ from typing import Annotated, ClassVar
 
 import msgspec
 
+from rtc.protocol.outcomes import StopReason
+
 Word = Annotated[str, msgspec.Meta(max_length=200)]  # a name of the cell
 
 
@@ -99,6 +101,22 @@ class BlindCamera(Fault, frozen=True, kw_only=True, tag="blind-camera"):
     camera: Word
 
 
+class ForcedEnd(Fault, frozen=True, kw_only=True, tag="forced-end"):
+    """The primitive that an arm executes, or its next one, ends at once for a reason. This happens once."""
+
+    verb = "end"
+    arm: Word
+    reason: StopReason
+
+    @property
+    def name(self) -> str:
+        return f"{self.verb} {self.arm}"
+
+    @property
+    def words(self) -> str:
+        return f"{self.name} with {self.reason.value}"
+
+
 class SlowLoop(Fault, frozen=True, kw_only=True, tag="slow-loop"):
     """Every tick of the servo loop takes longer."""
 
@@ -111,7 +129,16 @@ class SlowLoop(Fault, frozen=True, kw_only=True, tag="slow-loop"):
 
 
 AnyFault = (
-    Displaced | Drifting | StuckJoint | FalseSensor | JammedSeat | StrippedBolt | FailedHand | BlindCamera | SlowLoop
+    Displaced
+    | Drifting
+    | StuckJoint
+    | FalseSensor
+    | JammedSeat
+    | StrippedBolt
+    | FailedHand
+    | BlindCamera
+    | ForcedEnd
+    | SlowLoop
 )
 
 

@@ -87,6 +87,16 @@ def test_the_joint_that_is_stuck_is_named(physical, make, stuck) -> None:
     assert report.message.startswith(f"joint_{stuck} ")
 
 
+def test_a_motion_is_made_to_end_for_a_reason_once(exact) -> None:
+    advance = exact.faults.advance
+    assert exact.faults.inject(f.ForcedEnd(arm=ARM, reason=StopReason.SLIP)) == ""
+    assert not advance()  # the arm rests
+    ended = []
+    report = exact.turn(-0.3, watch=lambda *_: ended.append(advance()))
+    assert (report.reason, ended.count(True), exact.faults.active) == (StopReason.SLIP, 1, [])
+    assert exact.turn(-0.3, watch=lambda *_: advance()).reason is StopReason.GOAL
+
+
 @pytest.mark.parametrize("kind", ["exact", pytest.param("physical", marks=pytest.mark.physics)])
 def test_a_stuck_joint_is_noticed_by_its_following_error(kind, request) -> None:
     rig = request.getfixturevalue(kind)
@@ -247,6 +257,8 @@ def test_a_fault_of_the_same_name_replaces_the_first(exact) -> None:
         (f.StrippedBolt(bolt="BOLT-1"), "the cell swapout has no bolts"),
         (f.FailedHand(arm=ARM), "RIGHT-ARM holds nothing"),
         (f.BlindCamera(camera="CAMERA-9"), "there is no camera CAMERA-9"),
+        (f.ForcedEnd(arm="NO-ARM", reason=StopReason.SLIP), "there is no arm NO-ARM"),
+        (f.ForcedEnd(arm=ARM, reason=StopReason.GOAL), "there is no reason to force goal"),
         (f.SlowLoop(tick_s=1.0), "0.1 to 50 ms"),
         (f.SlowLoop(tick_s=float("nan")), "0.1 to 50 ms"),
     ],

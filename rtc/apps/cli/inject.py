@@ -16,7 +16,7 @@ from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, duration_s, 
 from rtc.client.client import Client
 from rtc.protocol import faults as f
 from rtc.protocol.messages import SimDone
-from rtc.protocol.outcomes import RtcError, TimedOut
+from rtc.protocol.outcomes import RtcError, StopReason, TimedOut
 
 app = typer.Typer(
     help="Inject faults into the simulation; undo them. rtc status shows the active ones. They end with its process.",
@@ -150,6 +150,22 @@ def blind(
     Example:  rtc inject blind CAMERA-1
     """
     _inject(f.BlindCamera(camera=_name(camera)), run_dir, json)
+
+
+@app.command()
+def end(
+    arm: Arm,
+    reason: Annotated[StopReason, typer.Argument(help="The reason that its report states.", metavar="REASON")],
+    run_dir: RunDir = None,
+    json: AsJson = False,
+) -> None:
+    """Make the step that an arm executes, or its next one, end at once for a reason. This happens once.
+
+    So a trim can be tried where nothing is wrong. With rtc break it meets the step that you want.
+
+    Example:  rtc inject end RIGHT-ARM no_contact
+    """
+    _inject(f.ForcedEnd(arm=_name(arm), reason=reason), run_dir, json)
 
 
 @app.command()
