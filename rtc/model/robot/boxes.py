@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pinocchio as pin
 
 from rtc.model.robot.bodies import Bodies
 from rtc.spatial.geometry import Array
@@ -29,23 +30,29 @@ class Boxes:
 
     def __init__(self, bodies: Bodies, joints: Sequence[tuple[int, bool, Array, list[float]]]) -> None:
         """`joints`: parent (-1: the world), whether it slides, axis, placement (rotation row by row, position)."""
-        self._items = bodies.geometry.geometryObjects
-        solids = [item.geometry for item in self._items]
+        items = bodies.geometry.geometryObjects
+        solids = [item.geometry for item in items]
         for solid in solids:
             solid.computeLocalAABB()
-        self._centres = [np.asarray(solid.aabb_center) for solid in solids]
-        halves = [solid.aabb_local.max_ - centre for solid, centre in zip(solids, self._centres, strict=True)]
+        centres = [np.asarray(solid.aabb_center) for solid in solids]
+        halves = [solid.aabb_local.max_ - centre for solid, centre in zip(solids, centres, strict=True)]
+        of_centres = [pin.SE3(np.eye(3), centre) for centre in centres]
+        self._in_owner = np.array([(p.in_owner * c).homogeneous for p, c in zip(bodies.pieces, of_centres, strict=True)])
         parents, slides, axes, placements = zip(*joints, strict=True)
         pairs = np.array(bodies.pairs, dtype=np.int32).reshape(-1, 2)
         self._proof = _boxes.Boxes(parents, slides, axes, placements, np.array(halves).reshape(-1, 3), pairs)
-        for n in range(len(solids)):
-            self.place(n)
+        for n, (item, of_centre) in enumerate(zip(items, of_centres, strict=True)):
+            self._put([n], item.parentJoint, (item.placement * of_centre).homogeneous[None])
 
-    def place(self, piece: int) -> None:
-        """Take over the parent joint and the placement of a piece from pinocchio's geometry."""
-        item = self._items[piece]
-        centre = item.placement.act(self._centres[piece])
-        self._proof.place(piece, item.parentJoint - 1, [*item.placement.rotation.flat, *centre])
+    def place(self, pieces: list[int], parent: int, at: pin.SE3) -> None:
+        """Place the pieces of an owner: its axes are at `at` in those of a joint of pinocchio's model (0: the world)."""
+        self._put(pieces, parent, at.homogeneous @ self._in_owner[pieces])
+
+    def _put(self, pieces: list[int], parent: int, boxes: Array) -> None:
+        """`boxes`: their placements, [pieces][4][4]."""
+        rows = np.concatenate((boxes[:, :3, :3].reshape(-1, 9), boxes[:, :3, 3]), axis=1)
+        for piece, row in zip(pieces, rows, strict=True):
+            self._proof.place(piece, parent - 1, row)
 
     def use(self, pairs: Array, margins: Array) -> None:
         """The pairs to check, by number in `Bodies.pairs`, and their margins (m)."""

@@ -134,11 +134,12 @@ class CollisionWorld:
         self._callback = pin.CollisionCallBackDefault(self._bodies.geometry, self._geometry_data, True)
         self._hit = 0  # the pair that a check has found
         self._left_out: set[int] = set()  # pairs that no check finds
-        self._active = np.ones(len(self._bodies.pairs), dtype=bool)
         self._wider = _WiderMargins(self._bodies)  # in place of boxes: prove that a group of configurations is free
         self._q = pin.neutral(self._bodies.model)
         self._scene: Scene | None = None
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
+        self._elsewhere: dict[str, tuple[int, pin.SE3]] = {}  # bodies that coal has not yet: parent joint, pose there
+        self._pairs_of_coal: Pairs | None = None  # the pairs that coal has
         self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `PairTable.of_scene` reads
         self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
         self._apart: SeparationCheck | None = None  # made when it is first needed
@@ -280,6 +281,7 @@ class CollisionWorld:
         carrier = self._table.carriers(scene)
         one, two = carrier == self._table.number[arm], carrier == self._table.number[other]
         openings_m = {name: self.cell.arm(name).gripper.max_opening_m for name in self._bodies.arms}
+        self._tell_coal()
         self._apart = self._apart or SeparationCheck(self._bodies)
         self._apart.compare(arm, other, (one, two), self._levers, openings_m)
         return self._apart
@@ -301,8 +303,8 @@ class CollisionWorld:
         if scene is not self._scene:
             self._arrange(scene)
         slots = self._bodies.arms[arm].joints
-        rows = np.isin(self._table.owner, [self._table.number[name] for name, by in in_hands(scene) if by == arm])
-        found: Array = self._levers[rows][:, slots].max(axis=0, initial=0.0)
+        pieces = [n for name, by in in_hands(scene) if by == arm for n in self._table.pieces_of[name]]
+        found: Array = self._levers[pieces][:, slots].max(axis=0, initial=0.0)
         return found
 
     def near(self, arm: str, joints: Mapping[str, Floats], scene: Scene) -> list[Collision]:
@@ -472,6 +474,7 @@ class CollisionWorld:
         """Whether a pair is too near at the present configuration; it is `_hit` then."""
         bodies, data = self._bodies, self._geometry_data
         if self._boxes is None:
+            self._tell_coal()
             touches = bool(pin.computeCollisions(bodies.model, self._data, self._manager, self._callback, self._q))
             self._hit = self._callback.collisionPairIndex
             return touches
@@ -524,6 +527,7 @@ class CollisionWorld:
             self._place()
             near = self._boxes.undecided(self._q)
             return [n for n in near if pin.computeCollision(self._bodies.geometry, data, n)]
+        self._tell_coal()
         pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
         active = np.flatnonzero(self._pairs.active).tolist()
         return [n for n in active if data.collisionResults[n].isCollision()]
@@ -546,6 +550,7 @@ class CollisionWorld:
 
     def _place(self) -> None:
         """Moves all pieces to the present configuration."""
+        self._tell_coal()
         bodies, data = self._bodies, self._geometry_data
         pin.updateGeometryPlacements(bodies.model, self._data, bodies.geometry, data, self._q)
 
@@ -622,11 +627,9 @@ class CollisionWorld:
         if holder:
             hand = self._bodies.arms[holder]
             parent, at = hand.hand_joint, hand.tcp * at
-        for n in self._table.pieces_of.get(owner, ()):
-            item = self._bodies.geometry.geometryObjects[n]
-            item.parentJoint, item.placement = parent, at * self._bodies.pieces[n].in_owner
-            if self._boxes is not None:
-                self._boxes.place(n)
+        self._elsewhere[owner] = parent, at
+        if self._boxes is not None and (pieces := self._table.pieces_of.get(owner)):
+            self._boxes.place(pieces, parent, at)
         rows = self._table.owner == self._table.number.get(owner)
         if parent or self._levers[rows].any():
             self._levers[rows] = levers(self._bodies.model, parent, at.translation, self._radius_m.get(owner, 0.0))
@@ -647,14 +650,25 @@ class CollisionWorld:
             self._put_in_force(pairs)
 
     def _put_in_force(self, pairs: Pairs) -> None:
-        # Set as matrices: a loop over 1700 pairs would take 5 ms.
-        if not np.array_equal(self._active, pairs.active):
-            self._geometry_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
-            self._active = pairs.active
-        self._geometry_data.setSecurityMargins(self._bodies.geometry, pairs.margin_matrix)
         if self._boxes is not None:
             self._boxes.use(pairs.numbers, pairs.margin[pairs.numbers])
         self._pairs = pairs
+
+    def _tell_coal(self) -> None:
+        """Brings coal up to the scene. Where boxes decide a whole job it is never needed."""
+        items, pieces = self._bodies.geometry.geometryObjects, self._bodies.pieces
+        for owner, (parent, at) in self._elsewhere.items():
+            for n in self._table.pieces_of.get(owner, ()):
+                items[n].parentJoint, items[n].placement = parent, at * pieces[n].in_owner
+        self._elsewhere.clear()
+        pairs, before = self._pairs, self._pairs_of_coal
+        if pairs is before:
+            return
+        # Set as matrices: a loop over 1700 pairs would take 5 ms.
+        if before is None or not np.array_equal(before.active, pairs.active):
+            self._geometry_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
+        self._geometry_data.setSecurityMargins(self._bodies.geometry, pairs.margin_matrix)
+        self._pairs_of_coal = pairs
 
     def _measure_bodies(self) -> None:
         """Sets the levers, sizes and built poses of all bodies."""

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 
 import coal
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from rtc.model.cells.cell import Cell
@@ -174,8 +173,7 @@ def coal_pieces(
 ) -> Iterator[tuple[coal.CollisionGeometry, coal.Transform3s]]:
     """The solids of an arm and of what it holds, with their present placements."""
     bodies = world._bodies
-    pin.forwardKinematics(bodies.model, world._data, world._q)
-    pin.updateGeometryPlacements(bodies.model, world._data, bodies.geometry, world._geometry_data)
+    world._place()
     for n in np.flatnonzero(world._table.carriers(scene) == world._table.number[arm]).tolist():
         at = world._geometry_data.oMg[n]
         yield bodies.geometry.geometryObjects[n].geometry, coal.Transform3s(at.rotation, at.translation)

@@ -203,6 +203,7 @@ def test_the_broad_phase_misses_nothing(world, arms):
         for _ in range(150):
             joints = {name: random.uniform(arm.limits.lower, arm.limits.upper) for name, arm in arms.items()}
             found = world.check(joints, scene)
+            world._tell_coal()
             plain = pin.computeCollisions(
                 bodies.model, world._data, bodies.geometry, world._geometry_data, world._q, True
             )
