@@ -164,6 +164,8 @@ def from_command(
 ) -> list[StopFunction]:
     """Stop functions of the command's UNLESS ... THEN ... for this step, whose own rows are `rows`. `arm`: a second
     arm that takes part in it."""
+    if not data.context.reflexes:
+        return []
     return reflexes.stop_functions(data.context.reflexes, _state(data, query, values, rows, arm))
 
 
@@ -172,7 +174,7 @@ def reporting(data: BinderInput, query: WorldQuery, values: Values, rows: list[S
     asked = data.context.report
     if asked is None:
         return Reporting()
-    when = reflexes.report_conditions(asked.when, _state(data, query, values, rows))
+    when = reflexes.report_conditions(asked.when, _state(data, query, values, rows)) if asked.when else []
     return Reporting(items=asked.items, every_s=asked.every_s, when=when)
 
 

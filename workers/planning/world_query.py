@@ -38,6 +38,7 @@ class WorldQuery(Facts):
         self.at_s = at_s
         self.seed = seed
         self.moving = moving
+        self._tcps: dict[str, Array] = {}
         self._cameras: dict[str, list[parts.Camera]] = {}
 
     def after(self, changes: Iterable[WorldChange]) -> WorldQuery:
@@ -52,7 +53,11 @@ class WorldQuery(Facts):
         return super().joints(arm)
 
     def tcp(self, arm: str) -> Array:
-        return self.model.arms[arm].fk(self.joints(arm))
+        """Pose of the tcp at `joints`; read-only."""
+        if arm not in self._tcps:
+            pose = self._tcps[arm] = self.model.arms[arm].fk(self.joints(arm))
+            pose.setflags(write=False)
+        return self._tcps[arm]
 
     def way_out(self, thing: str) -> str:
         """Name of the direction in which an object leaves the seat that it is in or partly in; UP without a seat."""

@@ -37,7 +37,8 @@ class Boxes:
         centres = [np.asarray(solid.aabb_center) for solid in solids]
         halves = [solid.aabb_local.max_ - centre for solid, centre in zip(solids, centres, strict=True)]
         of_centres = [pin.SE3(np.eye(3), centre) for centre in centres]
-        self._in_owner = np.array([(p.in_owner * c).homogeneous for p, c in zip(bodies.pieces, of_centres, strict=True)])
+        in_owner = (piece.in_owner * centre for piece, centre in zip(bodies.pieces, of_centres, strict=True))
+        self._in_owner = np.array([at.homogeneous for at in in_owner])
         parents, slides, axes, placements = zip(*joints, strict=True)
         pairs = np.array(bodies.pairs, dtype=np.int32).reshape(-1, 2)
         self._proof = _boxes.Boxes(parents, slides, axes, placements, np.array(halves).reshape(-1, 3), pairs)
@@ -45,7 +46,7 @@ class Boxes:
             self._put([n], item.parentJoint, (item.placement * of_centre).homogeneous[None])
 
     def place(self, pieces: list[int], parent: int, at: pin.SE3) -> None:
-        """Place the pieces of an owner: its axes are at `at` in those of a joint of pinocchio's model (0: the world)."""
+        """Place the pieces of an owner, whose axes are at `at` in those of a joint of pinocchio (0: the world)."""
         self._put(pieces, parent, at.homogeneous @ self._in_owner[pieces])
 
     def _put(self, pieces: list[int], parent: int, boxes: Array) -> None:

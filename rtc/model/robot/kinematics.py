@@ -95,6 +95,7 @@ class ArmModel:
         self._base_inverse = np.linalg.inv(geometry.to_matrix(self.base_pose))
         tip = model.frames[self._tcp]
         self._tool_inverse = np.linalg.inv(tip.placement.homogeneous)
+        self.weightless = not np.any(model.gravity.linear)
         if tip.parentJoint != model.njoints - 1:
             raise ProgramError(f"{name}: {tcp_link} must be fixed to the last joint")
         try:

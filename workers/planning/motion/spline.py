@@ -1,4 +1,4 @@
-"""A cubic spline through a table of joint values, with the not-a-knot condition at both ends. Pure.
+"""A cubic spline through a table of values, with the not-a-knot condition at both ends, or at rest there. Pure.
 
 It equals `toppra.SplineInterpolator` of the same table. It is cheaper to make for few knots, and a line of the hand is
 made for each way that is tried.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.lapack import dgtsv
 
 from rtc.spatial.geometry import Array
 
@@ -18,13 +19,13 @@ EVEN = 1e-9  # relative tolerance of the distances between evenly spaced knots
 class Spline:
     """`spline(s, n)`: the n-th derivative (0, 1 or 2) by s at each of `s`, [len(s)][joints]."""
 
-    def __init__(self, s: Array, rows: Array) -> None:
-        """`s` rises; at least four rows."""
+    def __init__(self, s: Array, rows: Array, *, at_rest: bool = False) -> None:
+        """`s` rises; at least four rows. `at_rest`: the first derivative is 0 at both ends."""
         assert len(s) == len(rows) >= 4, (len(s), len(rows))
         self._s = s
         width = s[1:] - s[:-1]
         slope = (rows[1:] - rows[:-1]) / width[:, None]
-        speeds = _speeds(width, slope)
+        speeds = _resting_speeds(width, slope) if at_rest else _speeds(width, slope)
         # Of each piece, by powers of the distance from its beginning.
         bend = (speeds[:-1] + speeds[1:] - 2 * slope) / width[:, None]
         self._powers = np.stack((rows[:-1], speeds[:-1], (slope - speeds[:-1]) / width[:, None] - bend, bend))
@@ -65,6 +66,14 @@ def _speeds(width: Array, slope: Array) -> Array:
         speeds: Array = _inverse(len(width)) @ wanted / width[0]
     else:
         speeds = np.asarray(np.linalg.solve(_matrix(width), wanted), dtype=float)
+    return speeds
+
+
+def _resting_speeds(width: Array, slope: Array) -> Array:
+    """As `_speeds`, with 0 at both ends instead of the condition on the third derivative."""
+    wanted = 3 * (width[1:, None] * slope[:-1] + width[:-1, None] * slope[1:])
+    speeds = np.zeros((len(width) + 1, slope.shape[1]))
+    speeds[1:-1] = dgtsv(width[2:], 2 * (width[:-1] + width[1:]), width[:-2], wanted)[3]
     return speeds
 
 

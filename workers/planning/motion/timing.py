@@ -1,8 +1,9 @@
 """Time parametrization: converts a path to timed knots, at rest at both ends, within all limits.
 
 A line gets a closed-form jerk-limited profile along its parameter; in joint space its pieces are the knots. A curve
-through way-points gets the time-optimal profile within the joint limits (toppra, some 10 ms). A single pace would be
-limited by the sharpest bend. Joint limits of speed, acceleration and torque and the tcp's speed limit hold everywhere.
+through way-points gets the time-optimal profile within the joint limits (`pace`; with torque limits toppra). A single
+pace would be limited by the sharpest bend. Joint limits of speed, acceleration and torque and the tcp's speed limit
+hold everywhere.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import JointTrajectory, Load
 from rtc.spatial.geometry import Array
 from workers.planning.motion.blended import Blended
+from workers.planning.motion.pace import fastest
 from workers.planning.motion.path import Path, even
 from workers.planning.motion.rest_to_rest import PIECES, rest_to_rest
+from workers.planning.motion.spline import Spline
 from workers.planning.motion.torques import Torques
 
 KNOT_S = 0.03  # knot spacing; the quintic Hermite error is some micrometres
@@ -38,6 +41,8 @@ GRID_STEP = 1e-7  # minimum distance of two grid points, as a share of the path'
 STILL = 1e-8  # a joint that turns less than this along the path has no speed limit
 ON_PATH = 2000  # points of the path with which a timing of an installed package is compared
 END_RAD = 1e-6  # tolerance of its ends, also rad/s and rad/s^2
+TOLERANCE = 1.03  # of the tcp's speed limit on a curve
+BETWEEN = 0.98  # of the tcp's speed limit at the points of the grid; the rest is a reserve between them
 SAMPLES = 33  # path samples at which limits are evaluated
 SAMPLED = 100  # intervals of a motion at whose ends its torques are evaluated
 
@@ -177,39 +182,51 @@ def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0)
 
 
 def _time_curve(arm: ArmModel, path: Path, pace: SpeedLimits, torques: Torques | None = None) -> Timed:
-    assert path.curve is not None
-    s = np.linspace(0.0, path.length, SAMPLES)
-    q, slope, _ = path.at(s)
-    velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
-    levers = np.max([np.linalg.norm(arm.jacobian(row)[:3], axis=0) for row in q[::4]], axis=0)
-    acceleration = np.minimum(acceleration, pace.acceleration_m_s2 / np.maximum(levers, 0.05))
-    rate = np.maximum(arm.tcp_speeds(q, slope), 1e-6)
-    grid = _grid(path)
-    # Joint speeds are limited by the joints and by the tcp speed (2 % reserve between samples).
-    tcp = np.abs(path.curve(grid, 1)) * 0.98 * pace.speed_m_s / np.interp(grid, s, rate)[:, None] + 1e-6
-    most = np.minimum(velocity, tcp)
-    constraints = [_MostSpeeds(most), _MostAccelerations(acceleration)]
-    if torques is not None:
-        constraints.append(torques.constraint())
+    """With `torques` within them too: then toppra finds the pace, from the same limits on the same grid."""
+    samples, grid = even(0.0, path.length, SAMPLES - 1), _grid(path)
+    q, slope, _ = path.at(samples)
+    rates = np.interp(grid, samples, arm.tcp_speeds(q, slope))
+    levers = np.linalg.norm([arm.jacobian(row)[:3] for row in q[::4]], axis=1).max(axis=0)
+    acceleration = np.minimum(arm.limits.acceleration * pace.ratio, pace.acceleration_m_s2 / np.maximum(levers, 0.05))
+    _, slope, bend = path.at(grid)
+    by_joints = (arm.limits.velocity * pace.ratio / np.maximum(np.abs(slope), STILL)).min(axis=1)
+    most = np.minimum(by_joints, BETWEEN * pace.speed_m_s / np.maximum(rates, 1e-6))
+    if torques is None:
+        along_v = fastest(grid, slope, bend, most, acceleration)
+    else:
+        along_v = _fastest_within(torques, path, grid, most, acceleration)
+    at_s = np.concatenate(((0.0,), np.cumsum(2 * np.diff(grid) / (along_v[1:] + along_v[:-1]))))
+    time_s = _knot_times(float(at_s[-1]), CURVE_RAMP_S, KNOT_M / pace.speed_m_s)
+    # The change of the pace leaps at the points of the grid; that of a spline through them does not.
+    along = Spline(at_s, grid[:, None], at_rest=True)
+    s, speed, change = along.at(time_s)
+    q, slope, bend = path.at(s[:, 0])
+    timed = _at_rest(Timed(path.space, time_s, q, slope * speed, bend * speed**2 + slope * change), path)
+    # In a narrow corner the tcp may be faster than at the points of the grid.
+    fastest_m_s = float(arm.tcp_speeds(q[::2], timed.velocities[::2]).max())
+    return slower(timed, max(1.0, fastest_m_s / (TOLERANCE * pace.speed_m_s)))
+
+
+def _fastest_within(torques: Torques, path: Path, grid: Array, most: Array, acceleration: Array) -> Array:
+    """The pace at each point of the grid, as by `fastest`, within joint torques too."""
     whole = path.curve if isinstance(path.curve, Blended) else toppra.SplineInterpolator(path.s, path.knots)
+    constraints = [_MostPace(most), _MostAccelerations(acceleration), torques.constraint()]
     solver = toppra.algorithm.TOPPRA(constraints, whole, gridpoints=grid)
-    curve = solver.compute_trajectory(0.0, 0.0)
-    assert curve is not None, "a rest-to-rest profile always exists at a low speed"
-    time_s = _knot_times(curve.duration, CURVE_RAMP_S, KNOT_M / pace.speed_m_s)
-    return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
+    found: Array | None = solver.compute_parameterization(0.0, 0.0)[1]
+    assert found is not None, "a rest-to-rest profile always exists at a low speed"
+    return found
 
 
-class _MostSpeeds(toppra.constraint.LinearConstraint):  # type: ignore[misc]
-    """The speed limits (rad/s) of the joints at each grid point, [grid][joints]."""
+class _MostPace(toppra.constraint.LinearConstraint):  # type: ignore[misc]
+    """The greatest pace at each grid point, [grid]."""
 
     def __init__(self, most: Array) -> None:
         super().__init__()
-        self.dof, self._most = most.shape[1], most
+        self.dof, self._most = 1, most
 
     def compute_constraint_params(self, path: Blended, gridpoints: Array) -> tuple[Array | None, ...]:
         """Bounds of the squared pace."""
-        pace = (self._most / np.maximum(np.abs(path(gridpoints, 1)), STILL)).min(axis=1)
-        return *[None] * 6, np.stack((np.zeros(len(pace)), pace * pace), axis=1)
+        return *[None] * 6, np.stack((np.zeros(len(self._most)), self._most**2), axis=1)
 
 
 class _MostAccelerations(toppra.constraint.JointAccelerationConstraint):  # type: ignore[misc]
@@ -223,7 +240,7 @@ class _MostAccelerations(toppra.constraint.JointAccelerationConstraint):  # type
 
 def _grid(path: Path) -> Array:
     """Grid points of the curve solver: evenly spaced, and closer within narrow corners."""
-    even_points = np.linspace(0.0, path.length, GRID)
+    even_points = even(0.0, path.length, GRID - 1)
     if not isinstance(path.curve, Blended):
         return even_points
     edges = path.curve.edges

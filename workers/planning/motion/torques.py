@@ -35,10 +35,6 @@ class Torques:
         return cls(arm, load, laden, SHARE * arm.limits.effort)
 
     @property
-    def weightless(self) -> bool:
-        return not np.any(self.arm.model.gravity.linear)
-
-    @property
     def worst_share(self) -> float:
         """The greatest share of a torque limit at the limits of speed and acceleration, without weight."""
         load = self.load
@@ -51,12 +47,12 @@ class Torques:
         `sampled`: joints, velocities and accelerations, called only if the arm does not need less everywhere.
         Raises Refused if the weight alone is too great for a joint at one of these postures.
         """
-        if self.weightless and self.worst_share < FAR_FROM:
+        if self.arm.weightless and self.worst_share < FAR_FROM:
             return self.worst_share
         joints, velocities, accelerations = sampled()
         moving = self.arm.torques(joints, velocities, accelerations, self.laden)
         weight = np.zeros_like(moving)
-        if not self.weightless:
+        if not self.arm.weightless:
             still = np.zeros_like(joints)
             weight = self.arm.torques(joints, still, still, self.laden)
             if (np.abs(weight) >= self.limits).any():

@@ -19,3 +19,13 @@ def test_it_equals_the_spline_of_toppra(count, evenly):
         wanted = theirs(at, order)
         assert np.abs(ours(at, order) - wanted).max() <= 1e-9 * np.abs(wanted).max()
         assert (ours.at(at)[order] == ours(at, order)).all()
+
+
+def test_at_rest_it_equals_a_spline_with_these_ends():
+    rng = np.random.default_rng(3)
+    s, rows = np.cumsum(rng.uniform(0.01, 0.5, 40)), rng.normal(size=(40, 2))
+    ours, theirs = Spline(s - s[0], rows, at_rest=True), SplineInterpolator(s - s[0], rows, "clamped")
+    at = np.linspace(0.0, s[-1] - s[0], 301)
+    for order in range(3):
+        wanted = theirs(at, order)
+        assert np.abs(ours(at, order) - wanted).max() <= 1e-9 * np.abs(wanted).max()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -53,9 +54,7 @@ def test_a_heavy_load_is_moved_more_slowly_within_the_torques(right, home, name)
 @pytest.fixture
 def weighed(cell):
     """The arm under the gravity of the earth."""
-    arm = ArmModel.of(cell, "RIGHT-ARM")
-    arm.model.gravity.linear[:] = (0.0, 0.0, -9.81)
-    return arm
+    return ArmModel.of(msgspec.structs.replace(cell, gravity_m_s2=[0.0, 0.0, -9.81]), "RIGHT-ARM")
 
 
 def test_a_load_whose_weight_a_joint_cannot_hold_is_refused_with_the_joint(weighed, home):
