@@ -87,7 +87,7 @@ def in_words(value: float, si: str) -> str:
 def measured_in_words(value: float, si: str) -> str:
     """As `in_words`, with the three digits that a measured value deserves."""
     unit, times = _READ.get(si, (si, 1.0))
-    return f"{value * times:.3g} {unit}"
+    return f"{float(f'{value * times:.3g}'):g} {unit}"  # 1040, not 1.04e+03
 
 
 def such_as(si: str) -> str:

@@ -374,7 +374,8 @@ def test_a_back_off_from_a_turn_reports_the_angle():
 
 
 def test_figures_of_a_condition_have_the_units_of_a_sentence():
-    for written, si, shown in ((0.174532925, "rad", "10 DEG"), (0.08, "m", "80 MM"), (5.0, "N", "5 N")):
+    lengths = ((0.08, "m", "80 MM"), (1.04, "m", "1040 MM"))
+    for written, si, shown in ((0.174532925, "rad", "10 DEG"), *lengths, (5.0, "N", "5 N")):
         condition = Condition(measure="TURN", bound="above", quantity=Quantity(written, si))
         assert condition.sentence == f"TURN EXCEEDS {shown}"
         assert condition.measured_in_words(written) == shown
