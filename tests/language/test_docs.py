@@ -5,12 +5,14 @@ from pathlib import Path
 
 import pytest
 
+from rtc.language import dictionary
 from rtc.language.caret import show
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.sentence import ParsedCommand
 
-PAGE = (Path(__file__).parents[2] / "docs" / "language.md").read_text("utf-8")
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "language.md").read_text("utf-8")
 BLOCK = re.search(r"```rtc\n(.*?)```", PAGE, re.DOTALL)
 assert BLOCK
 SENTENCES = BLOCK[1].splitlines() + re.findall(r"\| `([A-Z][^`]* [^`]*)` \|$", PAGE, re.MULTILINE)
@@ -30,3 +32,10 @@ def test_the_picture_of_a_refusal_is_the_one_shown() -> None:
     refusal = parse(default_grammar(), sentence)
     assert isinstance(refusal, Refusal)
     assert show(sentence, refusal) in PAGE
+
+
+def test_the_counts_of_the_pages_are_those_of_the_grammar() -> None:
+    counts = dictionary.stats()
+    for name in ("reserved_words", "token_classes", "clauses", "productions"):
+        assert re.search(rf"\b{counts[name]} {name.replace('_', ' ')}", PAGE), name
+    assert f"one of {len(dictionary.verbs())} words" in (ROOT / "README.md").read_text("utf-8")

@@ -19,7 +19,7 @@ BROKEN = "def measure(arm):\n    raise ZeroDivisionError('no sensor')\n"
 
 def test_an_installed_item_is_measured_with_the_standard_ones(install: Install, rig) -> None:  # noqa: F811
     install(registry.REPORT_ITEMS, "OPENING", "measure", OPENING)
-    assert report_items.known() == ["POSE", "FORCES", "JOINTS", "OPENING"]
+    assert report_items.known() == [*report_items.STANDARD, "OPENING"]
 
     rig.accept(rig.swing(reporting=p.Reporting(items=["JOINTS", "OPENING"], every_s=0.1)))
     end = rig.until_end()
