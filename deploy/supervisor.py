@@ -20,21 +20,8 @@ from deploy import hypercube
 from deploy.child import Child, ProcessState, Spec, limit_log, reap_orphans
 from deploy.more_workers import MoreCommand
 from deploy.restarts import DEFAULT, Death, Policy, delay_s
+from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.messages import (
-    AllEnded,
-    BrokerToSupervisor,
-    Declined,
-    KillProcess,
-    ProcessExited,
-    ProcessHello,
-    ProcessRow,
-    ProcessTable,
-    RequestWorkers,
-    RetireWorker,
-    Shutdown,
-    SpawnWorker,
-)
 from rtc.protocol.outcomes import ClusterError, WireError
 from rtc.protocol.versions import VERSION
 from rtc.runtime.process import Every, Process, adopt_orphans, inbox, now_s, send
@@ -105,12 +92,12 @@ class Supervisor:
         self._me = me
         self._logs = logs
         self._hooks, self._more = hooks, hooks.more
-        self._all_ended: AllEnded | None = None
+        self._all_ended: m.AllEnded | None = None
         self._policy = policy
         self._children = {spec.name: Child(spec, logs / f"{spec.name}.log") for spec in specs}
         self._by_fd: dict[int, Child] = {}
         self._broker = me.socket(zmq.DEALER, broker, identity=identity)
-        self._read = wire.reader(BrokerToSupervisor)
+        self._read = wire.reader(m.BrokerToSupervisor)
         self._table = Every(TABLE_S)
         self._begun_s = now_s()
         self._up = False  # every process has been ready once
@@ -125,7 +112,7 @@ class Supervisor:
 
         This phase does not restart processes.
         """
-        self._send(ProcessHello(name="supervisor", protocol=VERSION))
+        self._send(m.ProcessHello(name="supervisor", protocol=VERSION))
         adopt_orphans()  # workers are forked by their fork server
         self._start_waiting()
         report_due = Every(REPORT_WAITING_S, now_s() + REPORT_WAITING_S)
@@ -166,7 +153,7 @@ class Supervisor:
         Each wait has a limit. The MCM also brakes by itself when it receives SIGTERM.
         """
         self._all_ended = None
-        self._send(Shutdown())
+        self._send(m.Shutdown())
         arms = self._hooks.halt()
         broker = self._children.get("broker")
         if broker is None or broker.state is ProcessState.FAILED:
@@ -174,10 +161,10 @@ class Supervisor:
         ask_again, limit_s = Every(OUTCOMES_AGAIN_S), now_s() + OUTCOMES_S
         while self._all_ended is None and now_s() < limit_s:
             if ask_again.due(now_s()):
-                self._send(Shutdown())  # a broker that was restarted meanwhile has not received it
+                self._send(m.Shutdown())  # a broker that was restarted meanwhile has not received it
             self._handle_pending(OUTCOMES_AGAIN_S)
             self._start_waiting()
-        ended = self._all_ended or AllEnded(commands=[])
+        ended = self._all_ended or m.AllEnded(commands=[])
         stopped = StoppedWork(commands=ended.commands, arms=sorted({*arms, *ended.arms}))
         if self._all_ended is None:
             stopped.doubt = f"the broker has not ended its commands within {OUTCOMES_S:.0f} s"
@@ -331,7 +318,7 @@ class Supervisor:
             self._show(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
             self._changes = True
             if child.spec.name == "broker" and self._up:
-                self._send(ProcessHello(name="supervisor", protocol=VERSION))
+                self._send(m.ProcessHello(name="supervisor", protocol=VERSION))
 
     def _exited(self, child: Child) -> None:
         """Reports the death to the broker first, because work of the process waits for it."""
@@ -342,7 +329,7 @@ class Supervisor:
         status = child.reap()
         if state == ProcessState.ENDING:
             child.become(ProcessState.ENDED)
-            self._send(ProcessExited(name=name, pid=pid, status=status))
+            self._send(m.ProcessExited(name=name, pid=pid, status=status))
             if self._up:  # a worker that has retired
                 del self._children[name]
                 self._show(f"{name} has retired")
@@ -350,7 +337,7 @@ class Supervisor:
             return
         child.deaths.append(Death(now_s(), was_ready=state == ProcessState.READY, lived_s=lived_s))
         delay = delay_s(self._policy, [*child.deaths], child.was_ready) if self._up else None
-        self._send(ProcessExited(name=name, pid=pid, status=status))
+        self._send(m.ProcessExited(name=name, pid=pid, status=status))
         if not self._up:
             raise ClusterError(f"{name} {in_words(status)} before the cluster was ready.\n{_log_of(child)}")
         self._schedule_restart(child, f"{name} {in_words(status)}", delay)
@@ -383,7 +370,7 @@ class Supervisor:
             self._me.log.warning("no room for %s to the broker", type(message).__name__)
 
     def _send_table(self) -> None:
-        self._send(ProcessTable(processes=self.table(), asked=self._more.asked() if self._more else []))
+        self._send(m.ProcessTable(processes=self.table(), asked=self._more.asked() if self._more else []))
 
     def _send_changes(self) -> None:
         """Saves and sends a changed table. Called after restarts, which are more urgent."""
@@ -408,7 +395,7 @@ class Supervisor:
         with contextlib.suppress(OSError):  # a full disk or a closed output
             self._hooks.show(line)
 
-    def table(self) -> list[ProcessRow]:
+    def table(self) -> list[m.ProcessRow]:
         return [
             {
                 "name": child.spec.name,
@@ -429,33 +416,33 @@ class Supervisor:
             except WireError as error:
                 self._me.log.warning("dropped a message of the broker: %s", error)
 
-    def _obey(self, order: BrokerToSupervisor) -> None:
+    def _obey(self, order: m.BrokerToSupervisor) -> None:
         match order:
-            case KillProcess(name=name, pid=pid, why=why):
+            case m.KillProcess(name=name, pid=pid, why=why):
                 child = self._children.get(name)
                 if child and child.pid == pid:  # otherwise it has ended meanwhile
                     self._show(f"{name} (pid {pid}) is killed: {why}")
                     child.signal(signal.SIGKILL)
-            case SpawnWorker(kind=kind):
+            case m.SpawnWorker(kind=kind):
                 taken = {c.spec.node for c in self._children.values() if c.spec.node is not None}
                 spec = self._hooks.new_worker(hypercube.next_free(kind, taken))
                 if spec is not None:
                     self._children[spec.name] = Child(spec, self._logs / f"{spec.name}.log")
-            case RetireWorker(name=name):
+            case m.RetireWorker(name=name):
                 child = self._children.get(name)
                 if child and child.spec.node is not None:
                     self._retire(child)
-            case RequestWorkers():
+            case m.RequestWorkers():
                 self._ask_more(order)
-            case Declined(refusal=refusal):
+            case m.Declined(refusal=refusal):
                 self._show(f"the broker refuses the supervisor: {refusal.message}")
-            case Shutdown():
+            case m.Shutdown():
                 self._show("the broker asks the cluster to end")
                 self._me.stop()
-            case AllEnded():
+            case m.AllEnded():
                 self._all_ended = order
 
-    def _ask_more(self, order: RequestWorkers) -> None:
+    def _ask_more(self, order: m.RequestWorkers) -> None:
         if self._more is None or self._more.pid:
             return
         self._show(self._more.start(order))

@@ -12,20 +12,8 @@ from typing import Any
 
 import zmq
 
+from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.messages import (
-    Commit,
-    Committed,
-    Doubt,
-    Fact,
-    FromWorld,
-    Lease,
-    ReadView,
-    View,
-    WorldChange,
-    WorldHistory,
-    WorldRefused,
-)
 from rtc.protocol.outcomes import ClusterError, Refusal, RtcError, WireError
 from rtc.runtime import process
 from rtc.runtime.process import now_s
@@ -33,7 +21,7 @@ from rtc.runtime.process import now_s
 FIRST_TRY_S, MAX_TRY_S = 0.04, 0.5  # wait per attempt: doubled after each, up to the longest
 LIMIT_S = 5.0  # longer than a restart of the server
 
-_read = wire.reader(FromWorld)
+_read = wire.reader(m.FromWorld)
 
 
 class WorldClient:
@@ -52,28 +40,28 @@ class WorldClient:
         self._numbers = itertools.count(1)
         self._limit_s = limit_s
 
-    def view(self, since: int = 0, keys: Iterable[str] | None = None) -> View:
+    def view(self, since: int = 0, keys: Iterable[str] | None = None) -> m.View:
         """The facts newer than version `since`, all or those of some keys or locations, from one version of the world.
 
         Raises ClusterError without an answer within the limit.
         """
         wanted = None if keys is None else list(keys)
-        answer = self._ask(ReadView(request=self._request(), keys=wanted, since=since))
-        return _expect(answer, View)
+        answer = self._ask(m.ReadView(request=self._request(), keys=wanted, since=since))
+        return _expect(answer, m.View)
 
-    def history(self, key: str, limit: int = 100) -> list[Fact]:
+    def history(self, key: str, limit: int = 100) -> list[m.Fact]:
         """The past and present facts of this key, newest first. Raises ClusterError as `view` does."""
-        return _expect(self._ask(WorldHistory(request=self._request(), key=key, limit=limit)), View).facts
+        return _expect(self._ask(m.WorldHistory(request=self._request(), key=key, limit=limit)), m.View).facts
 
-    def commit(self, lease: Lease, changes: list[WorldChange], source: str) -> Committed | Refusal:
+    def commit(self, lease: m.Lease, changes: list[m.WorldChange], source: str) -> m.Committed | Refusal:
         """Writes under a lease; a job writes once even if sent twice. Raises ClusterError as `view` does."""
-        answer = self._ask(Commit(request=self._request(), lease=lease, changes=changes, source=source))
-        return answer.refusal if isinstance(answer, WorldRefused) else _expect(answer, Committed)
+        answer = self._ask(m.Commit(request=self._request(), lease=lease, changes=changes, source=source))
+        return answer.refusal if isinstance(answer, m.WorldRefused) else _expect(answer, m.Committed)
 
-    def doubt(self, lease: Lease, why: str) -> None:
+    def doubt(self, lease: m.Lease, why: str) -> None:
         """Makes facts that a motion changes suspect: those of the lease's locations, or all, if the lease is of the
         broker itself. Raises ClusterError as `view` does, and if the lease is refused."""
-        _expect(self._ask(Doubt(request=self._request(), lease=lease, why=why)), Committed)
+        _expect(self._ask(m.Doubt(request=self._request(), lease=lease, why=why)), m.Committed)
 
     def close(self) -> None:
         self._socket.close()
@@ -106,5 +94,5 @@ class WorldClient:
 def _expect(answer: Any, kind: Any) -> Any:
     if isinstance(answer, kind):
         return answer
-    got = answer.refusal.message if isinstance(answer, WorldRefused) else type(answer).__name__
+    got = answer.refusal.message if isinstance(answer, m.WorldRefused) else type(answer).__name__
     raise RtcError(f"the world database answered {got!r} instead of a {kind.__name__}")

@@ -11,26 +11,14 @@ from typing import Any
 
 import msgspec
 
+from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.messages import (
-    Commit,
-    Committed,
-    Doubt,
-    Fact,
-    Message,
-    ReadView,
-    Validity,
-    View,
-    WorldChange,
-    WorldHistory,
-    WorldRefused,
-)
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.world import lease as leases
 from rtc.world.model import MOVED, location, problem, selected
 from rtc.world.store import Store
 
-Answer = View | Committed | WorldRefused
+Answer = m.View | m.Committed | m.WorldRefused
 
 
 class Server:
@@ -42,47 +30,47 @@ class Server:
         self._fixed = fixed
         self._key = key
 
-    def answer(self, request: ReadView | Commit | WorldHistory | Doubt, at_s: float) -> Answer:
+    def answer(self, request: m.ReadView | m.Commit | m.WorldHistory | m.Doubt, at_s: float) -> Answer:
         match request:
-            case ReadView():
+            case m.ReadView():
                 return self._view(request)
-            case Commit():
+            case m.Commit():
                 return self._commit(request, at_s)
-            case WorldHistory():
+            case m.WorldHistory():
                 facts = self.store.history(request.key, request.limit)
-                return View(request=request.request, version=self.store.version, facts=facts)
-            case Doubt():
+                return m.View(request=request.request, version=self.store.version, facts=facts)
+            case m.Doubt():
                 return self._doubt(request, at_s)
 
-    def _view(self, request: ReadView) -> View:
+    def _view(self, request: m.ReadView) -> m.View:
         version = self.store.version
         if request.since == version:
-            return View(request=request.request, version=version, facts=[])
+            return m.View(request=request.request, version=version, facts=[])
         since = request.since if request.since < version else 0  # a later version than ours: from another database
-        return View(request=request.request, version=version, facts=selected(self.store.facts, request.keys, since))
+        return m.View(request=request.request, version=version, facts=selected(self.store.facts, request.keys, since))
 
-    def _commit(self, request: Commit, at_s: float) -> Committed | WorldRefused:
+    def _commit(self, request: m.Commit, at_s: float) -> m.Committed | m.WorldRefused:
         if refusal := self._refusal_of(request):
-            return WorldRefused(request=request.request, refusal=refusal)
+            return m.WorldRefused(request=request.request, refusal=refusal)
         job = request.lease.job
         before = self.store.committed(job)
         if before is not None:
-            return Committed(request=request.request, version=before)
+            return m.Committed(request=request.request, version=before)
         version = self.store.write(job, request.changes, request.source, at_s)
-        return Committed(request=request.request, version=version)
+        return m.Committed(request=request.request, version=version)
 
-    def _doubt(self, request: Doubt, at_s: float) -> Committed | WorldRefused:
+    def _doubt(self, request: m.Doubt, at_s: float) -> m.Committed | m.WorldRefused:
         lease = request.lease
         if not leases.check(self._key, lease):
             refusal = _not_allowed("the lease was not signed by this cluster's broker", lease.job)
-            return WorldRefused(request=request.request, refusal=refusal)
+            return m.WorldRefused(request=request.request, refusal=refusal)
         before = self.store.committed(lease.job)
         if before is None:
             of = None if lease.job.startswith(leases.DOUBT) else lease.locations
             before = make_suspect(self.store, lease.job, request.why, self._fixed(), at_s, of)
-        return Committed(request=request.request, version=before)
+        return m.Committed(request=request.request, version=before)
 
-    def _refusal_of(self, request: Commit) -> Refusal | None:
+    def _refusal_of(self, request: m.Commit) -> Refusal | None:
         lease = request.lease
         if not leases.check(self._key, lease):
             return _not_allowed("the lease was not signed by this cluster's broker", lease.job)
@@ -113,11 +101,11 @@ def make_suspect(
         and location(key) not in fixed
         and (locations is None or location(key) in locations)
     )
-    changes = [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in moved]
+    changes = [m.WorldChange(key=key, keep_value=True, validity=m.Validity.SUSPECT) for key in moved]
     return store.write(job, changes, source=why, at_s=at_s)
 
 
-class PackedView(Message, frozen=True, kw_only=True, tag="View"):
+class PackedView(m.Message, frozen=True, kw_only=True, tag="View"):
     """A View with encoded facts."""
 
     request: str
@@ -129,15 +117,15 @@ class Packer:
     """Encodes views. It encodes each fact only once, because reads are far more frequent than writes."""
 
     def __init__(self) -> None:
-        self._known: dict[str, tuple[Fact, msgspec.Raw]] = {}
+        self._known: dict[str, tuple[m.Fact, msgspec.Raw]] = {}
 
     def pack(self, answer: Answer) -> Any:
         """The answer, with encoded facts if it is a View. The encoding of the whole is the same."""
-        if not isinstance(answer, View):
+        if not isinstance(answer, m.View):
             return answer
         return PackedView(request=answer.request, version=answer.version, facts=[self._fact(f) for f in answer.facts])
 
-    def _fact(self, fact: Fact) -> msgspec.Raw:
+    def _fact(self, fact: m.Fact) -> msgspec.Raw:
         known = self._known.get(fact.key)
         if known is not None and known[0] is fact:
             return known[1]

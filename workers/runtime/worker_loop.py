@@ -21,29 +21,8 @@ from typing import Any, Protocol
 import msgspec
 
 from rtc.model.cells.cell import Cell
+from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.messages import (
-    Assessment,
-    BrokerToWorker,
-    CancelJobs,
-    Declined,
-    Heartbeat,
-    HelloWanted,
-    Job,
-    JobBatch,
-    JobCrashed,
-    JobDone,
-    JobRefused,
-    JobResult,
-    Lease,
-    ProgramBody,
-    ProgramWanted,
-    ResultBatch,
-    Shutdown,
-    WorkerAddress,
-    WorkerGone,
-    WorkerHello,
-)
 from rtc.protocol.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, Refused, WireError, refuse_if
 from rtc.runtime.link import Link
 from rtc.runtime.process import Every, Process, inbox, now_s, send, show_name
@@ -90,7 +69,7 @@ class WorkerLoop:
     def __init__(
         self,
         me: Process,
-        hello: WorkerHello,
+        hello: m.WorkerHello,
         function: WorkerFunction,
         link: Link,
         world: WorldClient,
@@ -101,10 +80,10 @@ class WorkerLoop:
     ) -> None:
         self._me, self._hello, self._function = me, hello, function
         self._link, self._socket = link, link.socket
-        self._read = wire.reader(BrokerToWorker)
+        self._read = wire.reader(m.BrokerToWorker)
         self._read_input = wire.decoder(function.INPUT)
-        self._queue: deque[tuple[Job, float]] = deque()  # job and arrival time (s)
-        self._results: list[JobResult] = []
+        self._queue: deque[tuple[m.Job, float]] = deque()  # job and arrival time (s)
+        self._results: list[m.JobResult] = []
         self._first_result_s = 0.0
         self._slow_s = 1.0  # slowly decaying maximum of recent job durations
         self._wanted = ""  # the digest being fetched; `_bodies` collects its bodies
@@ -163,7 +142,7 @@ class WorkerLoop:
         self._pulse.close()
         self._flush(late=True)
         if self._contact is not None and not self._why:
-            self._send(WorkerGone(name=self._hello.name, in_order=True))
+            self._send(m.WorkerGone(name=self._hello.name, in_order=True))
         self._link.close()
 
     # --- to and from the broker ------------------------------------------------------------------------
@@ -175,14 +154,14 @@ class WorkerLoop:
     def _send_heartbeat(self, now: float) -> None:
         """A remote worker requests an answer, and reports how long the latest one took."""
         if self._contact is None:
-            self._send(Heartbeat(name=self._hello.name))
+            self._send(m.Heartbeat(name=self._hello.name))
         else:
-            self._send(Heartbeat(name=self._hello.name, at_s=now, round_trip_s=self._round_trip_s))
+            self._send(m.Heartbeat(name=self._hello.name, at_s=now, round_trip_s=self._round_trip_s))
             self._round_trip_s = None
 
     def _beat(self, worked_s: float) -> None:
         """A heartbeat during a job that has used the processor for `worked_s`."""
-        self._send(Heartbeat(name=self._hello.name, own_s=worked_s))
+        self._send(m.Heartbeat(name=self._hello.name, own_s=worked_s))
         if self._contact is not None:
             self._contact.working(worked_s, now_s())
 
@@ -194,33 +173,33 @@ class WorkerLoop:
             except WireError as error:
                 self._me.log.warning("dropped a message of the broker: %s", error)
 
-    def _handle(self, message: BrokerToWorker) -> None:
+    def _handle(self, message: m.BrokerToWorker) -> None:
         match message:
-            case HelloWanted():
+            case m.HelloWanted():
                 if now_s() - self._hello_sent_s >= HELLO_AGAIN_S:  # otherwise the last hello crossed this request
                     self._begin_anew()
-            case JobBatch(jobs=jobs):
+            case m.JobBatch(jobs=jobs):
                 came_s = now_s()
                 self._queue.extend((job, came_s) for job in jobs)
                 self._answered()
-            case Heartbeat(at_s=at_s):
+            case m.Heartbeat(at_s=at_s):
                 self._answered()
                 if at_s > self._worked_s:  # during a job no answer is read
                     self._round_trip_s = now_s() - at_s
-            case WorkerAddress(name=name, node=node):
+            case m.WorkerAddress(name=name, node=node):
                 self._hello = msgspec.structs.replace(self._hello, name=name, node=node)
                 show_name(name)
-            case CancelJobs(jobs=unwanted):
+            case m.CancelJobs(jobs=unwanted):
                 self._drop(unwanted)
-            case ProgramBody(digest=digest, body=body):
+            case m.ProgramBody(digest=digest, body=body):
                 if digest == self._wanted:
                     self._bodies.append(body)
                 self._answered()
-            case Shutdown(why=why):
+            case m.Shutdown(why=why):
                 self._retire(why or "see logs/gate.log of the cluster")
-            case Declined(refusal=refusal) if self._contact is None:  # a restart would not help: it waits
+            case m.Declined(refusal=refusal) if self._contact is None:  # a restart would not help: it waits
                 self._me.log.error("the broker refuses this worker: %s", refusal.message)
-            case Declined(refusal=refusal):
+            case m.Declined(refusal=refusal):
                 self._retire(refusal.message)
 
     def _retire(self, why: str) -> None:
@@ -252,7 +231,7 @@ class WorkerLoop:
             job = entry[0]
             if job.id in unwanted:
                 refusal = Refusal(reason=RefusalReason.STATE, message="dropped: no longer wanted")
-                self._answer(JobRefused(id=job.id, attempt=job.attempt, refusal=refusal))
+                self._answer(m.JobRefused(id=job.id, attempt=job.attempt, refusal=refusal))
             else:
                 self._queue.append(entry)
 
@@ -261,34 +240,34 @@ class WorkerLoop:
         if not self._results:
             return
         if late or self._slow_s > QUICK_S or now_s() - self._first_result_s > FLUSH_S:
-            self._send(ResultBatch(name=self._hello.name, results=self._results))
+            self._send(m.ResultBatch(name=self._hello.name, results=self._results))
             self._results = []
 
     # --- one job ---------------------------------------------------------------------------------------
 
-    def _do(self, job: Job, came_s: float) -> None:
+    def _do(self, job: m.Job, came_s: float) -> None:
         started_s = time.perf_counter()
-        result: JobDone | JobRefused
+        result: m.JobDone | m.JobRefused
         try:
-            result = JobDone(id=job.id, attempt=job.attempt, product=self._work(job, came_s))
+            result = m.JobDone(id=job.id, attempt=job.attempt, product=self._work(job, came_s))
         except StopRequested:
             return
         except Refused as refused:
-            result = JobRefused(id=job.id, attempt=job.attempt, refusal=refused.refusal)
+            result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=refused.refusal)
         except ClusterError as error:  # the world database is unavailable; the broker decides on a retry
             lost = Refusal(reason=RefusalReason.TIMEOUT, message=str(error))
-            result = JobRefused(id=job.id, attempt=job.attempt, refusal=lost)
+            result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=lost)
         except Exception:
             self._me.log.exception("job %s attempt %d crashed", job.id, job.attempt)
             evidence = traceback.format_exc()[-EVIDENCE_CHARS:]
-            self._answer(JobCrashed(id=job.id, attempt=job.attempt, evidence=evidence))
+            self._answer(m.JobCrashed(id=job.id, attempt=job.attempt, evidence=evidence))
             return
         took_s = time.perf_counter() - started_s
         self._slow_s = max(took_s, 0.9 * self._slow_s)
         world = self._view.version if self._function.NEEDS_WORLD else 0
         self._answer(msgspec.structs.replace(result, took_s=took_s, world=world))
 
-    def _work(self, job: Job, came_s: float) -> msgspec.Raw:
+    def _work(self, job: m.Job, came_s: float) -> msgspec.Raw:
         """Run the function and commit the changes of its product; returns the encoded product. Raises Refused."""
         if job.doubt:
             if job.lease is not None:
@@ -303,14 +282,14 @@ class WorkerLoop:
             product = function.run(program, cell, world, data)
         if isinstance(product, Refusal):
             raise Refused(product)
-        if isinstance(product, Assessment) and product.changes:
+        if isinstance(product, m.Assessment) and product.changes:
             if job.lease is None:
                 message = f"it wants to write {product.changes[0].key}, but its script names nothing that is written"
                 raise Refused.because(RefusalReason.PROGRAM, message)
             refuse_if(self._view.commit(job.lease, product, source=job.id))
         return wire.raw(product)
 
-    def _input_of(self, job: Job) -> Any:
+    def _input_of(self, job: m.Job) -> Any:
         """Raises Refused for an input with a key that this version does not know: it may restrict a motion."""
         try:
             return self._read_input(job.input)
@@ -318,7 +297,7 @@ class WorkerLoop:
             message = f"{self._hello.name} cannot read this job, which is of another version: {error}"
             raise Refused.because(RefusalReason.STATE, message, clears="run one version on all machines") from None
 
-    def _answer(self, result: JobResult) -> None:
+    def _answer(self, result: m.JobResult) -> None:
         if not self._results:
             self._first_result_s = now_s()
         self._results.append(result)
@@ -343,7 +322,7 @@ class WorkerLoop:
             if self._me.stopping:
                 raise StopRequested
             if again.due(now_s()):
-                self._send(ProgramWanted(digest=digest))
+                self._send(m.ProgramWanted(digest=digest))
             self._me.wait(again.left_s(now_s()))
             self._listen()
         self._wanted = ""
@@ -397,12 +376,12 @@ class WorldView:
             self._read_at_s = read_at_s
         return self._world
 
-    def make_suspect(self, lease: Lease, why: str) -> None:
+    def make_suspect(self, lease: m.Lease, why: str) -> None:
         """Raises ClusterError if the database is unavailable."""
         self._read_at_s = -1.0
         self._client.doubt(lease, why)
 
-    def commit(self, lease: Lease, assessment: Assessment, source: str) -> Refusal | None:
+    def commit(self, lease: m.Lease, assessment: m.Assessment, source: str) -> Refusal | None:
         self._read_at_s = -1.0  # the next job of this batch must read this commit
         answer = self._client.commit(lease, assessment.changes, source)
         return answer if isinstance(answer, Refusal) else None
