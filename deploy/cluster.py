@@ -52,27 +52,11 @@ RANK, NICENESS = 1, -10
 
 def specs(settings: Settings, fd: int = -1) -> list[Spec]:
     """The processes of a cluster. `fd`: the handover file that each inherits (rtc.runtime.handover)."""
+    first: dict[str, Any] = {"is_fork_server": True, "order": fork_server.STANDBY, "fork_server": STANDBY}
+    standby = first | {"fork_server": TEMPLATE, "later": True, "awaits_fork_server": True}
     made = [
-        _spec(
-            TEMPLATE,
-            "workers",
-            settings,
-            "--template",
-            is_fork_server=True,
-            fork_server=STANDBY,
-            order=fork_server.STANDBY,
-        ),
-        _spec(
-            STANDBY,
-            "workers",
-            settings,
-            "--template",
-            is_fork_server=True,
-            fork_server=TEMPLATE,
-            order=fork_server.STANDBY,
-            later=True,
-            awaits_fork_server=True,
-        ),
+        _spec(TEMPLATE, "workers", settings, "--template", **first),
+        _spec(STANDBY, "workers", settings, "--template", **standby),
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *chain.from_iterable(_subsystem(one, settings) for one in settings.subsystems if one.module),

@@ -14,6 +14,8 @@ import string
 import subprocess
 from pathlib import Path
 
+import msgspec
+
 from deploy.child import begin, open_log
 from rtc.protocol.messages import RequestWorkers, WorkerKind, WorkerRequest
 from rtc.protocol.outcomes import ClusterError
@@ -150,16 +152,9 @@ class MoreCommand:
 
     def _finish(self, failed: str) -> str:
         assert self._run is not None
-        run, line = self._run, self._last_line()
-        self._asked[run.kind] = WorkerRequest(
-            kind=run.kind,
-            count=run.count,
-            registered_before=run.registered_before,
-            at_s=run.at_s,
-            failed=failed,
-            output=line,
-        )
-        self._run = None
+        line = self._last_line()
+        ended = msgspec.structs.replace(self._run, running=False, failed=failed, output=line)
+        self._asked[ended.kind], self._run = ended, None
         return f"the command for more workers {failed}{f': {line}' if line else ''}" if failed else ""
 
     def _last_line(self) -> str:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rtc.sensing.optics import CORNERS, View
-from rtc.spatial.geometry import Array, from_matrix
+from rtc.spatial.geometry import Array, from_matrix, rotation_vector
 
 STEPS = 25  # of the search, maximum
 SMALL = 1e-6  # m and rad: a step below this ends the search
@@ -313,12 +313,7 @@ def _covariance(sightings: Sequence[TagObservation], solution: Solution) -> Arra
 
 def _difference(a: Array, b: Array) -> Array:
     """Position (m) and rotation vector (rad) from a to b, world axes."""
-    turn = b[:3, :3] @ a[:3, :3].T
-    twice_sine = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    sine, cosine = 0.5 * float(np.linalg.norm(twice_sine)), 0.5 * (float(np.trace(turn)) - 1.0)
-    angle = float(np.arctan2(sine, cosine))
-    vector = twice_sine * (0.5 if sine < 1e-9 else 0.5 * angle / sine)
-    return np.concatenate([b[:3, 3] - a[:3, 3], vector])
+    return np.concatenate([b[:3, 3] - a[:3, 3], rotation_vector(from_matrix(a), from_matrix(b))])
 
 
 def _apart(a: Array, b: Array) -> bool:

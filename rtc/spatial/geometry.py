@@ -77,14 +77,9 @@ def translate(pose: Floats, by: Floats) -> Array:
     return np.array((x + dx, y + dy, z + dz, *q))
 
 
-def interpolate(a: Floats, b: Floats, s: float) -> Array:
-    """The pose at the fraction `s` (0..1) of the straight line from `a` to `b`; attitude by the shorter slerp."""
-    pose: Array = interpolate_all(a, b, np.array([s]))[0]
-    return pose
-
-
 def interpolate_all(a: Floats, b: Floats, fractions: Array) -> Array:
-    """`interpolate` at each of `fractions`, [fractions][7]."""
+    """The poses at `fractions` (0..1) of the straight line from `a` to `b`, [fractions][7]; attitude by the shorter
+    slerp."""
     pa, pb = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     cosine = float(pa[3:] @ pb[3:])
     qb = -pb[3:] if cosine < 0 else pb[3:]  # q and -q are the same attitude; take the nearer one

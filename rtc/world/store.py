@@ -42,15 +42,8 @@ class Store:
         self._db.execute("PRAGMA journal_mode=WAL")
         self._db.execute("PRAGMA synchronous=NORMAL")  # safe against a killed process, not against power loss
         self._db.executescript(SCHEMA)
-        for name in ("facts", "history"):
-            self._add_missing_column(name, "spread")
         self.facts: dict[str, Fact] = {row[0]: _fact(row) for row in self._db.execute(f"SELECT {COLUMNS} FROM facts")}
         (self.version,) = self._db.execute("SELECT coalesce(max(version), 0) FROM commits").fetchone()
-
-    def _add_missing_column(self, name: str, column: str) -> None:
-        """Upgrades a database of an earlier release."""
-        if column not in {row[1] for row in self._db.execute(f"PRAGMA table_info({name})")}:
-            self._db.execute(f"ALTER TABLE {name} ADD COLUMN {column} TEXT")
 
     def committed(self, job: str) -> int | None:
         """The version that this job wrote; None if it wrote none."""

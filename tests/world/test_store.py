@@ -84,22 +84,3 @@ def test_the_spread_of_a_pose_is_found_again_with_its_history(path):
     again = Store(path)
     assert again.facts["A.frame"].spread == [0.001] * 6
     assert [fact.spread for fact in again.history("A.frame", 9)] == [[0.001] * 6, [0.035] * 6]
-
-
-def test_a_database_of_the_layout_without_spread_is_gone_on_with(path):
-    old = sqlite3.connect(path)
-    old.executescript(
-        "CREATE TABLE facts (key TEXT PRIMARY KEY, value TEXT, validity TEXT, version INTEGER, source TEXT, at_s REAL);"
-        "CREATE TABLE history (key TEXT, value TEXT, validity TEXT, version INTEGER, source TEXT, at_s REAL,"
-        " PRIMARY KEY (key, version)) WITHOUT ROWID;"
-        "CREATE TABLE commits (job TEXT PRIMARY KEY, version INTEGER) WITHOUT ROWID;"
-        "INSERT INTO facts VALUES ('A.seat', '\"BAY-1\"', 'valid', 1, 'cell', 0.0);"
-        "INSERT INTO commits VALUES ('cell', 1);"
-    )
-    old.close()
-    store = Store(path)
-    store.write("j", [change("A.frame", [0, 0, 0, 0, 0, 0, 1], spread=[0.5] * 6)], "j", 0.0)
-    store.save()
-    again = Store(path)
-    assert (again.facts["A.seat"].value, again.facts["A.seat"].spread) == ("BAY-1", None)
-    assert again.facts["A.frame"].spread == [0.5] * 6

@@ -44,9 +44,9 @@ def test_relative_undoes_compose_and_points_follow(a, b):
 
 @pytest.mark.parametrize(("a", "b"), PAIRS[:20])
 def test_interpolation_runs_evenly_from_end_to_end(a, b):
-    assert np.allclose(g.interpolate(a, b, 0.0), a)
-    assert g.angle(g.interpolate(a, b, 1.0), b) < 1e-7
-    third = g.interpolate(a, b, 1 / 3)
+    first, third, last = g.interpolate_all(a, b, np.array([0.0, 1 / 3, 1.0]))
+    assert np.allclose(first, a)
+    assert g.angle(last, b) < 1e-7
     assert g.angle(a, third) == pytest.approx(g.angle(a, b) / 3, abs=1e-9)
     assert g.distance(a, third) == pytest.approx(g.distance(a, b) / 3)
     assert np.linalg.norm(g.rotation_vector(a, b)) == pytest.approx(g.angle(a, b))

@@ -104,7 +104,7 @@ def test_a_line_is_followed_without_leaps(arm):
     start = arm.middle + np.linspace(0.3, 0.5, len(arm.joints)) * np.where(arm.slides, 0.2, 1.0)
     begin = arm.fk(start)
     end = geometry.translate(begin, (-0.05, 0.10, 0.05))
-    rows = arm.ik_along([geometry.interpolate(begin, end, s) for s in np.linspace(0.1, 1.0, 10)], start)
+    rows = arm.ik_along([*geometry.interpolate_all(begin, end, np.linspace(0.1, 1.0, 10))], start)
     assert len(rows) == 10
     assert geometry.distance(arm.fk(rows[-1]), end) < 1e-8
     assert np.abs(np.diff(np.vstack((start, rows)), axis=0)).max() < 0.25

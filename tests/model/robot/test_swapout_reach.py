@@ -36,9 +36,9 @@ def along(arm, start, poses, world, home, scene=None):
     joints = []
     for a, b in itertools.pairwise([start, *poses]):
         steps = max(2, math.ceil(geometry.distance(a, b) / 0.01))
-        for s in np.linspace(0, 1, steps):
+        for pose in geometry.interpolate_all(a, b, np.linspace(0, 1, steps)):
             near = joints[-1] if joints else home[arm.name]
-            q = arm.nearest_ik(geometry.interpolate(a, b, s), near)
+            q = arm.nearest_ik(pose, near)
             assert q is not None
             assert not joints or np.abs(q - joints[-1]).max() < 0.3
             joints.append(q)
