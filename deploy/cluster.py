@@ -135,14 +135,19 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
     run_dir = prepare_run_dir(settings.path)
     with _lock(run_dir) as lock, claim_path(run_dir):
         logs = run_dir / LOGS
-        report = _ProcessTableFile(run_dir, settings.run)
+        empty = process_table.Table(pid=os.getpid(), cluster=settings.run, started_at=time.time())
+
+        def save(rows: Sequence[Mapping[str, object]]) -> None:
+            processes = msgspec.convert(rows, list[process_table.ProcessRow])
+            msgspec.structs.replace(empty, processes=processes).save(run_dir)
+
         try:
             _clean(run_dir)
             settings.save()
             key = secrets.token_bytes(lease.KEY_BYTES)
             write_key(run_dir, key)
             logs.mkdir(mode=0o700)
-            report.save([])
+            save([])
         except OSError as error:  # a full disk, most often
             raise ClusterError(f"no cluster can be started in {run_dir}: {error}") from error
         given = handover.Handover.make(settings, key, secrets.token_hex(8))
@@ -158,17 +163,17 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
             hooks = Hooks(
                 new_worker=lambda address: new_worker(settings, address, given.fd),
                 show=show,
-                save=report.save,
+                save=save,
                 look=directory.look,
                 halt=lambda: _halt_arms(settings),
                 more=MoreCommand(settings.more, logs / "more.log") if settings.more else None,
             )
             endpoint, identity = settings.endpoint("supervisor"), given.identity("supervisor")
             supervisor = Supervisor(me, specs(settings, given.fd), logs, endpoint, hooks, identity=identity)
-            files[process_table.FILE] = lambda: report.save(supervisor.table())
+            files[process_table.FILE] = lambda: save(supervisor.table())
             try:
                 _start(supervisor, settings)
-                show(f"ready in {process.now_s() - begun_s:.2f} s: cluster {report.cluster} in {run_dir}")
+                show(f"ready in {process.now_s() - begun_s:.2f} s: cluster {settings.run} in {run_dir}")
                 if detach_output:
                     _let_go(logs / "supervisor.log")
                 process.freeze_heap()
@@ -254,24 +259,6 @@ def _be_detached(settings: Settings, show: Callable[[str], None], output: int) -
         traceback.print_exc()
     finally:
         process.leave(status)
-
-
-class _ProcessTableFile:
-    """Writes the process table of this run into its run directory."""
-
-    def __init__(self, run_dir: Path, cluster: str) -> None:
-        self._run_dir = run_dir
-        self.cluster = cluster
-        self._started_at = time.time()
-
-    def save(self, rows: Sequence[Mapping[str, object]]) -> None:
-        table = process_table.Table(
-            pid=os.getpid(),
-            cluster=self.cluster,
-            started_at=self._started_at,
-            processes=msgspec.convert(rows, list[process_table.ProcessRow]),
-        )
-        table.save(self._run_dir)
 
 
 def _let_go(log: Path) -> None:

@@ -93,6 +93,11 @@ class ObjectRow(msgspec.Struct, frozen=True, kw_only=True):
     off_m: float | None = None
     turned_rad: float | None = None
 
+    @property
+    def doubt(self) -> str:
+        """The validity of its pose in brackets; empty for a valid one."""
+        return "" if self.validity is m.Validity.VALID else f" ({self.validity.value})"
+
 
 class ArmRow(msgspec.Struct, frozen=True, kw_only=True):
     name: str
@@ -107,6 +112,14 @@ class Believed(msgspec.Struct, frozen=True, kw_only=True):
     scene: SceneView
     arms: list[ArmRow]
     objects: list[ObjectRow]
+
+    @property
+    def panel(self) -> Panel:
+        """It with what each arm holds, and which objects are in doubt."""
+        labels = {arm.name: arm.name + (f" holds {arm.holding}" if arm.holding else "") for arm in self.arms}
+        labels |= {row.name: row.name + row.doubt for row in self.objects}
+        doubtful = [row.name for row in self.objects if row.doubt]
+        return Panel(title="believed", scene=self.scene, labels=labels, doubtful=doubtful)
 
 
 def believed(

@@ -17,7 +17,6 @@ from rtc.protocol.outcomes import Reflex, StopReason
 Expression = str | float  # see rtc.programs.expressions
 Case = Annotated[int, Meta(ge=1, le=4)]
 Share = Annotated[float, Meta(ge=0, le=1)]
-Positive = Annotated[float, Meta(gt=0)]
 Then = Literal["retry_step", "restart_script", "skip", "replace_rest", "give_up"]
 
 

@@ -104,8 +104,8 @@ class _Eye:
             return None
         try:
             return self._rtc.truth()
-        except (TimedOut, KeyTrouble):  # real arms, an MCM that restarts, or access by a key
-            self._bench = isinstance(cli_error, TimedOut)
+        except (TimedOut, KeyTrouble) as error:  # real arms, an MCM that restarts, or access by a key
+            self._bench = isinstance(error, TimedOut)
             errors.print("rtc: the true state is not known; the picture shows the believed one")
             return None
 
@@ -139,10 +139,7 @@ def picture(
     cell: str, scene: Believed, truth: m.SimTruthReply | None, out: Path, camera: str, *, smooth: bool = True
 ) -> Picture:
     """The request to the renderer: the believed scene and, if known, the true one beside it."""
-    labels = {arm.name: arm.name + (f" holds {arm.holding}" if arm.holding else "") for arm in scene.arms}
-    labels |= {row.name: row.name + _doubt(row) for row in scene.objects}
-    doubtful = [row.name for row in scene.objects if _doubt(row)]
-    panels = [Panel(title="believed", scene=scene.scene, labels=labels, doubtful=doubtful)]
+    panels = [scene.panel]
     if truth is not None:
         labels = {
             arm.name: arm.name + (f" holds {', '.join(held)}" if (held := arm.truly_holding or []) else "")
@@ -177,7 +174,7 @@ def in_words(scene: Believed) -> list[str]:
             parts.append(f"truly holds {', '.join(arm.truly_holding) or 'nothing'}")
         phrases += [f"{arm.name} {', '.join(parts)}"] if parts else []
     for row in scene.objects:
-        words = [_doubt(row).strip()] if _doubt(row) else []
+        words = [row.doubt.strip()] if row.doubt else []
         words += [_off(row)] if (row.off_m or 0.0) > REPORTED_M or differs(row) else []
         phrases += [f"{row.name} {', '.join(words)}"] if words else []
     return phrases or ["nothing moves" + ("; every object is at its believed place" if _known(scene) else "")]
@@ -185,10 +182,6 @@ def in_words(scene: Believed) -> list[str]:
 
 def _known(scene: Believed) -> bool:
     return any(row.off_m is not None for row in scene.objects)
-
-
-def _doubt(row: ObjectRow) -> str:
-    return "" if row.validity is m.Validity.VALID else f" ({row.validity.value})"
 
 
 def _off(row: ObjectRow) -> str:

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from rtc.apps.observers.feed import Received
 from rtc.drawing.renderer import Renderer
-from rtc.drawing.scene import Believed, Panel, Picture, believed
+from rtc.drawing.scene import Believed, Picture, believed
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
@@ -98,14 +98,8 @@ class Pictures:
 
 def picture(cell: str, scene: Believed, out: Path) -> Picture:
     """The request to the renderer: the believed scene with the names of arms and objects."""
-    labels = {arm.name: arm.name + (f" holds {arm.holding}" if arm.holding else "") for arm in scene.arms}
-    doubtful = [row.name for row in scene.objects if row.validity is not m.Validity.VALID]
-    labels |= {
-        row.name: row.name + (f" ({row.validity.value})" if row.name in doubtful else "") for row in scene.objects
-    }
-    panel = Panel(title="believed", scene=scene.scene, labels=labels, doubtful=doubtful)
     caption = time.strftime("%Y-%m-%d %H:%M:%S")
-    return Picture(out=str(out), cell=cell, panels=[panel], caption=[caption], smooth=False)
+    return Picture(out=str(out), cell=cell, panels=[scene.panel], caption=[caption], smooth=False)
 
 
 def _rounded(scene: Believed) -> object:
