@@ -21,6 +21,7 @@ from broker.decisions.context import START, DecisionContext
 from broker.decisions.effects import AcknowledgeReport, Effect, TellClient
 from broker.decisions.events import (
     ArmStrayed,
+    BreakpointsChanged,
     BrokerRestarted,
     ClientGone,
     CommandReceived,
@@ -36,6 +37,7 @@ from broker.decisions.events import (
     PrimitivePaced,
     PrimitiveStarted,
     ProgramInstalled,
+    StepRequested,
     Stimulus,
     SubsystemConnected,
     SubsystemGone,
@@ -167,6 +169,14 @@ def on_client_gone(context: DecisionContext, event: ClientGone) -> None:
     for command in context.state.commands.values():
         if command.client == event.client and command.halt_if_lost:
             context.enqueue_stimulus(command.id, Stimulus.STOP, gone)
+
+
+def on_breakpoints(context: DecisionContext, event: BreakpointsChanged) -> None:
+    context.state.breakpoints = event.breakpoints
+
+
+def on_step_requested(context: DecisionContext, event: StepRequested) -> None:
+    context.enqueue_stimulus(event.command, Stimulus.STEP)
 
 
 # --- workers -----------------------------------------------------------------------------------------
@@ -336,6 +346,8 @@ HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
     ClientGone: on_client_gone,
     TimerFired: on_timer,
     ProgramInstalled: program_rollout.on_installed,
+    BreakpointsChanged: on_breakpoints,
+    StepRequested: on_step_requested,
     ListenersChanged: on_listeners,
     BrokerRestarted: on_restart,
     JournalLost: journal_loss.on_journal_lost,

@@ -10,6 +10,7 @@ from enum import StrEnum
 import msgspec
 
 from rtc.protocol.messages import (
+    Breakpoint,
     CommandText,
     EndReport,
     HaltAtRest,
@@ -36,6 +37,7 @@ class Stimulus(StrEnum):
     STOP = "stop"  # a HALT or ABORT reaches it
     PAUSE = "pause"
     RESUME = "resume"
+    STEP = "step"  # one step, then a pause again
     REST = "rest"  # its subsystem confirms rest for the halt of its primitive
     HALT_SETTLED = "halt_settled"  # a HALT sentence only: rest is confirmed, or it is not
     TIMEOUT = "timeout"  # its timer: the end report, the confirmation of rest or the analysis is late
@@ -143,6 +145,14 @@ class ProgramInstalled(Event, frozen=True, kw_only=True, gc=False):
     file: str = ""  # name of the loaded file; empty: a default program
 
 
+class BreakpointsChanged(Event, frozen=True, kw_only=True, gc=False):
+    breakpoints: list[Breakpoint]  # all of them
+
+
+class StepRequested(Event, frozen=True, kw_only=True, gc=False):
+    command: str
+
+
 class ListenersChanged(Event, frozen=True, kw_only=True, gc=False):
     """The event stream gained its first subscriber or lost its last: notes are published only for subscribers.
 
@@ -182,6 +192,8 @@ AnyEvent = (
     | ClientGone
     | TimerFired
     | ProgramInstalled
+    | BreakpointsChanged
+    | StepRequested
     | ListenersChanged
     | BrokerRestarted
     | JournalLost

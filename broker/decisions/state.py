@@ -12,7 +12,7 @@ import msgspec
 
 from broker.decisions.action_stack import ActionStack
 from broker.decisions.resources import Resources
-from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
+from rtc.protocol.messages import Breakpoint, Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Measured, OutcomeKind, Refusal, StopReason
 from rtc.protocol.primitive import Box
 from rtc.protocol.sentence import Condition
@@ -240,6 +240,8 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """Nothing moves for it: before the first primitive, or after a report or confirmed rest."""
     pause_wanted: bool = False
     """A pause takes effect before the next step."""
+    single_step: bool = False
+    """Pause after each step, until RESUME."""
     paused_primitive: str = ""
     """The primitive that stands on its path; empty once it goes on."""
     paused_done: float = 0.0
@@ -383,6 +385,8 @@ class State(msgspec.Struct, kw_only=True):
     """Highest command number so far."""
     last_given: dict[str, str] = {}
     """Client -> its latest command; the most recent client is last."""
+    breakpoints: list[Breakpoint] = []
+    """Commands pause before these steps."""
     life: str = ""
     """Id of this journal, part of every primitive id (`rtc.protocol.primitive_id`)."""
     lost: str = ""

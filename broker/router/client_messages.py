@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from broker.decisions.decide import MAX_TEXT
-from broker.decisions.events import CommandReceived
+from broker.decisions.events import BreakpointsChanged, CommandReceived, StepRequested
 from broker.decisions.state import request_key
 from broker.router.core import Core, name_of
 from broker.router.egress import Egress
@@ -25,7 +25,7 @@ from rtc.runtime.allowance import Allowance
 QUERIES_PER_S = 100  # of one client: replies are large, and are buffered while the client does not read
 CELL = "cell"  # its place among the programs
 LOAD_QUERIES = 20  # a program to load counts as so many queries
-QUERIES = frozenset([m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText])
+QUERIES = frozenset([m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText, m.SetBreakpoints, m.StepCommand])
 MEANT_FOR_ONE = frozenset([m.CommandText, m.ProgramText])  # they name the cluster that they are meant for
 
 read_ended = wire.decoder(m.CommandEnded)
@@ -109,6 +109,20 @@ class ClientMessages:
         if (too_many := self._core.loads.add(peer, message)) is not None:
             self._egress.decline(peer, message.request, too_many)
 
+    def _set_breakpoints(self, peer: bytes, message: m.SetBreakpoints, now: float) -> None:
+        self._core.enqueue(BreakpointsChanged(at_s=now, breakpoints=message.breakpoints))
+        self._egress.answer(peer, m.Debugged(request=message.request, breakpoints=message.breakpoints))
+
+    def _step(self, peer: bytes, message: m.StepCommand, now: float) -> None:
+        live = self._core.state.commands.get(message.command)
+        if live is None or live.phase is not m.Phase.PAUSED:
+            words = f"{message.command} is {live.shown_phase.value if live else 'not in progress'}"
+            clears = "rtc break GRASP:5 pauses each GRASP before its fifth step"
+            self._decline(peer, message, RefusalReason.STATE, f"{words}, not paused between two steps", clears)
+            return
+        self._core.enqueue(StepRequested(at_s=now, command=message.command))
+        self._egress.answer(peer, m.Debugged(request=message.request, breakpoints=self._core.state.breakpoints))
+
     def _end_cluster(self, peer: bytes, message: m.Shutdown, now: float) -> None:
         self._core.me.log.info("a client orders the end of the cluster")
         self._egress.send_supervisor(m.Shutdown(request=message.request))
@@ -152,5 +166,7 @@ HANDLERS: dict[type, Callable[[ClientMessages, bytes, Any, float], None]] = {
     m.TraceQuery: ClientMessages._send_trace,
     m.ProgramQuery: ClientMessages._send_program,
     m.ProgramText: ClientMessages._load_program,
+    m.SetBreakpoints: ClientMessages._set_breakpoints,
+    m.StepCommand: ClientMessages._step,
     m.Shutdown: ClientMessages._end_cluster,
 }

@@ -46,6 +46,7 @@ def status(core: Core, now: float) -> dict[str, Any]:
         "motions": [_motion(arm, motion, now) for arm, motion in state.motions.items()],
         "commands_accepted": state.accepted,
         "subsystems": _subsystems(core),
+        "breakpoints": [str(one) for one in state.breakpoints],
         "halts": {"called": state.counts.get("halts", 0)},
         "counters": {
             **state.counts,

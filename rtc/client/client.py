@@ -289,6 +289,15 @@ class Client:
         )
         return self._query(message, m.ProgramLoaded, LOADED_S)
 
+    def set_breakpoints(self, breakpoints: list[m.Breakpoint]) -> list[m.Breakpoint]:
+        """Replace all breakpoints; returns those in force. A command pauses before such a step."""
+        query = m.SetBreakpoints(request=self._next_request(), breakpoints=breakpoints)
+        return self._query(query, m.Debugged).breakpoints
+
+    def step(self, command: str) -> None:
+        """Let a command that is paused between two steps perform one. Raises RequestDeclined if it is not paused."""
+        self._query(m.StepCommand(request=self._next_request(), command=command.upper()), m.Debugged)
+
     def program(self, kind: str) -> m.ProgramReply:
         """The current program of a kind of worker."""
         query = m.ProgramQuery(request=self._next_request(), kind=m.WorkerKind(kind.lower()))

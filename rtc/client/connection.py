@@ -34,7 +34,7 @@ LOOK_S = 0.2  # period of checking that the supervisor lives
 FAR_IDLE_S = 60.0  # after this pause the hello is repeated, because a gateway forgets idle clients
 LAST_WORDS_MS = 200  # time limit for sending the rest at close
 SILENCE_S = 2.0  # without a message for this long, the broker is probed
-LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded, m.ProgramReply)
+LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded, m.ProgramReply, m.Debugged)
 ACTS = (m.CommandText, m.ProgramText)  # only for the cluster that they were submitted to
 
 _read = reader_of_many(m.BrokerToClient)

@@ -63,7 +63,7 @@ class Requests:
                 self.answers[request] = message
             case m.Declined(request=request, refusal=refusal):
                 self._keep_outcome(request, _as_refused(request, refusal))
-            case m.StatusReply() | m.TraceReply() | m.ProgramLoaded() | m.ProgramReply():
+            case m.StatusReply() | m.TraceReply() | m.ProgramLoaded() | m.ProgramReply() | m.Debugged():
                 if message.request in self.queries:
                     self.answers[message.request] = message
 

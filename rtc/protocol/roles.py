@@ -27,7 +27,7 @@ class Role(StrEnum):
 Kinds = tuple[type[m.Message], ...]
 OBSERVER_MAY: Kinds = (m.ClientHello, m.StatusQuery, m.TraceQuery, m.ProgramQuery)
 PLANNER_MAY: Kinds = (*OBSERVER_MAY, m.CommandText, m.Heartbeat)
-OPERATOR_MAY: Kinds = (*PLANNER_MAY, m.ProgramText, m.Shutdown)
+OPERATOR_MAY: Kinds = (*PLANNER_MAY, m.ProgramText, m.SetBreakpoints, m.StepCommand, m.Shutdown)
 READ: Kinds = (m.ReadView, m.WorldHistory)
 JOIN: Kinds = (m.WorkerHello, m.Heartbeat, m.ResultBatch, m.ProgramWanted, m.WorkerGone)
 PERFORM: Kinds = (

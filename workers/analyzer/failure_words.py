@@ -19,13 +19,19 @@ UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE
 
 def what_happened(task: AnalyzeTask, reason: StopReason, failure: OutcomeClass, asked: ReflexItem | None) -> str:
     """The failure in words. `asked`: the reflex of the command that has ended the step."""
-    words = [_stopped_as_requested(asked, task) if asked else fill_in(failure.message, task, reason)]
+    words = [_stopped_as_requested(asked, task) if asked else fill_in(_message(failure, task), task, reason)]
     words.append(reflexes.describe_action(task.report))
     if reason is StopReason.OUT_OF_RANGE and seen_as_believed(task):
         words.append("it is where it is believed to be")
     if reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
         words.append(task.evaluation.remark)
     return "; ".join(filter(None, words))
+
+
+def _message(failure: OutcomeClass, task: AnalyzeTask) -> str:
+    """The program's message, or that of the report if the program's is about a value that was not measured."""
+    unmeasured = "{measured}" in failure.message and task.report.measured is None
+    return "{message}" if unmeasured and task.report.message else failure.message
 
 
 def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:

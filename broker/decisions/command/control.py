@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from broker.decisions.command.nominal import next_step
+from broker.decisions.command.nominal import take_step
 from broker.decisions.command.pacing import can_pause
 from broker.decisions.command.scope import has_ended, in_scope, no_target, scope_of, subsystem_of
 from broker.decisions.command.termination import end, refuse
@@ -120,7 +120,7 @@ def _instead(context: DecisionContext, scope: str, targets: list[str]) -> str:
 def _will_resume(context: DecisionContext, command: Command) -> Answer:
     if command.phase in (Phase.HALTING, Phase.CLOSING):
         return False, "is ending"
-    going = command.phase is not Phase.PAUSED and not command.pause_wanted
+    going = command.phase is not Phase.PAUSED and not command.pause_wanted and not command.single_step
     return (False, "was not paused") if going else (True, "goes on")
 
 
@@ -134,10 +134,17 @@ def request_pause(context: DecisionContext, command: Command, _: Any) -> None:
 
 
 def withdraw_pause(context: DecisionContext, command: Command, _: Any) -> None:
-    command.pause_wanted = False
+    command.pause_wanted = command.single_step = False
 
 
 def resume(context: DecisionContext, command: Command, _: Any) -> None:
-    command.pause_wanted = False
+    """Go on with the next step, whatever breakpoint is before it."""
+    command.pause_wanted = command.single_step = False
     context.note(command, "resumed")
-    next_step(context, command)
+    take_step(context, command)
+
+
+def step(context: DecisionContext, command: Command, _: Any) -> None:
+    """Perform the next step, and pause again."""
+    command.pause_wanted, command.single_step = False, True
+    take_step(context, command)

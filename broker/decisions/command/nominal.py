@@ -8,6 +8,7 @@ from __future__ import annotations
 import msgspec
 
 from broker.decisions import action_stack
+from broker.decisions.action_stack import NOMINAL
 from broker.decisions.command.claims import claim_or_wait
 from broker.decisions.command.closing import close, read_assessment
 from broker.decisions.command.limits import await_report
@@ -29,7 +30,7 @@ from broker.decisions.state import (
     queues_of,
 )
 from rtc.protocol import wire
-from rtc.protocol.messages import EndReport, Phase, WorkerKind
+from rtc.protocol.messages import Breakpoint, EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.protocol.primitive_id import belongs_to, command_of, primitive_id
@@ -67,12 +68,30 @@ def next_step(context: DecisionContext, command: Command, remark: str = "") -> N
         end_given_up(context, command)
     elif not actions.refs:
         end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, remark))
-    elif command.pause_wanted:
+    elif command.pause_wanted or command.single_step:
         context.enter(command, Phase.PAUSED, "paused between two steps")
+    elif (breakpoint := _breakpoint(command)) in context.state.breakpoints:
+        context.enter(
+            command, Phase.PAUSED, f"breakpoint {breakpoint}; `rtc step {command.id}`, or RESUME {command.id}"
+        )
     else:
-        actions.pop()
-        command.step_words = step_in_words(actions)
-        bind_step(context, command)
+        take_step(context, command)
+
+
+def _breakpoint(command: Command) -> Breakpoint:
+    """The place before the next step; step 0, where no breakpoint is, before one of a trim."""
+    assert command.actions is not None
+    assert command.head is not None
+    trim, index = command.actions.refs[-1]
+    return Breakpoint(command.head.verb, index + 1 if trim == NOMINAL else 0)
+
+
+def take_step(context: DecisionContext, command: Command) -> None:
+    """Bind the step on the top of the Action_Stack, which is not empty."""
+    assert command.actions is not None
+    command.actions.pop()
+    command.step_words = step_in_words(command.actions)
+    bind_step(context, command)
 
 
 def bind_step(context: DecisionContext, command: Command, note: str = "") -> None:

@@ -45,7 +45,7 @@ def resume_motion(context: DecisionContext, command: Command, _: Any) -> None:
     """Let it go on. The time limit of the end report begins anew, because the subsystem's own does not count pauses."""
     if command.pause_wanted and can_pause(context, command):
         await_report(context, command)
-    command.pause_wanted = False
+    command.pause_wanted = command.single_step = False
     send_pace(context, command)
 
 

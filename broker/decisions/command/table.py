@@ -95,7 +95,8 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
     },
     P.PAUSED: {
         S.STOP: cell(termination.stop, P.ENDED),
-        S.RESUME: cell(control.resume, P.BINDING, P.ENDED),
+        S.RESUME: cell(control.resume, P.BINDING),
+        S.STEP: cell(control.step, P.BINDING),
         S.SUBSYSTEM_LOST: cell(stopping.stop_lost, P.ENDED),
     },
     P.HALTING: {
@@ -120,6 +121,7 @@ _IGNORED: list[Ignored[Phase, Stimulus]] = [
     Ignored((P.HELD, P.WAITING, P.EXECUTING, P.PAUSED, P.HALTING), _ANSWERS, "no job is pending; the answer is late"),
     Ignored([p for p in P if p not in (P.HELD, P.ENDED)], [S.GRANT], "it waits for no resource"),
     Ignored([p for p in P if p not in (P.WAITING, P.ENDED)], [S.SPACE], "it waits for no arm"),
+    Ignored([p for p in P if p not in (P.PAUSED, P.ENDED)], [S.STEP], "it is not paused between two steps"),
     Ignored([p for p in P if p not in (P.PARSING, P.HELD, P.ENDED)], [S.RELEASE], "it waits for no other command"),
     Ignored([p for p in P if p not in (P.EXECUTING, P.HALTING, P.ENDED)], [S.REPORT], "no primitive is executing"),
     Ignored([p for p in P if p not in (P.HALTING, P.ENDED)], [S.REST], "no halt of it is open"),

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
+from keyword import iskeyword
 from typing import Annotated, Any
 
 import typer
@@ -38,6 +39,8 @@ COMMANDS = {
     "trace": "trace",
     "why": "trace",
     "replay": "replay",
+    "break": "debug",
+    "step": "debug",
     "cell": "cell",
     "names": "names",
     "teach": "teach",
@@ -76,7 +79,8 @@ def build(names: list[str]) -> typer.Typer:
             module.app.callback()(raise_at_interrupts)
             app.add_typer(module.app, name=name)
         else:
-            app.command(name)(_interruptible(getattr(module, name)))
+            function = getattr(module, f"{name}_" if iskeyword(name) else name)
+            app.command(name)(_interruptible(function))
     return app
 
 

@@ -56,6 +56,30 @@ class ProgramQuery(Message, frozen=True, kw_only=True):
     kind: WorkerKind | None = None  # None: the document of the cell
 
 
+class Breakpoint(msgspec.Struct, frozen=True):
+    """Before this step of the script of each command of a verb: GRASP:5."""
+
+    verb: Name
+    step: Annotated[int, msgspec.Meta(ge=1)]
+
+    def __str__(self) -> str:
+        return f"{self.verb}:{self.step}"
+
+
+class SetBreakpoints(Message, frozen=True, kw_only=True):
+    """Replace all breakpoints: each command pauses before these steps. The answer is Debugged."""
+
+    request: Name
+    breakpoints: Annotated[list[Breakpoint], msgspec.Meta(max_length=100)]
+
+
+class StepCommand(Message, frozen=True, kw_only=True):
+    """Let a command that is paused between two steps perform one of them. The answer is Debugged."""
+
+    request: Name
+    command: Name  # C-n
+
+
 class ClientHello(Hello, frozen=True, kw_only=True):
     """First message of a client; its name `client` survives reconnects. The answer is Welcome."""
 
@@ -187,6 +211,13 @@ class TraceReply(Message, frozen=True, kw_only=True):
     record: CommandRecord
 
 
+class Debugged(Message, frozen=True, kw_only=True):
+    """The request was performed. `breakpoints`: those in force from now on."""
+
+    request: str
+    breakpoints: list[Breakpoint]
+
+
 class ProgramLoaded(Message, frozen=True, kw_only=True):
     request: str
     kind: WorkerKind
@@ -202,7 +233,16 @@ class ProgramReply(Message, frozen=True, kw_only=True):
 
 
 ClientToBroker = (
-    ClientHello | CommandText | StatusQuery | TraceQuery | ProgramQuery | ProgramText | Shutdown | Heartbeat
+    ClientHello
+    | CommandText
+    | StatusQuery
+    | TraceQuery
+    | ProgramQuery
+    | ProgramText
+    | SetBreakpoints
+    | StepCommand
+    | Shutdown
+    | Heartbeat
 )
 BrokerToClient = (
     Welcome
@@ -214,5 +254,6 @@ BrokerToClient = (
     | TraceReply
     | ProgramReply
     | ProgramLoaded
+    | Debugged
 )
 Event = ProgressNote | CommandEnded | RequestRefused | HaltRequested  # what the broker publishes
