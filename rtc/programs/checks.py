@@ -151,8 +151,8 @@ def _path(step: ScriptStep, place: str) -> Problems:
     if "about" in step.words and "about" not in needed:
         yield f"{place}.words.about", f"about is the axis of a move_circle, not of {step.space or 'no space'}"
     if step.words.get("axis") == extension_names.WAY_OUT:
-        if step.to != "HERE" or step.space != "move_task" or "by_m" not in step.args:
-            yield f"{place}.words.axis", "WAY-OUT is for a move_task from HERE by_m"
+        if step.to != "HERE" or step.space not in ("move_task", "move_both") or "by_m" not in step.args:
+            yield f"{place}.words.axis", "WAY-OUT is for a move_task or a move_both from HERE by_m"
         for name in ("by_rad", "press_n", "spin_m"):
             if name in step.args:
                 yield f"{place}.args.{name}", f"{name} has no effect along WAY-OUT"

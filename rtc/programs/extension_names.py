@@ -11,10 +11,10 @@ from rtc.model.cells.parts import Numbers
 #: elaborator: conditions of the world that a script may require
 NEEDS = (
     *("hand_empty", "object_free", "other_handle", "object_held", "object_seated", "object_hinged"),
-    *("seat_free", "width_known"),
+    *("seat_free", "width_known", "partner_empty", "object_in_target"),
 )
 #: elaborator: anchors of plan lines
-ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge")
+ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge", "meeting", "here")
 #: directions; WAY_OUT is the exit direction of a seat: in a plan of the target, in a line from HERE
 #: of the one that the object is in (up without one)
 AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
@@ -43,7 +43,11 @@ FIGURES = (
     *("opening_m", "max_grip_n", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s", "seat_depth_m", "detent_n"),
     "hinged",  # 1: the object has a hinge; 0: it has none
     "held_elsewhere",  # 1: another hand holds the object; 0: none does
+    "shared",  # 1: the second arm of the command holds the object too; 0: it does not, or there is none
+    "meets",  # 1: the candidate has a place where both arms meet; 0: they meet where the object is
+    "slot_m",  # way out until the object is free of the slot that it is in; 0: it is in none
     *("hinge_rad", "hinge_least_rad", "hinge_most_rad"),  # its angle, and its stops
+    "hinge_lever_m",  # from the hinge to the grasp point in the hand
     "held_unsure_m",  # how far any point of the object for the target may be from its believed place
     *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # spread of the grasp point, in tool axes at that point
     "seen",  # 1: a camera can see the object, and the last look has found it; 0: it must be felt
@@ -56,6 +60,7 @@ ROLES = ("active_arm", "partner_arm", "active_object", "its_seat", "target", "ca
 #: SET only
 PLACEHOLDERS = (
     *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time", "through"),
+    "meeting",
     *("camera", "body"),
     *("attribute", "value"),
 )
@@ -67,7 +72,8 @@ FAILURE_PLACEHOLDERS = (
 )
 #: performers of steps
 CAMERA = "camera"
-PERFORMERS = ("active_arm", CAMERA)
+PARTNER = "partner_arm"
+PERFORMERS = ("active_arm", PARTNER, CAMERA)
 #: binder: algorithms that turn a step into a primitive
 ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look")
 PROCEDURES = ("open_hand", "grasp_plan")

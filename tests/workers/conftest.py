@@ -147,11 +147,11 @@ class Reporter:
         assert bound.evaluation is not None
         context = bound.evaluation.context
         between = 0.0
-        if motion.width_m == 0.0 and context.object and context.grasp_point:
+        if motion.width_m == 0.0 and bound.evaluation.held:
+            between = self.widths[arm]
+        elif motion.width_m == 0.0 and context.object and context.grasp_point:
             bar = self.cell.object(context.object).grasp_point(context.grasp_point).width_m
             between = bar if self._aside(arm, self.joints[arm], bound) < 0.04 else 0.0
-        elif motion.width_m == 0.0 and bound.evaluation.held:
-            between = self.widths[arm]
         if motion.width_m == 0.0 and self.closes:
             between = self.closes.pop(0)
         self.widths[arm] = max(motion.width_m, between)

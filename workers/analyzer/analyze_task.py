@@ -30,6 +30,11 @@ class AnalyzeTask:
         return self.data.evaluation.context
 
     @property
+    def arm(self) -> str:
+        """The arm that has performed the step: that of the command, or its second one."""
+        return self.evaluation.arm or self.context.arm
+
+    @property
     def report(self) -> EndReport:
         return self.data.report
 

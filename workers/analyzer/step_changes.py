@@ -11,9 +11,7 @@ from rtc.spatial import geometry
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.post_conditions import seen_as_believed
 from workers.analyzer.world_changes import Changes
-
-BOTH = "move_both"  # space of the steps that move both arms
-
+from workers.planning import segments
 
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
@@ -47,7 +45,7 @@ def _reported(task: AnalyzeTask, report: EndReport, arm: str, *, hand_commanded:
 def partner_changes(task: AnalyzeTask) -> Changes:
     """The same for the second arm of a primitive; unchanged if nothing was started."""
     partner, report = task.context.partner, task.report
-    if not partner or task.step.space != BOTH:
+    if not partner or task.step.space != segments.BOTH:
         return []  # only one arm moves in this step, or a camera looks
     if report.partner is None and report.reason in (StopReason.REFUSED, StopReason.BLOCKED):
         return []

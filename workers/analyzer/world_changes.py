@@ -32,7 +32,7 @@ def taken(task: AnalyzeTask, validity: Validity) -> Changes:
     those of a free object become more uncertain.
     """
     context = task.context
-    thing, arm = context.object, context.arm
+    thing, arm = context.object, task.arm
     if task.query.held_by(thing) not in ("", arm):  # the second hand: the facts of the object refer to the first one
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=validity)]
     frame, spread = touch.between_fingers(task, touch.moved_by_closing(task.query, thing))
@@ -51,7 +51,7 @@ def taken(task: AnalyzeTask, validity: Validity) -> Changes:
 
 def perhaps_taken(task: AnalyzeTask) -> Changes:
     """The hand was closing when its report was lost: the object may be in it, where it was believed to be."""
-    thing, arm, doubt = task.context.object, task.context.arm, Validity.SUSPECT
+    thing, arm, doubt = task.context.object, task.arm, Validity.SUSPECT
     if task.query.held_by(thing) not in ("", arm):
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=doubt)]
     frame = task.query.frame(thing)
@@ -120,8 +120,8 @@ def _seen(task: AnalyzeTask, found: touch.Found, validity: Validity) -> Changes:
 def let_go(task: AnalyzeTask, validity: Validity) -> Changes:
     """The fingers are open; the object stays in place, in its seat if the step placed it there."""
     context = task.context
-    changes = shared_hold.let_go(task.query, context.arm, context.object)
-    if task.query.sharers(context.arm):  # another hand holds it where it is
+    changes = shared_hold.let_go(task.query, task.arm, context.object)
+    if task.query.sharers(task.arm):  # another hand holds it where it is
         return changes
     seat = task.step.words.seat
     if seat:
@@ -142,8 +142,8 @@ def let_go(task: AnalyzeTask, validity: Validity) -> Changes:
 def let_drift(task: AnalyzeTask, validity: Validity) -> Changes:
     """The fingers are open and nothing holds the object: its frame is suspect."""
     context = task.context
-    changes = shared_hold.let_go(task.query, context.arm, context.object)
-    if task.query.sharers(context.arm):
+    changes = shared_hold.let_go(task.query, task.arm, context.object)
+    if task.query.sharers(task.arm):
         return changes
     return [
         *changes,
@@ -168,7 +168,7 @@ def verified(task: AnalyzeTask, validity: Validity) -> Changes:
 
     Its pose in the hand is not measured: it keeps its uncertainty, which a failure by contact has increased.
     """
-    thing, arm = task.context.object, task.context.arm
+    thing, arm = task.context.object, task.arm
     if task.query.held_by(thing) not in ("", arm):  # the second of two hands
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=validity)]
     frame = task.query.in_hand(thing, task.report.tcp_pose)

@@ -33,6 +33,7 @@ NEEDS_WORLD = True
 NEEDS_CELL = True
 
 STATED_BY = "OPERATOR"  # performer in the report of facts that a command states
+HELD = "still_held"  # effect of a hand that closes on what it holds
 MIN_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 
 
@@ -68,7 +69,10 @@ def _bound(task: BindTask) -> BoundStep:
 
 
 def bind_hand(task: BindTask) -> BoundStep:
-    return hand_motion(task, task.data.step.op)
+    step = task.data.step
+    if step.arm and step.words.effect == HELD and not task.held:
+        return BoundStep(note=f"{task.arm} holds nothing yet")
+    return hand_motion(task, step.op)
 
 
 def hand_motion(task: BindTask, op: str) -> BoundStep:

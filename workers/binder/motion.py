@@ -48,7 +48,8 @@ def _target(task: RuledTask) -> Target:
     if step.space not in segments.SPACES:
         raise unknown_in_program("space", step.space, segments.SPACES)
     refuse_if(trust.why_uncertain(query, task.arm, step, clears))
-    sharing.refuse_alone(query, task.arm, task.data.context.partner, clears)
+    partner = task.data.context.partner if step.space == segments.BOTH else ""
+    sharing.refuse_alone(query, task.arm, partner, clears)
     target = targets.target_of(task)
     in_seat.refuse_other_way(query, task.arm, step.space, query.tcp(task.arm), target.pose, clears)
     return target
@@ -72,7 +73,8 @@ def planning_request(task: RuledTask, speed_m_s: float) -> PlanningRequest:
     request = scenes.planning_request(
         query, task.arm, scene, context.limits, pace, math.radians(values["joint_margin_deg"])
     )
-    return replace(request, partner=query.model.arms[context.partner]) if context.partner else request
+    both = task.data.step.space == segments.BOTH and context.partner
+    return replace(request, partner=query.model.arms[context.partner]) if both else request
 
 
 def _planned(task: RuledTask, request: PlanningRequest, target: Target, keep: Keeping) -> Motion:

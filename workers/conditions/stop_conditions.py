@@ -181,7 +181,7 @@ def reporting(data: BinderInput, query: WorldQuery, values: Values, rows: list[S
 def _state(
     data: BinderInput, query: WorldQuery, values: Values, rows: list[StopRow], arm: str = ""
 ) -> reflexes.StepState:
-    context, arm = data.context, arm or data.context.arm
+    context, arm = data.context, arm or data.step.arm or data.context.arm
     return reflexes.StepState(
         values=values,
         hand_pose=query.tcp(arm),
@@ -219,7 +219,7 @@ def _beside(data: BinderInput, query: WorldQuery) -> list[Vector]:
     context, cell = data.context, query.cell
     things = {thing.name: thing.shapes for thing in cell.objects}
     seats = {seat.name: seat.shapes for seat in cell.seats}
-    meant = [context.object, context.target, query.holding(context.arm)]
+    meant = [context.object, context.target, query.holding(data.step.arm or context.arm)]
     meant += [query.seat(name) for name in meant if name in things]
     balls = []
     for name in dict.fromkeys(meant):

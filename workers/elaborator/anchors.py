@@ -7,8 +7,11 @@ bound again after the object was found elsewhere. An anchor that does not exist 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
@@ -84,7 +87,8 @@ def hinge(candidate: TaskCandidate) -> Anchor:
 def destination(candidate: TaskCandidate) -> Anchor:
     """The destination of MOVE ... TO."""
     place = candidate.parsed.place
-    assert place is not None
+    if place is None:
+        return _before(candidate)
     if place.joints is not None:
         wanted = len(candidate.arm.joints)
         if len(place.joints) != wanted:
@@ -105,6 +109,29 @@ def destination(candidate: TaskCandidate) -> Anchor:
             candidate, place.neighborhood_of or place.grasp_point_of or "", near=place.grasp_point_of is None
         )
     return named(candidate, place.name or "")
+
+
+def _before(candidate: TaskCandidate) -> Anchor:
+    """The tcp pose at which the held object is clear before the target seat, in the seat's frame."""
+    figures, inside = candidate.figures, seat(candidate)
+    assert candidate.target is not None
+    assert inside.pose is not None
+    out_m = figures["seat_depth_m"] + figures.get("clear_m", 0.0) + figures["held_unsure_m"]
+    return replace(inside, pose=geometry.translate(inside.pose, out_m * np.asarray(candidate.target.way_out)).tolist())
+
+
+def meeting(candidate: TaskCandidate) -> Anchor:
+    """The pose of the first arm at the place where the second one takes the object."""
+    assert candidate.meeting is not None
+    return named(candidate, candidate.meeting.name)
+
+
+def here(candidate: TaskCandidate) -> Anchor:
+    """The tcp pose when the command is planned (world frame)."""
+    arm = candidate.arm.name
+    if not candidate.query.trusts(f"{arm}.joints"):
+        raise _state(f"it is not certain where {arm} stands", f"HOLD {hand_in_words(arm)} FOR 1 SEC reads its joints")
+    return Anchor(pose=candidate.query.tcp(arm).tolist())
 
 
 def _wrong_units(candidate: TaskCandidate, slides: list[int], lengths: list[int]) -> str:
@@ -180,4 +207,6 @@ ANCHORS: dict[str, Callable[[TaskCandidate], Anchor]] = {
     "stow": stow,
     "seat": seat,
     "hinge": hinge,
+    "meeting": meeting,
+    "here": here,
 }

@@ -13,9 +13,10 @@ from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, Refused
-from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
+from rtc.protocol.sentence import BOTH_ARMS, Destination, ParsedCommand
 from rtc.spatial import geometry
 from workers.elaborator import two_hands
+from workers.elaborator.script_options import fits_sentence
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
@@ -30,18 +31,38 @@ def candidates(
 ) -> list[TaskCandidate]:
     """One candidate per arm and grasp point that the sentence allows, nearest first. Raises Refused."""
     thing = _thing(program, parsed, query.cell)
+    parsed = _with_place(program, scripts, parsed, query)
     target = None if parsed.target is None else _part(query.cell.seats, parsed.target, "seat")
-    arms = _arms(program, parsed, query, thing)
-    points = _points(program, scripts, parsed, thing)
+    arms = _arms(program, scripts, parsed, query, thing)
+    points = two_hands.free_points(query, parsed, thing, _points(program, scripts, parsed, thing))
     allowed = []
     for arm in arms:
-        for point in two_hands.free_points(query, parsed, thing, points):
-            figures = figures_of(program, parsed, query, arm, thing, point, target)
-            partner = two_hands.partner(query, arm) if parsed.hand == BOTH_ARMS else None
-            allowed.append(
-                TaskCandidate(query, program, parsed, limits, arm, thing, point, target, figures, partner=partner)
-            )
+        for partner, meeting in two_hands.seconds(query, parsed, arm):
+            for point in points:
+                figures = figures_of(program, parsed, query, arm, thing, point, target, partner)
+                figures["meets"] = float(meeting is not None)
+                allowed.append(
+                    TaskCandidate(
+                        query, program, parsed, limits, arm, thing, point, target, figures, None, None, partner, meeting
+                    )
+                )
     return sorted(allowed, key=_far)
+
+
+def _with_place(
+    program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], parsed: ParsedCommand, query: WorldQuery
+) -> ParsedCommand:
+    """The sentence, with its target as the destination if it is a place and a script of the verb goes to places.
+
+    Raises Refused for a target that is neither a seat nor a place."""
+    uses = {name for row in program.decision_tree if row.verb == parsed.verb for name in scripts[row.script].uses}
+    seats = [seat.name for seat in query.cell.seats]
+    if parsed.target is None or parsed.target in seats or not {"place", "target"} <= uses:
+        return parsed
+    places = [place.name for place in query.places]
+    if parsed.target not in places:
+        raise suggestions.unknown("place or seat", parsed.target, [*places, *seats])
+    return msgspec.structs.replace(parsed, target=None, place=Destination(name=parsed.target))
 
 
 def _thing(program: ElaboratorProgram, parsed: ParsedCommand, cell: cells.Cell) -> parts.Object | None:
@@ -78,13 +99,17 @@ def _far(candidate: TaskCandidate) -> float:
 
 
 def _arms(
-    program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery, thing: parts.Object | None
+    program: ElaboratorProgram,
+    scripts: Mapping[str, ScriptFile],
+    parsed: ParsedCommand,
+    query: WorldQuery,
+    thing: parts.Object | None,
 ) -> list[parts.Arm]:
     """The arm named in the sentence; else the arm that holds the object; else all arms."""
     cell = query.cell
     if parsed.hand is not None:
         if parsed.hand == BOTH_ARMS:
-            return [two_hands.both_arms(program, parsed, query)]
+            return [two_hands.both_arms(program, scripts, parsed, query)]
         return [_part(cell.arms, parsed.hand, "arm")]
     holder = query.held_by(thing.name) if thing else ""
     return [arm for arm in cell.arms if not holder or arm.name == holder]
@@ -97,7 +122,8 @@ def _points(
     thing: parts.Object | None,
 ) -> list[parts.GraspPoint | None]:
     """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
-    chosen = [scripts[b.script] for b in program.decision_tree if b.verb == parsed.verb]
+    rows = [row for row in program.decision_tree if row.verb == parsed.verb]
+    chosen = [scripts[row.script] for row in rows if fits_sentence(row, parsed)]
     if thing is None or not any("grasp_point" in script.uses for script in chosen):
         return [None]
     if parsed.grasp_point is None:

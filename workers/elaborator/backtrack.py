@@ -27,6 +27,7 @@ from rtc.protocol.messages import Binding, PlannedPath, Step
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
+from rtc.spatial.geometry import Array
 from rtc.world.model import location
 from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.elaborator import anchors, two_hands
@@ -50,10 +51,11 @@ class Planned:
     chosen: bool  # one of several inverse solutions was chosen
     ways: dict[int, PlannedPath]  # free way of the first segment, by index of its step in the script
     doubtful: list[str]  # bodies whose poses it uses although they are not trusted: a camera looks for them first
+    end: Array | None  # rad, joint values of the arm after its last motion; None: it does not move
 
     @staticmethod
     def nothing() -> Planned:
-        return Planned({}, [], [], False, {}, [])
+        return Planned({}, [], [], False, {}, [], None)
 
 
 def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned:
@@ -70,9 +72,9 @@ def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, se
             raise Refused(distrusted)
         if distrusted is not None:
             doubtful.append(location(key))
-    joints, notes, ways = _search(script, steps, candidate, lines, {*sensed, *doubtful})
+    joints, notes, ways, end = _search(script, steps, candidate, lines, {*sensed, *doubtful})
     chosen = any(line.solve and lines[line.name].joints is None for line in script.plan)
-    return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways, doubtful)
+    return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways, doubtful, end)
 
 
 def can_be_seen(key: str, candidate: TaskCandidate) -> bool:
@@ -145,7 +147,7 @@ def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[
 # --- the joints, tried forwards --------------------------------------------------------------------------
 
 
-Solved = tuple[dict[str, list[float]], list[str], dict[int, PlannedPath]]
+Solved = tuple[dict[str, list[float]], list[str], dict[int, PlannedPath], Array | None]
 
 
 def _search(
@@ -164,8 +166,8 @@ def _search(
             break
         what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
         try:
-            found = _try(script, steps, candidate, lines, joints, request, detours)
-            return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], found
+            found, end = _try(script, steps, candidate, lines, joints, request, detours)
+            return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], found, end
         except Refused as refused:
             tried = refused.refusal
         notes.append(f"generated {what}; tested: {tried.message}")
@@ -281,9 +283,10 @@ def _try(
     joints: dict[str, list[float]],
     request: PlanningRequest,
     detours: bool,
-) -> dict[int, PlannedPath]:
-    """Test the segments in order; the way of the first segment, by index of its step. The later segments start where
-    the arm will come to rest, which is not known yet. Raises Refused for the first blocked one."""
+) -> tuple[dict[int, PlannedPath], Array | None]:
+    """Test the segments in order; the way of the first segment, by index of its step, and the end of the last one. The
+    later segments start where the arm will come to rest, which is not known yet. Raises Refused for the first blocked
+    one."""
     here = start = request.start
     straight = _straight(script, candidate, request)
     ways: dict[int, PlannedPath] = {}
@@ -308,7 +311,7 @@ def _try(
         here = test.run(ways).end
     if last is not None:
         last.run(ways)
-    return ways
+    return ways, None if here is start else here
 
 
 def _straight(script: ScriptFile, candidate: TaskCandidate, request: PlanningRequest) -> PlanningRequest:

@@ -19,8 +19,8 @@ from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
 from workers.conditions import reflexes
-from workers.elaborator import arm_candidates, command_fields, look, make_way, no_script, set_fact
-from workers.elaborator.backtrack import Planned, can_be_seen, plan
+from workers.elaborator import arm_candidates, command_fields, look, make_way, no_script, set_fact, stages
+from workers.elaborator.backtrack import Planned, can_be_seen
 from workers.elaborator.script_checks import CHECKS, why_uncertain, why_unsure_grasp, why_unsure_place
 from workers.elaborator.script_options import ScriptOption, fits_sentence, in_words, only_looks, ranked
 from workers.elaborator.script_steps import (
@@ -31,6 +31,7 @@ from workers.elaborator.script_steps import (
     names_of,
     sensed_first,
     step_for,
+    through_places,
     trims_for,
     with_seats,
 )
@@ -176,7 +177,8 @@ def _script(compiled: Compiled, option: ScriptOption, options: list[ScriptOption
 
 def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]) -> Script:
     """The script of an option that has passed the checks. Raises Refused and ExpressionError."""
-    candidate, script = option.candidate, compiled.scripts[option.branch.script]
+    candidate = option.candidate
+    script = through_places(compiled.scripts[option.branch.script], candidate)
     entries, left_out = trims_for(compiled, script, candidate)
     nominal = [step_for(step, candidate, entries, nominal=True) for step in script.steps]
     held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
@@ -184,7 +186,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     if lacks is not None and not can_be_seen(lacks.where, candidate):
         raise Refused(lacks)
     in_hand = [held] if lacks is not None or why_unsure_grasp(script, candidate) is not None else []
-    planned = plan(script, nominal, candidate, in_hand) if candidate.hand else Planned.nothing()
+    planned = stages.plan(script, nominal, candidate, in_hand) if candidate.hand else Planned.nothing()
     for index, way in planned.ways.items():
         nominal[index] = msgspec.structs.replace(nominal[index], way=way)
     looked_for = [candidate.body] if why_unsure_place(script, candidate) is not None else []

@@ -141,6 +141,22 @@ def _width_known(candidate: TaskCandidate) -> UnmetPrecondition | None:
     )
 
 
+def _partner_empty(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    assert candidate.partner is not None
+    arm = candidate.partner.name
+    held = candidate.query.holding(arm)
+    return UnmetPrecondition(f"{arm} holds {held}", held, "hand_empty") if held else None
+
+
+def _object_in_target(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    """The object is in the seat of the sentence, or still in its slot."""
+    assert candidate.thing is not None
+    assert candidate.target is not None
+    name, target = candidate.thing.name, candidate.target.name
+    seat = candidate.query.seat(name) or candidate.query.seat_around(name)
+    return None if seat == target else UnmetPrecondition(f"{name} is in {seat or 'no seat'}, not in {target}", seat)
+
+
 NEEDS: dict[str, Callable[[TaskCandidate], UnmetPrecondition | None]] = {
     "hand_empty": _hand_empty,
     "object_free": _object_free,
@@ -150,6 +166,8 @@ NEEDS: dict[str, Callable[[TaskCandidate], UnmetPrecondition | None]] = {
     "object_hinged": _object_hinged,
     "seat_free": _seat_free,
     "width_known": _width_known,
+    "partner_empty": _partner_empty,
+    "object_in_target": _object_in_target,
 }
 
 

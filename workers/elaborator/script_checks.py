@@ -98,6 +98,8 @@ def why_uncertain(steps: list[Step], candidate: TaskCandidate) -> Refusal | None
     query, ahead_s = candidate.query, 0.0
     motion_s = trust.motion_time_s(query, candidate.limits)
     for step in steps:
+        if step.arm:  # of the second arm, whose hand is empty
+            continue
         lacks = trust.why_uncertain(query, candidate.arm.name, step, candidate.program.clears, ahead_s)
         if lacks is not None:
             return lacks

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from rtc.programs import expressions
-from rtc.programs.extension_names import CAMERA
+from rtc.programs.extension_names import CAMERA, PARTNER
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
 from rtc.protocol.messages import ScriptContext, Step, StepFigures, StepWords, Trim
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -17,7 +17,7 @@ from workers.elaborator import look
 from workers.elaborator.backtrack import FRAME, GRASP
 from workers.elaborator.script_options import ScriptOption
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import suggestions
+from workers.planning import segments, suggestions
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,9 @@ MAX_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AN
 def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nominal: bool, body: str = "") -> Step:
     """The step for this candidate, with evaluated figures and filled-in words. `body`: what a camera looks for; empty:
     the object."""
+    if step.who == PARTNER:
+        made = step_for(msgspec.structs.replace(step, who="active_arm"), candidate.of_partner, entries, nominal, body)
+        return msgspec.structs.replace(made, who=PARTNER, arm=candidate.of_partner.arm.name)
     known = {entry.n for entry in entries}
     index, count = step.trim
     asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
@@ -65,6 +68,26 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
     )
 
 
+def through_places(script: ScriptFile, candidate: TaskCandidate) -> ScriptFile:
+    """The script for this candidate: two arms pass places of THROUGH in one straight line to each, where one arm follows
+    a spline."""
+    vias = candidate.vias
+    if not vias or not any(step.space == segments.BOTH for step in script.steps):
+        return script
+    steps: list[ScriptStep] = []
+    for step in script.steps:
+        if step.space == segments.BOTH and "through" in step.words:
+            words = {name: word for name, word in step.words.items() if name != "through"}
+            places = zip(vias, candidate.parsed.through, strict=True)
+            steps += [
+                msgspec.structs.replace(step, to=via, words=words, label=f"{step.label}, by way of {place}")
+                for via, place in places
+            ]
+            step = msgspec.structs.replace(step, words=words)
+        steps.append(step)
+    return msgspec.structs.replace(script, steps=steps)
+
+
 def trims_for(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> tuple[list[Trim], list[str]]:
     """The trimming stack, and notes about entries without a piece of script, which are left out."""
     entries: list[Trim] = []
@@ -78,24 +101,49 @@ def trims_for(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) 
         if any(step.who == CAMERA for step in piece.steps) and candidate.camera is None:
             left_out.append(f"trim {entry.n} ({label}) is left out: no camera can see {candidate.body}")
             continue
-        steps = [step_for(step, candidate, [], nominal=False) for step in piece.steps]
+        steps = _steps_of(piece, candidate)
         entries.append(Trim(n=entry.n, label=label, steps=steps, then=entry.then, fits=entry.fits))
     for n, reflex in enumerate((r for r in candidate.parsed.reflexes if r.trim), MAX_ENTRIES + 1):
         name = (reflex.trim or "").lower()
         piece = compiled.pieces.get(name)
-        if piece is None or script.case < FIRST_SKILL:
-            raise _cannot_try(name.upper(), compiled, script)
+        if piece is None or script.case < FIRST_SKILL or not _fits(piece, script, candidate):
+            raise _cannot_try(name.upper(), compiled, script, candidate)
         reason = reflexes.reason_of(reflex.condition)
-        steps = [step_for(step, candidate, [], nominal=False) for step in piece.steps]
+        steps = _steps_of(piece, candidate)
         entries.append(Trim(n=n, label=f"TRY {name.upper()}", steps=steps, fits=[reason] if reason else []))
     return entries, left_out
 
 
-def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refused:
+def _steps_of(piece: ScriptPiece, candidate: TaskCandidate) -> list[Step]:
+    """The steps of a piece; those of a second arm if the command has one."""
+    own = [step for step in piece.steps if step.who != PARTNER or candidate.partner is not None]
+    return [step_for(step, candidate, [], nominal=False) for step in own]
+
+
+def _fits(piece: ScriptPiece, script: ScriptFile, candidate: TaskCandidate) -> bool:
+    """Whether a piece can be tried in a script: its plan has the poses, its verb the figures that the piece needs."""
+    poses = {"", "HERE", *(line.name for line in script.plan)}
+    own = [step for step in piece.steps if step.who != PARTNER or candidate.partner is not None]
+    looks = any(step.who == CAMERA for step in own)
+    figures = {name for step in own for value in step.args.values() for name in expressions.names(str(value))}
+    return (
+        bool(own)
+        and all(step.to in poses for step in own)
+        and figures <= candidate.figures.keys()
+        and not (looks and candidate.camera is None)
+    )
+
+
+def _cannot_try(name: str, compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> Refused:
     if script.case < FIRST_SKILL and name.lower() in compiled.pieces:
         message = f"AND TRY {name}: {script.script} is an action, and only skills are corrected on the way"
         return Refused.because(RefusalReason.NO_SCRIPT, message, where=name, clears="leave out AND TRY")
-    return suggestions.unknown("piece of script to TRY", name, [piece.upper() for piece in compiled.pieces])
+    able = [piece.skill.upper() for piece in compiled.pieces.values() if _fits(piece, script, candidate)]
+    if name.lower() in compiled.pieces:
+        message = f"AND TRY {name}: {candidate.parsed.verb} has no use for it"
+        clears = f"AND TRY {' or '.join(able)}, or without AND TRY"
+        return Refused.because(RefusalReason.NO_SCRIPT, message, where=name, expected=able, clears=clears)
+    return suggestions.unknown("piece of script to TRY", name, able)
 
 
 def lost_arms(script: ScriptFile, candidate: TaskCandidate) -> list[str]:

@@ -6,11 +6,12 @@ command-object table, the hand, the object, the sentence.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, TableRow
@@ -18,6 +19,7 @@ from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand, Quantity
 from rtc.protocol.units import in_words
+from rtc.spatial import geometry
 from rtc.world.spread import narrowest
 from workers.planning import pose_spread, trust
 from workers.planning.trust import AHEAD_S
@@ -40,12 +42,22 @@ class TaskCandidate:
     figures: dict[str, float]
     via: parts.Camera | None = None  # the camera of a command that only looks
     seat: parts.Seat | None = None  # what that camera looks for, if it is a seat
-    partner: parts.Arm | None = None  # the second of BOTH-ARMS, which holds the same object
+    partner: parts.Arm | None = None  # the second arm: of BOTH-ARMS, or the one that HANDOFF gives to
+    meeting: parts.Place | None = None  # where the second arm takes the object; None: where the object is
 
     @property
     def arm(self) -> parts.Arm:
         assert self.hand is not None, "a script without an arm needs none"
         return self.hand
+
+    @property
+    def of_partner(self) -> TaskCandidate:
+        """The same candidate as the second arm sees it: for the steps that it performs. Raises Refused."""
+        assert self.partner is not None, "a script for two arms has two"
+        figures = figures_of(
+            self.program, self.parsed, self.query, self.partner, self.thing, self.point, self.target, self.hand
+        )
+        return replace(self, hand=self.partner, partner=self.hand, figures=figures)
 
     @property
     def body(self) -> str:
@@ -72,6 +84,7 @@ class TaskCandidate:
             "out": self.query.way_out(self.thing.name) if self.thing else "",
             "amount": _amount_in_words(self.parsed),
             "through": " ".join(self.vias),
+            "meeting": self.meeting.name if self.meeting else "",
             "time": _time_in_words(self.parsed, self.figures),
         }
 
@@ -116,7 +129,7 @@ def _time_in_words(parsed: ParsedCommand, figures: dict[str, float]) -> str:
 def destination_in_words(parsed: ParsedCommand) -> str:
     place = parsed.place
     if place is None:
-        return ""
+        return f"before {parsed.target}" if parsed.target else ""
     if place.name:
         return place.name
     if place.joints:
@@ -136,6 +149,7 @@ def figures_of(
     thing: parts.Object | None,
     point: parts.GraspPoint | None,
     target: parts.Seat | None,
+    partner: parts.Arm | None = None,
 ) -> dict[str, float]:
     """All figures of a candidate. Raises Refused if the command-object table has no row for it."""
     figures: dict[str, float] = dict(msgspec.structs.asdict(query.cell.numbers))
@@ -156,9 +170,13 @@ def figures_of(
         figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
         figures["hinged"] = float(thing.hinge is not None)
         figures["held_elsewhere"] = float(arm is not None and query.held_by(thing.name) not in ("", arm.name))
+        figures["shared"] = float(partner is not None and query.holding(partner.name) == thing.name)
+        figures["slot_m"] = _slot_m(query, thing)
         if thing.hinge is not None:
             least, most = thing.hinge.range_rad
             figures |= {"hinge_rad": query.angle(thing.name), "hinge_least_rad": least, "hinge_most_rad": most}
+            if between is not None:
+                figures["hinge_lever_m"] = float(np.linalg.norm(np.cross(between.frame.xyz, thing.hinge.axis)))
     if target is not None:
         figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
         figures["held_unsure_m"] = _held_unsure_m(query, thing, target) if thing is not None else 0.0
@@ -168,6 +186,16 @@ def figures_of(
     if parsed.duration_s is not None:
         figures["duration_s"] = parsed.duration_s
     return figures
+
+
+def _slot_m(query: WorldQuery, thing: parts.Object) -> float:
+    """Way out (m) until an object is free of the slot that it is in; 0 if it is in none, or has a hinge."""
+    seat = query.seat(thing.name) or query.seat_around(thing.name)
+    if not seat or thing.hinge is not None:
+        return 0.0
+    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
+    gone_m = float((query.frame(thing.name)[:3] - query.seated_pose(seat)[:3]) @ out)
+    return max(0.0, query.cell.seat(seat).depth_m - gone_m)
 
 
 def _held_unsure_m(query: WorldQuery, thing: parts.Object, target: parts.Seat) -> float:

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
+from rtc.programs.extension_names import PARTNER
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from workers.conditions import sharing
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import shared_hold
+from workers.planning import shared_hold, suggestions
 from workers.planning.world_query import WorldQuery
 
 
-def both_arms(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery) -> parts.Arm:
-    """The leading arm of two that hold one object: the one that the facts of the object refer to. Raises Refused."""
-    rows = program.decision_tree
-    able = [row.verb for row in rows if any(check.equals.get("hand") == BOTH_ARMS for check in row.when)]
+def both_arms(
+    program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], parsed: ParsedCommand, query: WorldQuery
+) -> parts.Arm:
+    """The leading arm of two that hold one object: the one that the facts of the object refer to. A script in which the
+    second hand takes the object needs only this one. Raises Refused."""
+    rows = [row for row in program.decision_tree if any(c.equals.get("hand") == BOTH_ARMS for c in row.when)]
+    able = [row.verb for row in rows]
     if parsed.verb not in able:
         message = f"{parsed.verb} has no script for two arms"
         clears = f"name one arm; {', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}"
@@ -24,6 +30,9 @@ def both_arms(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQue
     if any(reflex.action != "stop" for reflex in parsed.reflexes):
         message = f"{BOTH_ARMS} can only stop when an UNLESS becomes true: another reflex would pull at the object"
         raise Refused.because(RefusalReason.NO_SCRIPT, message, clears="THEN STOP")
+    holder = query.held_by(parsed.object) if parsed.object else ""
+    if holder and any(_takes(scripts[row.script]) for row in rows if row.verb == parsed.verb):
+        return query.cell.arm(holder)
     sharing = [arm for arm in query.cell.arms if query.sharers(arm.name)]
     leading = next((arm for arm in sharing if query.held_by(query.holding(arm.name)) == arm.name), None)
     if leading is None:
@@ -47,9 +56,43 @@ def _unshared(program: ElaboratorProgram, query: WorldQuery) -> Refused:
     return Refused.because(RefusalReason.STATE, message, clears=clears)
 
 
-def partner(query: WorldQuery, arm: parts.Arm) -> parts.Arm | None:
-    """The second arm that holds the object of this one; None if there is none."""
-    return next((query.cell.arm(name) for name in query.sharers(arm.name)), None)
+def _takes(script: ScriptFile) -> bool:
+    """Whether the second hand takes the object in this script."""
+    return any(step.who == PARTNER and step.words.get("effect") == "taken" for step in script.steps)
+
+
+def seconds(
+    query: WorldQuery, parsed: ParsedCommand, arm: parts.Arm
+) -> Iterator[tuple[parts.Arm | None, parts.Place | None]]:
+    """The second arms of the sentence, each with the places where it may take what `arm` holds.
+
+    None in the place of an arm: the sentence is about one. None in the place of a place: where the object is."""
+    sharing = query.sharers(arm.name)
+    if parsed.to_hand is not None:
+        named = [parsed.to_hand]
+    elif parsed.hand == BOTH_ARMS:
+        named = sharing[:1] or [other.name for other in query.cell.arms if other.name != arm.name]
+    else:
+        yield None, None
+        return
+    for name in named:
+        second = _arm(query, name)
+        yield second, None
+        if name not in sharing:
+            yield from ((second, place) for place in _meetings(query, parsed, arm.name, name))
+
+
+def _arm(query: WorldQuery, name: str) -> parts.Arm:
+    known = {arm.name: arm for arm in query.cell.arms}
+    if name not in known:
+        raise suggestions.unknown("arm", name, known)
+    return known[name]
+
+
+def _meetings(query: WorldQuery, parsed: ParsedCommand, first: str, second: str) -> list[parts.Place]:
+    """The places that both arms have a pose for, except the destination: those of a cell where two arms can meet."""
+    goal = parsed.place.name if parsed.place else None
+    return [place for place in query.places if {first, second} <= place.poses.keys() and place.name != goal]
 
 
 def free_points(

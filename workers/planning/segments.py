@@ -219,6 +219,7 @@ SPACES: dict[str, Callable[[PlanningRequest, Target, PlannedPath | None], Motion
     **dict.fromkeys(curves.CURVES, _timed_curve),
     "move_both": _timed_both,
 }
+BOTH = "move_both"  # space of the steps that move two arms
 STRAIGHT = frozenset(("move_task", *curves.CURVES))  # lines and curves of one hand
 _TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], Segment]] = {
     "move_joint": _tested_joint,

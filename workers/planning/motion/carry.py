@@ -77,7 +77,8 @@ def carry_along(
     velocities = np.array(
         [_rates(arm, q, qd, partner, p) for q, qd, p in zip(timed.positions, timed.velocities, positions, strict=True)]
     )
-    accelerations = np.gradient(velocities, timed.time_s, axis=0, edge_order=2)
+    few = len(timed.time_s) < 3  # it is there already
+    accelerations = np.gradient(velocities, timed.time_s, axis=0, edge_order=1 if few else 2)
     velocities[[0, -1]] = accelerations[[0, -1]] = 0.0
     follows = Timed(timed.space, timed.time_s, positions, velocities, accelerations)
     points = quintic.control_points(follows.time_s, positions, velocities, accelerations)

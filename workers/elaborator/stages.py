@@ -1,0 +1,126 @@
+"""Plans of scripts in which two arms work in turn: each run of steps of one arm in the world that the runs before leave.
+
+The prediction is that of a success: the arm is at the end of its path with what it holds, and the object is taken or let
+go as the steps say. So a second grasp that is not possible is refused before the first arm moves. Pure.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import msgspec
+
+from rtc.programs.extension_names import PARTNER
+from rtc.programs.schema import PlanLine, ScriptFile
+from rtc.protocol.messages import Step, WorldChange
+from rtc.protocol.outcomes import Refused
+from rtc.spatial import geometry
+from workers.elaborator import backtrack
+from workers.elaborator.backtrack import Planned
+from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning import shared_hold
+from workers.planning.segments import BOTH
+from workers.planning.world_query import WorldQuery
+
+Changes = list[WorldChange]
+
+
+def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned:
+    """As `backtrack.plan`, for steps of one arm or of two in turn. Raises Refused."""
+    stages = list(_stages(script, steps))
+    if len(stages) == 1:
+        return backtrack.plan(script, steps, candidate, sensed)
+    query, whole = candidate.query, Planned.nothing()
+    for first, part in stages:
+        part_steps = steps[first : first + len(part.steps)]
+        now = _seen_by(part, candidate, query)
+        try:
+            found = backtrack.plan(part, part_steps, now, sensed)
+        except Refused as refused:
+            message = f"{now.arm.name}, {refused.refusal.message}" if refused.refusal.detail else str(refused)
+            raise Refused(msgspec.structs.replace(refused.refusal, message=message)) from None
+        query = query.after(_predicted(part_steps, now, found))
+        ways = found.ways if not first else {}  # a later one begins where the arm will come to rest
+        whole = Planned(
+            {**whole.bindings, **found.bindings},
+            list(dict.fromkeys((*whole.relies_on, *found.relies_on))),
+            [*whole.notes, *(f"{now.arm.name}: {note}" for note in found.notes)],
+            whole.chosen or found.chosen,
+            {**whole.ways, **ways},
+            list(dict.fromkeys((*whole.doubtful, *found.doubtful))),
+            found.end,
+        )
+    return whole
+
+
+def _stages(script: ScriptFile, steps: Sequence[Step]) -> Iterator[tuple[int, ScriptFile]]:
+    """The runs of steps of one arm, as scripts with the lines of the plan that they need, and their first index."""
+    numbered = list(enumerate(script.steps))
+    whole = all(not step.arm for step in steps)
+    groups = [numbered] if whole else [list(g) for _, g in itertools.groupby(numbered, lambda one: steps[one[0]].arm)]
+    for group in groups:
+        own = [step for _, step in group]
+        lines = script.plan if whole else _needed(script.plan, [step.to for step in own])
+        yield group[0][0], msgspec.structs.replace(script, steps=own, plan=lines)
+
+
+def _needed(plan: Sequence[PlanLine], names: Iterable[str]) -> list[PlanLine]:
+    """The lines of these names, and those that they are computed from, in the order of the plan."""
+    known, wanted, open_ = {line.name: line for line in plan}, set(), list(names)
+    while open_:
+        name = open_.pop()
+        if name in known and name not in wanted:
+            wanted.add(name)
+            open_ += [known[name].at, known[name].near]
+    return [line for line in plan if line.name in wanted]
+
+
+def _seen_by(part: ScriptFile, candidate: TaskCandidate, query: WorldQuery) -> TaskCandidate:
+    """The candidate as the arm of these steps sees it in this world; the other arm takes part in a common motion."""
+    now = replace(candidate, query=query)
+    now = now.of_partner if any(step.who == PARTNER for step in part.steps) else now
+    if not any(step.to in now.vias or "through" in step.words for step in part.steps):
+        now = replace(now, parsed=msgspec.structs.replace(now.parsed, through=[]))
+    return now if any(step.space == BOTH for step in part.steps) else replace(now, partner=None)
+
+
+# --- the world after a run of steps ----------------------------------------------------------------------
+
+
+def _predicted(steps: Sequence[Step], candidate: TaskCandidate, found: Planned) -> Changes:
+    query, arm = candidate.query, candidate.arm.name
+    changes: Changes = []
+    if found.end is not None:
+        changes.append(WorldChange(key=f"{arm}.joints", value=[float(q) for q in found.end]))
+        held = query.holding(arm)
+        if held and query.held_by(held) == arm:
+            frame = query.in_hand(held, query.model.arms[arm].fk(found.end))
+            assert frame is not None
+            changes.append(WorldChange(key=f"{held}.frame", value=geometry.normalise(frame).tolist()))
+    for step in steps:
+        if effect := PREDICTED.get(step.words.effect):
+            changes += effect(candidate, query.after(changes))
+    return changes
+
+
+def _taken(candidate: TaskCandidate, query: WorldQuery) -> Changes:
+    assert candidate.thing is not None
+    assert candidate.point is not None
+    arm = candidate.arm.name
+    return [
+        WorldChange(key=f"{arm}.holding", value=candidate.thing.name),
+        WorldChange(key=f"{arm}.hand_width", value=candidate.point.width_m),
+    ]
+
+
+def _let_go(candidate: TaskCandidate, query: WorldQuery) -> Changes:
+    assert candidate.thing is not None
+    arm = candidate.arm.name
+    width = WorldChange(key=f"{arm}.hand_width", value=candidate.arm.gripper.max_opening_m)
+    return [*shared_hold.let_go(query, arm, candidate.thing.name), width]
+
+
+#: effect of a step -> what it changes in the plan of the steps after it
+PREDICTED: dict[str, Callable[[TaskCandidate, WorldQuery], Changes]] = {"taken": _taken, "let_go": _let_go}
