@@ -48,6 +48,7 @@ FIGURES = (
     "slot_m",  # way out until the object is free of the slot that it is in; 0: it is in none
     *("hinge_rad", "hinge_least_rad", "hinge_most_rad"),  # its angle, and its stops
     "hinge_lever_m",  # from the hinge to the grasp point in the hand
+    "hinge_push",  # sign of the turn with which that point moves away from the hand
     "held_unsure_m",  # how far any point of the object for the target may be from its believed place
     *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # spread of the grasp point, in tool axes at that point
     "seen",  # 1: a camera can see the object, and the last look has found it; 0: it must be felt

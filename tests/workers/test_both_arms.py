@@ -246,7 +246,7 @@ def test_both_arms_and_the_object_are_claimed_and_written(holding):
     ("sentence", "message"),
     [
         ("MOVE RIGHT-ARM BY 10 CM ALONG UP", "LEFT-ARM holds MACS-NEW too"),
-        ("LIFT MACS-NEW BY 10 CM WITH BOTH-ARMS", "no script for two arms"),
+        ("EXTRACT MACS-NEW FROM RACK-1 WITH BOTH-ARMS", "no script for two arms"),
         (f"{UP} UNLESS FORCE EXCEEDS 10 N THEN BACK-OFF", "can only stop"),
         ("MOVE BOTH-ARMS BY 90 CM ALONG UP", "ARM"),
         ("MOVE BOTH-ARMS BY 40 CM ALONG FORWARD", "SATELLITE"),
@@ -254,7 +254,7 @@ def test_both_arms_and_the_object_are_claimed_and_written(holding):
         ("MOVE BOTH-ARMS TO RACK-2-FRONT", "RACK-2-FRONT"),
         ("MOVE BOTH-ARMS TO JOINTS 0 0 0 0 0 0 DEG", "no script"),
         ("MOVE BOTH-ARMS TO CLEAR-POINT-1 JOINT-MOTION", "no script"),
-        ("MOVE BOTH-ARMS TO CLEAR-POINT-1 THROUGH BAY-2-FRONT", "THROUGH"),
+        ("MOVE BOTH-ARMS TO CLEAR-POINT-1 THROUGH RACK-2-FRONT", "RACK-2-FRONT"),
     ],
 )
 def test_what_two_arms_at_one_object_cannot_do_is_refused(holding, sentence, message):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rtc.model.cells import parts
 from rtc.programs.schema import AnalyzerProgram
 from rtc.protocol.messages import AnalyzerInput, EndReport, EvaluationContext, ScriptContext, Step
+from rtc.spatial import geometry
 from workers.planning.world_query import WorldQuery
 
 
@@ -33,6 +35,15 @@ class AnalyzeTask:
     def arm(self) -> str:
         """The arm that has performed the step: that of the command, or its second one."""
         return self.evaluation.arm or self.context.arm
+
+    @property
+    def point(self) -> parts.GraspPoint:
+        """The grasp point of the command; without one, that of its object which is nearest to the hand."""
+        thing, tcp = self.query.cell.object(self.context.object), self.report.tcp_pose
+        if self.context.grasp_point:
+            return thing.grasp_point(self.context.grasp_point)
+        frame = self.query.frame(thing.name)
+        return min(thing.grasp_points, key=lambda one: geometry.distance(tcp, geometry.compose(frame, one.frame.pose)))
 
     @property
     def report(self) -> EndReport:

@@ -146,7 +146,7 @@ def _askew(task: AnalyzeTask, pad_m: float, rpy: Array, spread: Spread) -> tuple
     gives the signs. `rpy`, `spread`: as believed.
     """
     report = task.report
-    width_m = task.query.cell.object(task.context.object).grasp_point(task.context.grasp_point).width_m
+    width_m = task.point.width_m
     most_rad = max(0.0, report.hand_width_m - width_m) / pad_m
     twists_nm = (report.wrench[3], report.wrench[5]) if report.wrench else (0.0, 0.0)
     clear_nm = TWIST * report.hand_force_n * pad_m
@@ -193,8 +193,7 @@ def _current(task: AnalyzeTask) -> Found:
 
 
 def _point(task: AnalyzeTask) -> Array:
-    context = task.context
-    return task.query.cell.object(context.object).grasp_point(context.grasp_point).frame.pose
+    return task.point.frame.pose
 
 
 def _search(task: AnalyzeTask) -> tuple[Array, Array]:

@@ -37,7 +37,7 @@ def taken(task: AnalyzeTask, validity: Validity) -> Changes:
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=validity)]
     frame, spread = touch.between_fingers(task, touch.moved_by_closing(task.query, thing))
     if task.query.hinge(thing) is not None:
-        point = task.query.cell.object(thing).grasp_point(context.grasp_point).frame.pose[:3]
+        point = task.point.frame.pose[:3]
         frame = task.query.hung(thing, point, geometry.transform_point(frame, point))
     grasp = geometry.normalise(geometry.relative(task.report.tcp_pose, frame))
     return [

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
+
 from rtc.language.hands import hand_in_words
 from rtc.programs import expressions
 from rtc.programs.extension_names import PERFORMERS
@@ -24,7 +26,7 @@ from rtc.world.model import World
 from workers.binder import assemble, look, replan, targets
 from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
 from workers.binder.motion import bind_motion
-from workers.planning import suggestions
+from workers.planning import step_target, suggestions
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 
@@ -48,7 +50,8 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     assert world is not None
     query = WorldQuery(cell, world, data.at_s, seed_of(command_of(data.primitive_id)), data.moving)
     try:
-        return _bound(BindTask(compiled, query, data))
+        step = step_target.counted_from_now(data.step, query, data.context.object)
+        return _bound(BindTask(compiled, query, msgspec.structs.replace(data, step=step)))
     except Refused as refused:
         return refused.refusal
     except expressions.ExpressionError as error:

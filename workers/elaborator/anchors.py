@@ -130,7 +130,8 @@ def here(candidate: TaskCandidate) -> Anchor:
     """The tcp pose when the command is planned (world frame)."""
     arm = candidate.arm.name
     if not candidate.query.trusts(f"{arm}.joints"):
-        raise _state(f"it is not certain where {arm} stands", f"HOLD {hand_in_words(arm)} FOR 1 SEC reads its joints")
+        clears = candidate.program.clears.get("stands", "").replace("{arm}", hand_in_words(arm))
+        raise _state(f"it is not certain where {arm} stands", clears)
     return Anchor(pose=candidate.query.tcp(arm).tolist())
 
 

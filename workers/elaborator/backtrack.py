@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 
 from rtc.language.alike import unknown
+from rtc.model.cells import parts
 from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile
 from rtc.protocol.messages import Binding, PlannedPath, Step
@@ -121,13 +122,20 @@ def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor:
     if line.along == extension_names.WAY_OUT:
         if candidate.target is None:
             raise _program("WAY-OUT is the way out of a seat, and the sentence names none")
-        out = geometry.rotate(candidate.query.seat_frame(candidate.target.name), candidate.target.way_out)
-        moved = geometry.translate(world, by_m * out)
+        moved = geometry.translate(world, by_m * _way_out(candidate, candidate.target))
     elif line.along in AXES:
         moved = axes.turned(axes.shifted(world, line.along, by_m), line.along, turn_rad)
     else:
         raise suggestions.unknown("axis", line.along, extension_names.PLAN_AXES)
     return replace(anchor, joints=None, pose=geometry.relative(frame, moved).tolist())
+
+
+def _way_out(candidate: TaskCandidate, target: parts.Seat) -> Array:
+    """Unit vector (world) out of the target seat: for an object that is in it, as that leaves it."""
+    query, thing = candidate.query, candidate.thing
+    if thing is not None and target.name in (query.seat(thing.name), query.seat_around(thing.name)):
+        return query.leaves_along(thing.name)
+    return geometry.rotate(query.seat_frame(target.name), target.way_out)
 
 
 def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[str, Binding]:

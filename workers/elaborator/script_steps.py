@@ -11,7 +11,7 @@ from rtc.programs import expressions
 from rtc.programs.extension_names import CAMERA, PARTNER
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
 from rtc.protocol.messages import ScriptContext, Step, StepFigures, StepWords, Trim
-from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.conditions import reflexes
 from workers.elaborator import look
 from workers.elaborator.backtrack import FRAME, GRASP
@@ -98,7 +98,7 @@ def trims_for(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) 
         if piece is None:
             left_out.append(f"trim {entry.n} ({label}) is left out: there is no piece of script for {entry.skill}")
             continue
-        if any(step.who == CAMERA for step in piece.steps) and candidate.camera is None:
+        if candidate.camera is None and any(step.who == CAMERA for step in _own_steps(piece, candidate) or piece.steps):
             left_out.append(f"trim {entry.n} ({label}) is left out: no camera can see {candidate.body}")
             continue
         steps = _steps_of(piece, candidate)
@@ -115,23 +115,30 @@ def trims_for(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) 
 
 
 def _steps_of(piece: ScriptPiece, candidate: TaskCandidate) -> list[Step]:
-    """The steps of a piece; those of a second arm if the command has one."""
+    return [step_for(step, candidate, [], nominal=False) for step in _own_steps(piece, candidate)]
+
+
+def _own_steps(piece: ScriptPiece, candidate: TaskCandidate) -> list[ScriptStep]:
+    """The steps of a piece without those of a second arm that the command lacks, and without a look that may also find
+    nothing, if no camera can see the object."""
     own = [step for step in piece.steps if step.who != PARTNER or candidate.partner is not None]
-    return [step_for(step, candidate, [], nominal=False) for step in own]
+    blind = not candidate.body or candidate.camera is None
+    return [step for step in own if not (blind and step.who == CAMERA and StopReason.NOT_SEEN in step.expect)]
 
 
 def _fits(piece: ScriptPiece, script: ScriptFile, candidate: TaskCandidate) -> bool:
     """Whether a piece can be tried in a script: its plan has the poses, its verb the figures that the piece needs."""
     poses = {"", "HERE", *(line.name for line in script.plan)}
-    own = [step for step in piece.steps if step.who != PARTNER or candidate.partner is not None]
-    looks = any(step.who == CAMERA for step in own)
+    own = _own_steps(piece, candidate)
     figures = {name for step in own for value in step.args.values() for name in expressions.names(str(value))}
-    return (
-        bool(own)
-        and all(step.to in poses for step in own)
-        and figures <= candidate.figures.keys()
-        and not (looks and candidate.camera is None)
-    )
+    blind = any(step.who == CAMERA for step in own) and (not candidate.body or candidate.camera is None)
+    nowhere = candidate.target is None and any("{way_out}" in step.words.get("axis", "") for step in own)
+    bound = all({step.to, step.words.get("about", "")} <= poses for step in own)
+    hinged = candidate.thing is not None and candidate.thing.hinge is not None and bool(candidate.query.held_by(candidate.thing.name))
+    closed = own[:1] and own[0].op != "open" and any(step.space == "move_task" for step in own)
+    if hinged and closed:
+        return False
+    return bool(own) and bound and figures <= candidate.figures.keys() and not blind and not nowhere
 
 
 def _cannot_try(name: str, compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> Refused:

@@ -6,6 +6,7 @@ command-object table, the hand, the object, the sentence.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -176,7 +177,10 @@ def figures_of(
             least, most = thing.hinge.range_rad
             figures |= {"hinge_rad": query.angle(thing.name), "hinge_least_rad": least, "hinge_most_rad": most}
             if between is not None:
-                figures["hinge_lever_m"] = float(np.linalg.norm(np.cross(between.frame.xyz, thing.hinge.axis)))
+                arc = np.cross(thing.hinge.axis, between.frame.xyz)  # way of the grasp point per radian, object's axes
+                figures["hinge_lever_m"] = float(np.linalg.norm(arc))
+                away = float(arc @ geometry.rotate(between.frame.pose, (0.0, 0.0, 1.0)))
+                figures["hinge_push"] = math.copysign(1.0, away)
     if target is not None:
         figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
         figures["held_unsure_m"] = _held_unsure_m(query, thing, target) if thing is not None else 0.0

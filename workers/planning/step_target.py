@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
+
+import msgspec
 
 from rtc.programs.extension_names import PLAN_AXES, SPACE_ARGS, WAY_OUT
 from rtc.protocol.messages import Step
@@ -14,6 +17,7 @@ from workers.planning import axes, curves, suggestions
 from workers.planning.segments import Target
 from workers.planning.world_query import WorldQuery
 
+TURN = "turn_rad"  # figure of a stop class: the turn at which the step ends
 HERE = "HERE"  # the pose of the hand when the step begins
 Bound = Callable[[str], Target]  # the target that a name stands for. Raises Refused
 
@@ -38,6 +42,20 @@ def target_of(step: Step, query: WorldQuery, arm: str, thing: str, here: Array, 
         return Target(pose=geometry.translate(here, by_m * query.leaves_along(thing)).tolist())
     pose = axes.shifted(here, axis, by_m) if by_m else here
     return Target(pose=(axes.turned(pose, axis, by_rad) if by_rad else pose).tolist())
+
+
+def counted_from_now(step: Step, query: WorldQuery, thing: str) -> Step:
+    """The step with its turn counted from the angle that the object has now: a step that is tried again ends where it
+    would have ended the first time."""
+    from_rad, by_rad = step.figures.from_rad, step.figures.by_rad
+    if from_rad is None or by_rad is None:
+        return step
+    gone_rad = query.angle(thing) - from_rad
+    figures = msgspec.structs.replace(step.figures, by_rad=by_rad - gone_rad, from_rad=None)
+    overrides = dict(step.overrides)
+    if TURN in overrides:
+        overrides[TURN] = max(0.0, overrides[TURN] - math.copysign(gone_rad, gone_rad * by_rad))
+    return msgspec.structs.replace(step, figures=figures, overrides=overrides)
 
 
 def axis_of(step: Step) -> str:

@@ -42,6 +42,7 @@ class StepFigures(Strict, frozen=True, kw_only=True, omit_defaults=True):
     by_m: float | None = None
     by_rad: float | None = None
     hand_turn: float | None = None
+    from_rad: float | None = None  # the angle of the held hinge that by_rad and turn_rad count from
     radius_m: float | None = None
     pitch_m: float | None = None
     # duration of a motion, of a hold or of a look
