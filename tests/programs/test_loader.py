@@ -227,7 +227,11 @@ PLAN = "plan: [{name: A, at: destination, solve: true}]"
         ("{do: grip, op: open, label: x, keep: {W: report.weight}}", "", r"line 7: .*no measured value report.weight"),
         ("{do: grip, op: open, label: x, args: {width_m: amout_m}}", "", r"line 7: .*no figure amout_m; .*amount_m"),
         (GOOD.replace("label", "words: {axis: SIDEWAYS}, label"), "", r"line 7: .*no axis SIDEWAYS; there are BACK"),
-        (GOOD.replace("label", "words: {axis: WAY-OUT}, label"), "", r"line 7: .*WAY-OUT is for a move_task or a move_both from HERE"),
+        (
+            GOOD.replace("label", "words: {axis: WAY-OUT}, label"),
+            "",
+            r"line 7: .*WAY-OUT is for a move_task or a move_both from HERE",
+        ),
         (
             GOOD.replace("label", "args: {by_m: 0.1, by_rad: 1}, words: {axis: WAY-OUT}, label"),
             "",

@@ -94,6 +94,15 @@ class Reporter:
             pressed = self._hand(arm, trajectory, bound)
         else:
             assert isinstance(trajectory, HoldStill) or made.id in self.instead
+        partner = None
+        if reason is StopReason.GOAL and made.partner is not None:
+            other = made.partner.performer
+            self.joints[other] = np.array(made.paths[other].positions[-1])
+            partner = self._report(made, other, reason, bound, 0.0)
+        return msgspec.structs.replace(self._report(made, arm, reason, bound, pressed), partner=partner)
+
+    def _report(self, made: Primitive, arm: str, reason: StopReason, bound: BoundStep, pressed: float) -> EndReport:
+        assert bound.evaluation is not None
         pose = MODEL.arms[arm].fk(self.joints[arm]).tolist()
         return EndReport(
             primitive=made.id,
@@ -125,9 +134,13 @@ class Reporter:
         """How far the grasp point's bar is from the middle between the fingers (m)."""
         assert bound.evaluation is not None
         context = bound.evaluation.context
-        point = self.cell.object(context.object).grasp_point(context.grasp_point)
-        true = geometry.compose(self.poses[context.object], point.frame.pose)
-        return abs(float(geometry.relative(true, MODEL.arms[arm].fk(joints))[1]))
+        thing, tcp = self.cell.object(context.object), MODEL.arms[arm].fk(joints)
+        true = [geometry.compose(self.poses[thing.name], point.frame.pose) for point in thing.grasp_points]
+        if context.grasp_point:
+            at = [point.name for point in thing.grasp_points].index(context.grasp_point)
+        else:
+            at = min(range(len(true)), key=lambda n: geometry.distance(tcp, true[n]))
+        return abs(float(geometry.relative(true[at], tcp)[1]))
 
     def _touches(self, arm: str, joints: Any, bound: BoundStep) -> bool:
         assert bound.evaluation is not None
@@ -149,8 +162,9 @@ class Reporter:
         between = 0.0
         if motion.width_m == 0.0 and bound.evaluation.held:
             between = self.widths[arm]
-        elif motion.width_m == 0.0 and context.object and context.grasp_point:
-            bar = self.cell.object(context.object).grasp_point(context.grasp_point).width_m
+        elif motion.width_m == 0.0 and context.object:
+            thing = self.cell.object(context.object)
+            bar = (thing.grasp_point(context.grasp_point) if context.grasp_point else thing.grasp_points[0]).width_m
             between = bar if self._aside(arm, self.joints[arm], bound) < 0.04 else 0.0
         if motion.width_m == 0.0 and self.closes:
             between = self.closes.pop(0)

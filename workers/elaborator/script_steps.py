@@ -69,8 +69,7 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
 
 
 def through_places(script: ScriptFile, candidate: TaskCandidate) -> ScriptFile:
-    """The script for this candidate: two arms pass places of THROUGH in one straight line to each, where one arm follows
-    a spline."""
+    """The script for this candidate: two arms go straight to each place of THROUGH, where one arm follows a spline."""
     vias = candidate.vias
     if not vias or not any(step.space == segments.BOTH for step in script.steps):
         return script
@@ -134,23 +133,26 @@ def _fits(piece: ScriptPiece, script: ScriptFile, candidate: TaskCandidate) -> b
     blind = any(step.who == CAMERA for step in own) and (not candidate.body or candidate.camera is None)
     nowhere = candidate.target is None and any("{way_out}" in step.words.get("axis", "") for step in own)
     bound = all({step.to, step.words.get("about", "")} <= poses for step in own)
-    hinged = candidate.thing is not None and candidate.thing.hinge is not None and bool(candidate.query.held_by(candidate.thing.name))
-    closed = own[:1] and own[0].op != "open" and any(step.space == "move_task" for step in own)
-    if hinged and closed:
-        return False
-    return bool(own) and bound and figures <= candidate.figures.keys() and not blind and not nowhere
+    known = figures <= candidate.figures.keys()
+    return bool(own) and bound and known and not (blind or nowhere or _strains(own, candidate))
+
+
+def _strains(steps: list[ScriptStep], candidate: TaskCandidate) -> bool:
+    """Whether the steps would move a held object with a hinge otherwise than about it."""
+    hinged = candidate.thing is not None and candidate.thing.hinge is not None
+    return hinged and steps[0].op != "open" and any(step.space == "move_task" for step in steps)
 
 
 def _cannot_try(name: str, compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> Refused:
     if script.case < FIRST_SKILL and name.lower() in compiled.pieces:
         message = f"AND TRY {name}: {script.script} is an action, and only skills are corrected on the way"
         return Refused.because(RefusalReason.NO_SCRIPT, message, where=name, clears="leave out AND TRY")
-    able = [piece.skill.upper() for piece in compiled.pieces.values() if _fits(piece, script, candidate)]
     if name.lower() in compiled.pieces:
+        able = [piece.skill.upper() for piece in compiled.pieces.values() if _fits(piece, script, candidate)]
         message = f"AND TRY {name}: {candidate.parsed.verb} has no use for it"
         clears = f"AND TRY {' or '.join(able)}, or without AND TRY"
         return Refused.because(RefusalReason.NO_SCRIPT, message, where=name, expected=able, clears=clears)
-    return suggestions.unknown("piece of script to TRY", name, able)
+    return suggestions.unknown("piece of script to TRY", name, [piece.upper() for piece in compiled.pieces])
 
 
 def lost_arms(script: ScriptFile, candidate: TaskCandidate) -> list[str]:

@@ -1,7 +1,7 @@
-"""Plans of scripts in which two arms work in turn: each run of steps of one arm in the world that the runs before leave.
+"""Plans of scripts in which two arms work in turn: each run of steps of one arm, in the world after the runs before.
 
-The prediction is that of a success: the arm is at the end of its path with what it holds, and the object is taken or let
-go as the steps say. So a second grasp that is not possible is refused before the first arm moves. Pure.
+The prediction is that of a success: the arm is at the end of its path with what it holds, and the object is taken or
+let go as the steps say. So a second grasp that is not possible is refused before the first arm moves. Pure.
 """
 
 from __future__ import annotations
