@@ -7,7 +7,8 @@ from collections.abc import Callable, Collection, Iterator
 from typing import Any, NamedTuple
 
 from rtc.language.alike import unknown
-from rtc.programs import expressions, extension_names
+from rtc.model.cells.parts import Numbers
+from rtc.programs import attributes, expressions, extension_names
 from rtc.programs.schema import (
     AnalyzerProgram,
     BinderProgram,
@@ -20,6 +21,7 @@ from rtc.programs.schema import (
 from rtc.protocol.messages import Limits, StepWords
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.protocol.sentence import ParsedCommand
+from rtc.protocol.units import SUFFIXES
 
 Problems = Iterator[tuple[str, str]]  # place, problem
 
@@ -55,12 +57,21 @@ def steps_of(program: ElaboratorProgram) -> Iterator[PlacedStep]:
 
 def _elaborator(program: ElaboratorProgram) -> Problems:
     scripts = {script.script for script in program.scripts}
-    figures = {*extension_names.FIGURES, *(name for row in program.command_object_table for name in row.values)}
+    of_object = attributes.figures(program)
+    figures = {*extension_names.FIGURES, *of_object}
+    figures |= {name for row in program.command_object_table for name in row.values}
+    for attribute, form in program.settable.items():
+        yield from known("unit", form.unit, ("", attributes.PLAIN, *SUFFIXES), f"settable.{attribute}.unit")
+    for n, row in enumerate(program.command_object_table):
+        for name, value in ((name, value) for name, value in row.values.items() if isinstance(value, str)):
+            place = f"command_object_table[{n}].values.{name}"
+            yield from _expression(value, place, {*Numbers.__struct_fields__, *of_object})
     for n, branch in enumerate(program.decision_tree):
         yield from known("script", branch.script, scripts, f"decision_tree[{n}].script")
         for m, check in enumerate(branch.when):
             place = f"decision_tree[{n}].when[{m}]"
             yield from _bounds(check, place)
+            yield from _declared(check, place, of_object)
             for field in filter(None, (check.given, check.missing, *check.equals, *check.differs)):
                 yield from known("field of a sentence", field.partition(".")[0], FIELDS, place)
     for slot, units in program.constraints.items():
@@ -87,6 +98,7 @@ def _script(script: ScriptFile, place: str, figures: set[str]) -> Problems:
                 yield from known("resource", role, extension_names.ROLES, f"{place}.{section}[{n}]")
     if script.unsure_if is not None:
         yield from _bounds(script.unsure_if, f"{place}.unsure_if")
+        yield from _declared(script.unsure_if, f"{place}.unsure_if", figures)
     planned: list[str] = []
     for n, line in enumerate(script.plan):
         yield from known("anchor", line.at, [*extension_names.ANCHORS, *planned], f"{place}.plan[{n}].at")
@@ -184,7 +196,7 @@ def _binder(program: BinderProgram) -> Problems:
 
 def _stop_row(stop: StopRow, where: str) -> Problems:
     yield from known("predicate", stop.when, extension_names.PREDICATES, f"{where}.when")
-    yield from _expression(stop.limit, f"{where}.limit")
+    yield from _values({"limit": stop.limit} if stop.limit is not None else {}, where)
     if (stop.reflex is Reflex.BACK_OFF) is not (stop.back_off_m > 0.0):
         yield f"{where}.back_off_m", "a distance above 0 goes with the reflex back_off, and with no other"
 
@@ -223,9 +235,17 @@ def _bounds(condition: BranchCondition, place: str) -> Problems:
         yield from _expression(getattr(condition, field), f"{place}.{field}")
 
 
+def _declared(condition: BranchCondition, place: str, of_object: Collection[str]) -> Problems:
+    """Attributes of the object in a condition that no row of `settable` declares."""
+    for name in sorted(attributes.of_conditions([condition])):
+        yield from known("attribute of an object (declared in `settable`)", name, of_object, place)
+
+
 def _values(values: dict[str, str | float], place: str) -> Problems:
     for name, expression in values.items():
         yield from _expression(expression, f"{place}.{name}")
+        if attributes.PREFIX in str(expression):
+            yield f"{place}.{name}", "attributes of objects are figures of scripts; state it in the `args` of a step"
 
 
 def _expression(
@@ -237,8 +257,9 @@ def _expression(
     try:
         if problem := valueless(str(text)):
             yield place, problem
-        for name in sorted(expressions.names(text)) if names is not None else ():
-            yield from known(kind, name, names or (), place)
+        for name in sorted(expressions.names(text)):
+            if names is not None:
+                yield from known(kind, name, names, place)
     except expressions.ExpressionError as error:
         yield place, str(error)
 

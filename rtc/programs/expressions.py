@@ -1,7 +1,8 @@
 """Arithmetic expressions of programs, such as `0.5*(GP1 + GP2)` or `0.5*(pre_grasp_m - grasp_width_m) + overrun_m`.
 
-Allowed are numbers, poses, + - * /, brackets, min, max and abs only, so that a program stays data. Poses can only be
-averaged: a sum of poses whose weights add up to one is their weighted mean (position: mean, attitude: quaternion mean).
+Allowed are numbers, poses, + - * /, brackets, min, max and abs only, so that a program stays data. A name may have one
+point: `object.bar_width_m`. Poses can only be averaged: a sum of poses whose weights add up to one is their weighted
+mean (position: mean, attitude: quaternion mean).
 Attitudes more than 5 degrees apart are refused (A15). Knows neither the world nor scripts.
 """
 
@@ -59,7 +60,13 @@ def names(text: str | float) -> set[str]:
     """The names in an expression. Raises ExpressionError."""
     if isinstance(text, int | float):
         return set()
-    return {node.id for node in ast.walk(parse(text)) if isinstance(node, ast.Name)} - FUNCTIONS.keys()
+    return _names(parse(text)) - FUNCTIONS.keys()
+
+
+def _names(node: ast.AST) -> set[str]:
+    if isinstance(node, ast.Name | ast.Attribute):
+        return {ast.unparse(node)}
+    return {name for inner in ast.iter_child_nodes(node) for name in _names(inner)}
 
 
 @lru_cache(maxsize=1024)
@@ -76,11 +83,13 @@ def parse(text: str) -> ast.expr:
             raise ExpressionError(f"{text!r}: only + - * / and brackets, {', '.join(FUNCTIONS)}")
         if isinstance(node, ast.Constant) and type(node.value) not in (int, float):
             raise ExpressionError(f"{text!r}: {node.value!r} is not a number")
+        if isinstance(node, ast.Attribute) and not isinstance(node.value, ast.Name):
+            raise ExpressionError(f"{text!r}: only one point in a name")
     return tree
 
 
 _ALLOWED = (
-    ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Constant, ast.Load,
+    ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Attribute, ast.Constant, ast.Load,
     ast.Add, ast.Sub, ast.Mult, ast.Div, ast.USub, ast.UAdd,
 )  # fmt: skip
 
@@ -93,6 +102,8 @@ def _value(node: ast.expr, given: Given) -> Value:
             return float(n)
         case ast.Name(id=name):
             return _given(name, given)
+        case ast.Attribute(value=ast.Name(id=of), attr=name):
+            return _given(f"{of}.{name}", given)
         case ast.UnaryOp(op=op, operand=operand):
             return _times(-1.0 if isinstance(op, ast.USub) else 1.0, _value(operand, given))
         case ast.BinOp(left=left, op=op, right=right):

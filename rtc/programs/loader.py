@@ -48,6 +48,8 @@ IDENTITY: dict[str, tuple[str, ...]] = {
 }
 #: field that marks a document as a single item -> its section
 ITEMS: dict[str, str] = {"script": "scripts", "skill": "pieces"}
+#: further sections that a file with a single item may have
+BESIDE_ITEMS = ("settable",)
 
 _EXPECTED = "a program document is a map of sections, such as " + "; ".join(
     f"for the {kind.value} {', '.join(sorted(schema.__struct_fields__)[:3])}" for kind, schema in SCHEMAS.items()
@@ -192,7 +194,7 @@ def _put(whole: dict[str, Any], document: dict[str, Any], source: str) -> None:
     """Merges the sections of a document into `whole`, in place. Raises ProgramError."""
     for field, section in ITEMS.items():
         if isinstance(document.get(field), str):
-            tables = {key: document[key] for key in IDENTITY if key in document}
+            tables = {key: document[key] for key in (*IDENTITY, *BESIDE_ITEMS) if key in document}
             item = {key: value for key, value in document.items() if key not in tables}
             document = {**tables, section: [item]}
             break

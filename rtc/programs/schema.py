@@ -55,7 +55,7 @@ class TableRow(ProgramPart, frozen=True, kw_only=True):
     verb: str
     kind: str = ""  # of the object; empty together with `name`: the verb without an object
     name: str = ""
-    values: dict[str, float]
+    values: dict[str, Expression]  # over the numbers of the cell and the attributes of the object
 
 
 class PlanLine(ProgramPart, frozen=True, kw_only=True):
@@ -125,7 +125,7 @@ class ScriptPiece(ProgramPart, frozen=True, kw_only=True):
 class SettableAttribute(ProgramPart, frozen=True, kw_only=True):
     """An attribute that SET may change, and the form of its value."""
 
-    unit: str = ""  # SI unit, as in a record; empty: the value is a name
+    unit: str = ""  # SI unit, as in a record; 1: a number without a unit; empty: the value is a name
     attitude: bool = False  # roll, pitch and yaw (rad) may follow
     of: Annotated[list[str], Meta(min_length=1)]  # names of its numbers, in order: [x, y, z]
     example: str  # "71.5 12 28 CM"

@@ -60,6 +60,12 @@ KINDS: dict[str, Kind] = {
     "ratio": Kind("a percentage", "50 PERCENT"),
 }
 
+#: SI unit -> the end of a figure's name: width_m, mass_kg
+SUFFIXES: dict[str, str] = {
+    **{"m": "m", "rad": "rad", "turn": "turns", "s": "s", "N": "n", "N.m": "nm", "N/m": "n_m"},
+    **{"m/s": "m_s", "rad/s": "rad_s", "Hz": "hz", "kg": "kg", "ratio": "ratio"},
+}
+
 
 def to_si(number: float, unit: str) -> float:
     """The value in `UNITS[unit].si`. -0.0 becomes 0.0, so that equal records have equal bytes."""

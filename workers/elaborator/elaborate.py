@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import msgspec
 
-from rtc.programs import expressions
+from rtc.programs import attributes, expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.messages import ElaboratorInput, Script
@@ -19,7 +19,16 @@ from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
 from workers.conditions import reflexes
-from workers.elaborator import arm_candidates, command_fields, look, make_way, no_script, set_fact, stages
+from workers.elaborator import (
+    arm_candidates,
+    command_fields,
+    look,
+    make_way,
+    no_script,
+    object_attributes,
+    set_fact,
+    stages,
+)
 from workers.elaborator.backtrack import Planned, can_be_seen
 from workers.elaborator.script_checks import CHECKS, why_uncertain, why_unsure_grasp, why_unsure_place
 from workers.elaborator.script_options import ScriptOption, fits_sentence, in_words, only_looks, ranked
@@ -82,11 +91,14 @@ def _elaborated(compiled: Compiled, query: WorldQuery, parsed: ParsedCommand) ->
     for by_camera in sorted({only_looks(scripts[branch.script]) for branch in branches}):
         find = look.candidates if by_camera else arm_candidates.candidates
         candidates += find(program, scripts, parsed, limits, query)
-    options = ranked(branches, candidates, scripts)
+    unstated: list[Refusal] = []
+    options = ranked(branches, candidates, scripts, unstated)
+    if not options and unstated:
+        raise Refused(unstated[0])
     if not options:
         hinged = parsed.object is not None and query.hinge(parsed.object) is not None
         raise no_script.refused_form(parsed, branches, hinged=hinged)
-    return _first_feasible(compiled, options)
+    return _first_feasible(compiled, options, [f"not generated: {why.message}; {why.clears}" for why in unstated])
 
 
 def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:
@@ -101,10 +113,11 @@ def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:
 # --- choose the script -----------------------------------------------------------------------------------
 
 
-def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script:
-    """The script of the first feasible option. Raises the most informative refusal, with the number of options."""
+def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list[str]) -> Script:
+    """The script of the first feasible option. Raises the most informative refusal, with the number of options.
+
+    `notes`: on scripts that are no options; those of this choice are added."""
     refused: list[tuple[Refusal, ScriptOption]] = []
-    notes: list[str] = []
     for option in options:
         try:
             return _script(compiled, option, options, notes)
@@ -169,6 +182,9 @@ def _script(compiled: Compiled, option: ScriptOption, options: list[ScriptOption
     command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses, performer=chosen)
     for check in CHECKS:
         check(script, candidate)
+    pieces = [compiled.pieces[entry.skill] for entry in script.trimming_stack if entry.skill in compiled.pieces]
+    used = attributes.of_script(script, pieces)
+    object_attributes.refuse_unstated(compiled.program, candidate.query, candidate.thing, used)
     try:
         return _planned(compiled, option, options, notes)
     except expressions.ExpressionError as error:

@@ -11,6 +11,7 @@ from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.sensing import absence
+from workers.elaborator import object_attributes
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import sight, suggestions
 from workers.planning.world_query import WorldQuery
@@ -45,6 +46,7 @@ def candidates(
         raise suggestions.unknown("seat", parsed.target, [one.name for one in cell.seats])
     cameras = _cameras(program, parsed, query, name)
     figures = figures_of(program, parsed, query, None, None, None, None)
+    figures |= object_attributes.figures(program, query, thing)
     return [
         TaskCandidate(query, program, parsed, limits, None, thing, None, target, figures, camera, seat)
         for camera in cameras

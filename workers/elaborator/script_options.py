@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import msgspec
+
 from rtc.plugins import registry
-from rtc.programs import expressions
+from rtc.programs import attributes, expressions
 from rtc.programs.schema import Branch, BranchCondition, ScriptFile
+from rtc.protocol.outcomes import Refusal
 from rtc.protocol.sentence import ParsedCommand
-from workers.elaborator import command_fields, no_script
+from workers.elaborator import command_fields, no_script, object_attributes
 from workers.elaborator.task_candidate import TaskCandidate
 
 
@@ -25,15 +28,19 @@ class ScriptOption:
 
 
 def ranked(
-    branches: list[Branch], candidates: list[TaskCandidate], scripts: Mapping[str, ScriptFile]
+    branches: list[Branch], candidates: list[TaskCandidate], scripts: Mapping[str, ScriptFile], unstated: list[Refusal]
 ) -> list[ScriptOption]:
-    """All pairs of branch and candidate whose conditions hold: the likeliest first, then the nearest."""
+    """All pairs of branch and candidate whose conditions hold: the likeliest first, then the nearest.
+
+    A condition on an attribute that the object lacks does not hold; its refusal is added to `unstated`."""
     options = []
     for branch in branches:
         by_camera = only_looks(scripts[branch.script])
         for candidate in (one for one in candidates if (one.hand is None) == by_camera):
             try:
-                if all(holds(check, candidate) for check in branch.when):
+                if (lacks := _unstated(branch, candidate)) is not None:
+                    unstated += [lacks] if lacks not in unstated else []
+                elif all(holds(check, candidate) for check in branch.when):
                     options.append(ScriptOption(branch, candidate))
             except expressions.ExpressionError as error:
                 message = f"the decision tree for {branch.verb} ({branch.script}): {error}"
@@ -41,6 +48,13 @@ def ranked(
                 raise no_script.wrong_program(message, "decision_tree", clears) from error
     scores = registry.installed(registry.EVALUATORS).values()  # of installed packages: the lowest sum comes first
     return sorted(options, key=lambda one: (sum(score(one) for score in scores), -one.branch.likelihood))
+
+
+def _unstated(branch: Branch, candidate: TaskCandidate) -> Refusal | None:
+    if not (names := attributes.of_conditions(branch.when)) or not fits_sentence(branch, candidate.parsed):
+        return None
+    why = object_attributes.why_unstated(candidate.program, candidate.query, candidate.thing, names)
+    return None if why is None else msgspec.structs.replace(why, message=f"{branch.script}: {why.message}")
 
 
 def in_words(options: list[ScriptOption]) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from rtc.language.alike import nearest
 from rtc.model.cells import parts
+from rtc.programs.attributes import PLAIN
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
 from rtc.protocol.messages import Script, ScriptContext, Step
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -134,7 +135,7 @@ def _fits(row: SettableAttribute, parsed: ParsedCommand) -> bool:
     if not row.unit:
         return len(values) == len(row.of) and all(isinstance(word, str) for word in values)
     turned = " ".join([row.unit] * len(row.of) + ["rad"] * len(ANGLES))
-    return (unit == row.unit and len(values) == len(row.of)) or (row.attitude and unit == turned)
+    return ((unit or PLAIN) == row.unit and len(values) == len(row.of)) or (row.attitude and unit == turned)
 
 
 def _others(thing: Thing, query: WorldQuery) -> list[str]:
@@ -152,6 +153,7 @@ def _misfit(row: SettableAttribute, parsed: ParsedCommand, thing: Thing) -> Refu
     what = "a name" if any(isinstance(v, str) for v in values) else f"{len(values)} number{'s' * (len(values) != 1)}"
     unit = f"in {parsed.value_unit}" if parsed.value_unit else "without a unit"
     wanted = f"{' '.join(row.of)} in {row.unit}" if row.unit else "a name"
+    wanted = f"{' '.join(row.of)} without a unit" if row.unit == PLAIN else wanted
     wanted += f", and may go on with {' '.join(ANGLES)} in rad" if row.attitude else ""
     return Refused.because(
         RefusalReason.SENTENCE,

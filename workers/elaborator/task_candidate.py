@@ -9,25 +9,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from rtc.model.cells import parts
+from rtc.programs import attributes, expressions
 from rtc.programs.schema import ElaboratorProgram, TableRow
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand, Quantity
-from rtc.protocol.units import in_words
+from rtc.protocol.units import SUFFIXES, in_words
 from rtc.spatial import geometry
 from rtc.world.spread import narrowest
+from workers.elaborator import object_attributes
 from workers.planning import pose_spread, trust
 from workers.planning.trust import AHEAD_S
 from workers.planning.world_query import WorldQuery
-
-#: unit of a quantity -> suffix of the figure's name
-SUFFIX = {"m": "_m", "rad": "_rad", "turn": "_turns", "s": "_s", "N": "_n"}
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,8 @@ def figures_of(
 ) -> dict[str, float]:
     """All figures of a candidate. Raises Refused if the command-object table has no row for it."""
     figures: dict[str, float] = dict(msgspec.structs.asdict(query.cell.numbers))
-    figures |= _table(program, parsed.verb, thing, query)
+    of_object = object_attributes.figures(program, query, thing)
+    figures |= _table(program, parsed.verb, thing, query, figures | of_object) | of_object
     if arm is not None:
         figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": query.hand_width(arm.name)}
         figures["max_grip_n"] = arm.gripper.max_force_n
@@ -213,7 +212,7 @@ def _held_unsure_m(query: WorldQuery, thing: parts.Object, target: parts.Seat) -
 
 
 def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:
-    return {} if quantity is None else {name + SUFFIX.get(quantity.unit, f"_{quantity.unit}"): quantity.value}
+    return {} if quantity is None else {f"{name}_{SUFFIXES[quantity.unit]}": quantity.value}
 
 
 def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery) -> Refused:
@@ -237,12 +236,17 @@ def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, 
     )
 
 
-def _table(program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery) -> dict[str, Any]:
+def _table(
+    program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery, given: dict[str, float]
+) -> dict[str, float]:
+    """The row of the command-object table, evaluated over `given`: numbers of the cell, attributes of the object."""
     rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
     if not rows:
         raise _not_for(program, verb, thing, query)
     rows.sort(key=lambda row: bool(row.name))  # rows for a name override rows for a kind
-    return {name: value for row in rows for name, value in row.values.items()}
+    values = {name: value for row in rows for name, value in row.values.items()}
+    object_attributes.refuse_unstated(program, query, thing, attributes.of_values(values.values()))
+    return {name: expressions.number(value, given) for name, value in values.items()}
 
 
 def _is_about(row: TableRow, thing: parts.Object | None) -> bool:
