@@ -17,7 +17,7 @@ from broker.decisions.resources import WORLD, Quarantine
 from broker.decisions.state import NOTES_KEPT, SPACES_KEPT, ArmMotion, Command, PendingJob, ScriptHead, State, StepHead
 from rtc.protocol import wire
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
-from rtc.protocol.outcomes import Measured
+from rtc.protocol.outcomes import Compared, Measured
 from rtc.protocol.primitive import Box, apart
 
 read_step = wire.decoder(StepHead)
@@ -150,10 +150,11 @@ class DecisionContext:
         *,
         expected_s: float = 0.0,
         measured: Measured | None = None,
+        compared: Compared | None = None,
     ) -> None:
         """Change the phase and write a note."""
         command.phase = phase
-        self.note(command, text, expected_s, measured)
+        self.note(command, text, expected_s, measured, compared=compared)
 
     def note(
         self,
@@ -162,6 +163,8 @@ class DecisionContext:
         expected_s: float = 0.0,
         measured: Measured | None = None,
         warning: bool = False,
+        compared: Compared | None = None,
+        trim: int = 0,
     ) -> None:
         state, notes = self.state, command.notes
         state.seq += 1
@@ -176,6 +179,8 @@ class DecisionContext:
             note=text,
             expected_s=expected_s,
             measured=measured,
+            compared=compared,
+            trim=trim,
             warning=warning,
         )
         notes.append(note)

@@ -13,7 +13,7 @@ import msgspec
 from broker.decisions.action_stack import ActionStack
 from broker.decisions.resources import Resources
 from rtc.protocol.messages import Breakpoint, Phase, ProgressNote, WorkerKind
-from rtc.protocol.outcomes import Measured, OutcomeKind, Refusal, StopReason
+from rtc.protocol.outcomes import Compared, Measured, OutcomeKind, Refusal, StopReason
 from rtc.protocol.primitive import Box
 from rtc.protocol.sentence import Condition
 
@@ -103,6 +103,8 @@ class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"
     keep: dict[str, msgspec.Raw] = {}
     clears: str = ""
     remark: str = ""
+    compared: Compared | None = None
+    drift: str = ""
 
 
 class PendingJob(msgspec.Struct, kw_only=True, gc=False):

@@ -110,6 +110,9 @@ def _script(script: ScriptFile, place: str, figures: set[str]) -> Problems:
     for n, entry in enumerate(script.trimming_stack):
         if entry.n != n + 1:
             yield f"{place}.trimming_stack[{n}].n", f"entries are numbered in order from 1; this is number {n + 1}"
+        used = [m for m, step in enumerate(script.steps) if entry.drift and _may_use(step, entry.n)]
+        for m in used:
+            yield f"{place}.steps[{m}].trim", f"entry {entry.n} is for a drift, not for a failure of a step"
     if script.trimming_stack and script.case < 3:
         yield f"{place}.trimming_stack", "actions (cases 1 and 2) cannot be trimmed"
     poses = {line.name for line in script.plan if not line.solve}
@@ -117,6 +120,11 @@ def _script(script: ScriptFile, place: str, figures: set[str]) -> Problems:
     for n, step in enumerate(script.steps):
         about = step.words.get("about", "HERE")
         yield from known("pose of the plan (without solve)", about, poses, f"{place}.steps[{n}].words.about")
+
+
+def _may_use(step: ScriptStep, entry: int) -> bool:
+    first, count = step.trim
+    return first <= entry < first + count
 
 
 def _step(placed: PlacedStep, figures: set[str]) -> Problems:

@@ -97,6 +97,7 @@ class TrimEntry(ProgramPart, frozen=True, kw_only=True):
     skill: str
     then: Then = "retry_step"
     fits: list[StopReason] = []
+    drift: bool = False  # it corrects a grip that weakens, after a step that has succeeded; never a failure
 
 
 class ScriptFile(ProgramPart, frozen=True, kw_only=True):

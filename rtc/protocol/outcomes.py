@@ -243,6 +243,27 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc
     others: dict[str, Any] = {}  # items of installed packages, by name
 
 
+class Figure(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """One figure of a step. It drifts if it differs by more than `band` from what was predicted."""
+
+    name: str  # of `workers.analyzer.comparison.FIGURES`, with its unit: duration_s
+    predicted: float
+    measured: float
+    band: float
+
+    @property
+    def drifts(self) -> bool:
+        return abs(self.measured - self.predicted) > self.band
+
+
+class Compared(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """What a step was expected to do, against what came (R79)."""
+
+    verb: str
+    kind: str  # row of the analyzer's outcomes: move_free, grip-close
+    figures: list[Figure] = []  # empty: it ended otherwise than expected
+
+
 class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """How one command ended; sent to the client that submitted it."""
 

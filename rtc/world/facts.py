@@ -48,6 +48,10 @@ class Facts:
         width = self.world.value(f"{arm}.hand_width")
         return self.cell.arm(arm).gripper.max_opening_m if width is None else float(width)
 
+    def hand_force(self, arm: str) -> float:
+        """The force (N) with which the hand gripped when it had closed; 0: it does not grip, or nobody knows."""
+        return float(self.world.value(f"{arm}.hand_force") or 0.0)
+
     def holding(self, arm: str) -> str:
         return self.world.value(f"{arm}.holding") or ""
 

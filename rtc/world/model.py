@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rtc.model.cells.cell import Cell
 
 #: attributes that a motion can change
-MOVED = frozenset({"joints", "hand_width", "holding", "frame", "seat", "held_by", "grasp", "angle"})
+MOVED = frozenset({"joints", "hand_width", "hand_force", "holding", "frame", "seat", "held_by", "grasp", "angle"})
 UNIT_TOLERANCE = 1e-4  # tolerance of the norm of a quaternion
 MAX_DEPTH = 8  # maximum nesting in values of attributes without a row in ATTRIBUTES
 
@@ -178,6 +178,7 @@ def _shown(value: Any) -> str:
 ATTRIBUTES: dict[str, Callable[[Any], str]] = {
     "joints": _numbers,  # rad
     "hand_width": _length,  # m
+    "hand_force": _length,  # N, when the hand had closed on something
     "holding": _text,  # object
     "frame": _pose,  # world frame
     "seat": _text,

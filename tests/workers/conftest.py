@@ -68,6 +68,7 @@ class Reporter:
         self.poses = {thing.name: cell.object_pose(thing.name) for thing in cell.objects}
         self.joints = {arm.name: np.array(arm.home_rad) for arm in cell.arms}
         self.widths = {arm.name: arm.gripper.max_opening_m for arm in cell.arms}
+        self.forces = {arm.name: 0.0 for arm in cell.arms}  # of the hands (N)
         self.closes: list[float] = []  # what the next closures come to, instead of the truth
         self.instead: dict[str, StopReason] = {}  # primitive -> how it ends instead, at its start
         self.seats = True  # what is brought down in a seat touches it, and is caught
@@ -83,7 +84,7 @@ class Reporter:
             poses = {name: pose.tolist() for name, pose in self.poses.items()}
             return self.eyes.perform(made, SceneView(poses=poses, tcp=tcp))
         arm, trajectory = made.performer, made.trajectory
-        reason, pressed = self.instead.get(made.id, StopReason.GOAL), 0.0
+        reason = self.instead.get(made.id, StopReason.GOAL)
         if reason is StopReason.GOAL and isinstance(trajectory, JointTrajectory):
             before = MODEL.arms[arm].fk(self.joints[arm])
             reason = self._move(arm, trajectory, made, bound)
@@ -91,7 +92,7 @@ class Reporter:
                 in_hand = geometry.relative(before, self.poses[held])
                 self.poses[held] = geometry.compose(MODEL.arms[arm].fk(self.joints[arm]), in_hand)
         elif reason is StopReason.GOAL and isinstance(trajectory, HandMotion):
-            pressed = self._hand(arm, trajectory, bound)
+            self.forces[arm] = self._hand(arm, trajectory, bound)
         else:
             assert isinstance(trajectory, HoldStill) or made.id in self.instead
         partner = None
@@ -114,7 +115,7 @@ class Reporter:
             tcp_pose=pose,
             wrench=[0.0] * 6,
             hand_width_m=self.widths[arm],
-            hand_force_n=pressed,
+            hand_force_n=self.forces[arm],
             trip_pose=pose,
         )
 

@@ -7,7 +7,9 @@ import math
 import pytest
 
 from rtc.protocol.outcomes import Reflex, StopReason
+from rtc.protocol.primitive import JointTrajectory
 from rtc.spatial import geometry
+from rtc.subsystems.motion.arm import HandCommand
 
 pytestmark = pytest.mark.physics
 
@@ -197,3 +199,31 @@ def test_a_stiffness_that_no_arm_keeps_is_refused(physical, sentence: str, words
     assert run.refusal is not None
     assert words in run.refusal.message
     assert not run.primitives
+
+
+def test_steps_take_as_long_as_predicted_and_a_weaker_grip_is_closed_again(physical) -> None:
+    """The motor of the hand gives 12 N instead of 45 N from the lift on. F would end the step below 3 N."""
+    physical.without_cameras()
+    grasp = physical.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    assert grasp.succeeded
+    arm, weak = physical.subsystem.sim.arms[ARM], HandCommand(0.0, 12.0, 0.05)
+
+    def weaken(tick: int) -> None:
+        moves = isinstance(physical.subsystem.executors[ARM].primitive.trajectory, JointTrajectory)
+        if tick == 0 and moves:
+            arm.command_hand(weak)
+
+    physical.subsystem.disturb = weaken
+    lift = physical.do("LIFT MACS-NEW BY 10 CM WITH RIGHT-ARM")
+    assert lift.succeeded
+    assert lift.trims == [lift.script.context.if_drifting]
+    assert lift.reports[-1].hand_force_n > 40.0
+
+    durations = [
+        figure
+        for judged in [*grasp.assessments, *lift.assessments]
+        for figure in judged.compared.figures
+        if figure.name == "duration_s"
+    ]
+    assert len(durations) > 7
+    assert not [figure for figure in durations if figure.drifts]

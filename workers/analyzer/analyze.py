@@ -19,7 +19,7 @@ from rtc.programs.schema import AnalyzerProgram, OutcomeClass
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.world.model import World
-from workers.analyzer import nearby, reported_facts, sighting
+from workers.analyzer import comparison, nearby, reported_facts, sighting
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
@@ -35,7 +35,7 @@ from workers.analyzer.step_changes import (
 )
 from workers.analyzer.world_changes import EFFECTS, Changes, angles
 from workers.conditions import reflexes
-from workers.planning import in_seat
+from workers.planning import in_seat, trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 
@@ -59,6 +59,7 @@ VALUES = (
     *("seated_m", "seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
     *("struck_n", "struck_m", "struck_rad", "twisted_n", "twisted_rad", "pressed_m", "pressed_rad"),
     *("tilted_m", "unforeseen_m", "rolled_m", "pad_m"),
+    *comparison.VALUES,
 )
 #: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
 OF_CELL = {"creep_m_s", "creep_rad_s"}
@@ -106,16 +107,32 @@ def _assessed(task: AnalyzeTask) -> Assessment:
 
 
 def _success(task: AnalyzeTask) -> Assessment:
-    """The step has ended as expected: its effect on the world, and the values that it keeps."""
+    """The step has ended as expected: its effect on the world, the values that it keeps, and what has drifted."""
     seen = sighting.in_words(task) if task.evaluation.body else ""
+    changes = _success_changes(task)
+    found = comparison.compared(task, changes)
+    drifts = comparison.grip_drifts(found)
+    trim = _trim_of_grip(task) if drifts else 0
+    drift = comparison.drift_of(found.figures) if found else ""
+    if drifts and not trim:
+        drift += f"; {trust.remedy(task.query, f'{task.evaluation.held}.grasp', task.program.clears)}"
     return Assessment(
-        verdict="abort" if task.data.closing else "continue",
+        verdict="abort" if task.data.closing else "trim" if trim else "continue",
         reason=task.report.reason,
         message="; ".join(filter(None, (task.step.label, task.evaluation.remark, seen))),
+        trim=trim,
         keep={name: _kept(source, task.report) for name, source in task.step.keep.items()},
         remark=_remark(task),
-        changes=_success_changes(task),
+        changes=changes,
+        compared=found,
+        drift=drift,
     )
+
+
+def _trim_of_grip(task: AnalyzeTask) -> int:
+    """The entry that grips again before the object is lost (R146); 0 if the script has none, or it was used."""
+    entry = task.context.if_drifting
+    return 0 if task.data.closing or entry in task.data.trims_used else entry
 
 
 def _success_changes(task: AnalyzeTask) -> Changes:
@@ -160,6 +177,7 @@ def _failure(task: AnalyzeTask, reason: StopReason, failure: OutcomeClass) -> As
         trim=trim,
         changes=changes,
         clears=clears,
+        compared=comparison.unexpected(task),
     )
 
 

@@ -25,7 +25,8 @@ def arm_changes(task: AnalyzeTask) -> Changes:
 def _reported(task: AnalyzeTask, report: EndReport, arm: str, *, hand_commanded: bool) -> Changes:
     """Joints and hand width as reported; suspect and unchanged, like what it holds, if the report has no joints.
 
-    The width of a hand that has opened or closed without a command is suspect: the fingers may still move.
+    The width of a hand that has opened or closed without a command is suspect: the fingers may still move. A hand that
+    was commanded also has the force with which it grips.
     """
     if not arm:
         return []  # a stated or observed fact moves no arm
@@ -36,7 +37,10 @@ def _reported(task: AnalyzeTask, report: EndReport, arm: str, *, hand_commanded:
         ]
     width_m = max(0.0, report.hand_width_m)
     moves = not hand_commanded and abs(width_m - task.query.hand_width(arm)) > task.values["unforeseen_m"]
+    force_n = report.hand_force_n if report.hand_force_n >= task.values["pressing_n"] else 0.0
+    grip = [WorldChange(key=f"{arm}.hand_force", value=force_n)] if hand_commanded else []
     return [
+        *grip,
         WorldChange(key=f"{arm}.joints", value=list(report.joints)),
         WorldChange(key=f"{arm}.hand_width", value=width_m, validity=Validity.SUSPECT if moves else Validity.VALID),
     ]

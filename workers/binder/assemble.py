@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from rtc.protocol.messages import BoundStep, EvaluationContext
-from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import (
     MAX_S,
+    ForceAbove,
     HandMotion,
     HoldStill,
     JointTrajectory,
@@ -13,6 +16,7 @@ from rtc.protocol.primitive import (
     Look,
     Primitive,
     Reporting,
+    StopFunction,
     Trajectory,
     Vector,
 )
@@ -20,6 +24,7 @@ from rtc.protocol.primitive_id import command_of
 from workers.binder import compliance, targets
 from workers.binder.bind_task import BindTask, RuledTask
 from workers.conditions import stop_conditions
+from workers.conditions.prediction import Expected
 from workers.conditions.stop_conditions import Values
 from workers.planning import trust
 
@@ -28,6 +33,7 @@ def of_arm(
     task: RuledTask,
     trajectory: Trajectory,
     evaluation: EvaluationContext,
+    expected: Expected,
     against: Vector | None = None,
     note: str = "",
 ) -> BoundStep:
@@ -36,9 +42,10 @@ def of_arm(
     Raises Refused.
     """
     left_s = None if isinstance(trajectory, HoldStill) else task.time_left_s  # a rest has been shortened to it
-    if left_s is not None and evaluation.predicted_s > left_s:
-        raise refused_time(task, evaluation.predicted_s)
-    values = _with_time_limit(task.values, evaluation.predicted_s, left_s)
+    if left_s is not None and expected.seconds > left_s:
+        raise refused_time(task, expected.seconds)
+    path_s = trajectory.duration_s if isinstance(trajectory, JointTrajectory) else 0.0  # also if no touch ends it
+    values = _with_time_limit(task.values, max(expected.seconds, path_s), left_s)
     rows = [*task.stop_class.stops, *(task.program.holding if _keeps(task, trajectory) else [])]
     requested = stop_conditions.from_command(task.data, task.query, values, rows)
     stops = stop_conditions.stop_functions(rows, values, against, requested, targets.turn_line(task))
@@ -57,6 +64,12 @@ def of_arm(
         stop_functions=stops,
         control_law=control_law,
         reporting=stop_conditions.reporting(task.data, task.query, values, rows),
+    )
+    evaluation = msgspec.structs.replace(
+        evaluation,
+        predicted_s=expected.seconds,
+        within_s=expected.within_s,
+        force_n=_least_limit_n(stops),
     )
     return _bound(task, made, evaluation, values, note)
 
@@ -88,6 +101,13 @@ def _bound(
         limit_s=values["report_factor"] * values["time_limit_s"] + values["report_margin_s"],
         note=note,
     )
+
+
+def _least_limit_n(stops: list[StopFunction]) -> float:
+    """The force at which F ends the motion as a fault; 0: a touch is to end it, or no force does."""
+    if any(stop.reason is StopReason.CONTACT for stop in stops):
+        return 0.0
+    return min((stop.when.limit_n for stop in stops if isinstance(stop.when, ForceAbove)), default=0.0)
 
 
 def _keeps(task: RuledTask, trajectory: Trajectory) -> bool:

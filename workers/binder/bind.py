@@ -26,6 +26,8 @@ from rtc.world.model import World
 from workers.binder import assemble, look, replan, targets
 from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
 from workers.binder.motion import bind_motion
+from workers.conditions import prediction
+from workers.conditions.prediction import Expected
 from workers.planning import step_target, suggestions
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -98,11 +100,12 @@ def hand_motion(task: BindTask, op: str) -> BoundStep:
         arm=task.arm,
         goal_pose=query.tcp(task.arm).tolist(),
         held=task.held,
-        predicted_s=abs(query.hand_width(task.arm) - width_m) / gripper.speed_m_s,
         width_m=[values.get("least_m", 0.0), values.get("most_m", gripper.max_opening_m + 0.001)],
         start_joints=list(query.joints(task.arm)),
     )
-    return assemble.of_arm(ruled, HandMotion(width_m=width_m, force_n=grip_n, speed_m_s=gripper.speed_m_s), evaluation)
+    motion = HandMotion(width_m=width_m, force_n=grip_n, speed_m_s=gripper.speed_m_s)
+    expected = prediction.of_hand(query, values, evaluation, motion)
+    return assemble.of_arm(ruled, motion, evaluation, expected)
 
 
 def _refused_hand_figure(task: BindTask, name: str, value: float, most: float, unit: str) -> Refused:
@@ -129,10 +132,9 @@ def bind_still(task: BindTask) -> BoundStep:
         arm=task.arm,
         goal_pose=query.tcp(task.arm).tolist() if known and "press_n" not in ruled.values else None,
         held=task.held,
-        predicted_s=duration_s,
         start_joints=list(query.joints(task.arm)),
     )
-    return assemble.of_arm(ruled, HoldStill(duration_s=duration_s), evaluation)
+    return assemble.of_arm(ruled, HoldStill(duration_s=duration_s), evaluation, Expected(duration_s))
 
 
 def bind_look(task: BindTask) -> BoundStep:

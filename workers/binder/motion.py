@@ -16,7 +16,7 @@ from rtc.protocol.units import in_words
 from workers.binder import assemble, impact, targets, together
 from workers.binder.bind_task import BindTask, RuledTask, unknown_in_program
 from workers.binder.impact import Keeping
-from workers.conditions import sharing
+from workers.conditions import prediction, sharing
 from workers.conditions.stop_conditions import Values
 from workers.planning import advice, in_seat, scenes, segments, trust
 from workers.planning.motion import beside
@@ -103,13 +103,15 @@ def _assembled(task: RuledTask, motion: Motion, keep: Keeping) -> BoundStep:
         goal_pose=motion.goal_pose.tolist(),
         remark="; ".join(remarks),
         held=task.held,
-        predicted_s=motion.timed.duration_s,
         no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
         start_joints=[float(q) for q in query.joints(task.arm)],
     )
     against = targets.against_motion(query.tcp(task.arm).tolist(), motion) if step.space == "move_task" else None
     note = "; ".join((*remarks, *motion.notes))
-    bound = assemble.of_arm(task, motion.timed.trajectory(), evaluation, against, note)
+    expected = prediction.of_path(
+        task.values, step, motion.timed.duration_s, speed_m_s=keep.speed_m_s, laden=bool(task.held)
+    )
+    bound = assemble.of_arm(task, motion.timed.trajectory(), evaluation, expected, against, note)
     bound = msgspec.structs.replace(bound, remark="; ".join(remark.partition(": ")[0] for remark in remarks))
     return bound if motion.partner is None else together.with_partner(task, bound, motion.partner)
 

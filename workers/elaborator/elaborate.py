@@ -213,7 +213,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     cameras = [name for step in looking for name in step.cameras]
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
     return Script(
-        context=context_for(option, candidate, entries),
+        context=context_for(script, option, candidate, entries),
         case=case,
         steps=steps,
         trims=entries,

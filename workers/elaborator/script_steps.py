@@ -100,7 +100,13 @@ def trims_for(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) 
         if candidate.camera is None and any(step.who == CAMERA for step in _own_steps(piece, candidate) or piece.steps):
             left_out.append(f"trim {entry.n} ({label}) is left out: no camera can see {candidate.body}")
             continue
-        steps = _steps_of(piece, candidate)
+        try:
+            steps = _steps_of(piece, candidate)
+        except expressions.ExpressionError as error:
+            if not entry.drift:
+                raise
+            left_out.append(f"trim {entry.n} ({label}) is left out: {error}")  # a drift is shown all the same
+            continue
         entries.append(Trim(n=entry.n, label=label, steps=steps, then=entry.then, fits=entry.fits))
     for n, reflex in enumerate((r for r in candidate.parsed.reflexes if r.trim), MAX_ENTRIES + 1):
         name = (reflex.trim or "").lower()
@@ -193,7 +199,10 @@ def _performed_by(arm: str, candidate: TaskCandidate, step: Step) -> Step:
     return step if arm == candidate.arm.name else msgspec.structs.replace(step, arm=arm)
 
 
-def context_for(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]) -> ScriptContext:
+def context_for(
+    script: ScriptFile, option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]
+) -> ScriptContext:
+    known = {entry.n for entry in entries}
     return ScriptContext(
         verb=candidate.parsed.verb,
         script=option.branch.script,
@@ -207,6 +216,7 @@ def context_for(option: ScriptOption, candidate: TaskCandidate, entries: list[Tr
         reflexes=candidate.parsed.reflexes,
         report=candidate.parsed.report,
         fits={entry.n: entry.fits for entry in entries if entry.fits},
+        if_drifting=next((entry.n for entry in script.trimming_stack if entry.drift and entry.n in known), 0),
     )
 
 

@@ -11,22 +11,23 @@ import numpy as np
 
 from rtc.model.cells.parts import Numbers
 from rtc.spatial import geometry
-from rtc.spatial.geometry import Array, Floats
+from rtc.spatial.geometry import Floats
 from rtc.world.spread import Spread, even, narrowest, widened
 
 
 def spread_at(spread: Spread, offset: Floats) -> list[float]:
-    """Spread of the pose at `offset` (in the first pose's axes), rigidly joined to a pose of this spread."""
-    bounds = np.abs(_lever(offset)) @ np.asarray(spread, dtype=float)
-    return [float(n) for n in bounds]
+    """Spread of the pose at `offset` (in the first pose's axes), rigidly joined to a pose of this spread.
 
-
-def _lever(offset: Floats) -> Array:
-    """Matrix (6 x 6) that maps a small pose error [d, r] to the error of the pose at `offset`, each in its own axes."""
-    turn = geometry.to_matrix(offset)[:3, :3].T
-    x, y, z = list(offset)[:3]
-    arm = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # r x offset = arm @ r
-    return np.block([[turn, turn @ arm], [np.zeros((3, 3)), turn]])
+    A small error [d, r] of the first pose is the error [turn (d + r x offset), turn r] there. In plain numbers, because
+    an array of nine costs more than its products."""
+    x, y, z = (float(n) for n in offset[:3])
+    dx, dy, dz, rx, ry, rz = map(float, spread)
+    metres, radians = [], []
+    for a, b, c in geometry.to_matrix(offset)[:3, :3].T.tolist():
+        lever = abs(c * y - b * z) * rx + abs(a * z - c * x) * ry + abs(b * x - a * y) * rz
+        metres.append(abs(a) * dx + abs(b) * dy + abs(c) * dz + lever)
+        radians.append(abs(a) * rx + abs(b) * ry + abs(c) * rz)
+    return metres + radians
 
 
 def spread_after_measurement(

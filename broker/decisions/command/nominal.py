@@ -230,14 +230,14 @@ def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw
     context.end_motions(command)
     if assessment.verdict == "continue":
         command.steps_done += 1
-        context.note(command, assessment.message or f"{assessment.reason}: as expected")
+        _note_judged(context, command, assessment, assessment.message or f"{assessment.reason}: as expected")
         next_step(context, command, assessment.remark)
     elif assessment.verdict == "trim" and push_trim(context, command, assessment):
         next_step(context, command)
     elif command.given_up is not None:
         end_given_up(context, command, assessment.message)
     else:
-        end(context, command, failure(assessment))
+        end(context, command, failure(assessment), compared=assessment.compared)
 
 
 def failure(assessment: AssessmentHead) -> PendingOutcome:
@@ -258,5 +258,14 @@ def push_trim(context: DecisionContext, command: Command, assessment: Assessment
     context.count("trims")
     if trim.then == "give_up":
         command.given_up = failure(assessment)
-    context.note(command, f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}")
+    words = f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}"
+    _note_judged(context, command, assessment, words, trim.n)
     return True
+
+
+def _note_judged(
+    context: DecisionContext, command: Command, assessment: AssessmentHead, words: str, trim: int = 0
+) -> None:
+    """Note the verdict. What has drifted is a warning: a person may act before a step fails of it."""
+    words = f"{words}; {assessment.drift}" if assessment.drift else words
+    context.note(command, words, warning=bool(assessment.drift), compared=assessment.compared, trim=trim)

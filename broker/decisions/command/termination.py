@@ -17,17 +17,25 @@ from broker.decisions.resources import Quarantine
 from broker.decisions.state import Command, PendingOutcome, Result, request_key
 from rtc.protocol import wire
 from rtc.protocol.messages import CommandEnded, CommandRecord, Phase
-from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal
+from rtc.protocol.outcomes import Compared, Outcome, OutcomeKind, Refusal
 
 ENDED_KEPT = 4096  # minimum number of stored results, for clients that ask again
 FORGOTTEN_AT_ONCE = 512  # results deleted together: the search for a dict's oldest key slows down with deletions
 UNCONFIRMED = (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM)
 
 
-def end(context: DecisionContext, command: Command, ending: PendingOutcome, *, defer_analysis: bool = False) -> None:
+def end(
+    context: DecisionContext,
+    command: Command,
+    ending: PendingOutcome,
+    *,
+    defer_analysis: bool = False,
+    compared: Compared | None = None,
+) -> None:
     """End a command: release its resources and report its outcome. This is the only way to ENDED.
 
     `defer_analysis`: the last analysis continues after the command has ended; the names it will write stay quarantined.
+    `compared`: of the step that has failed.
     """
     state, kind = context.state, ending.kind
     outcome = Outcome(
@@ -43,7 +51,8 @@ def end(context: DecisionContext, command: Command, ending: PendingOutcome, *, d
     if defer_analysis:
         deferred_analysis.defer(context, command)
     command.job = None
-    context.enter(command, Phase.ENDED, f"{kind}: {ending.message}" if ending.message else f"{kind}")
+    words = f"{kind}: {ending.message}" if ending.message else f"{kind}"
+    context.enter(command, Phase.ENDED, words, compared=compared)
     in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
     granted = state.resources.release(command.id, in_doubt, frozenset(command.performers))
     context.leave_space_line(command)

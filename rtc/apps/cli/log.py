@@ -37,7 +37,7 @@ def log(
 
     Example:  rtc log -n 5
     """
-    records, run = _records(last, previous, run_dir, key)
+    records, run = records_of(last, previous, run_dir, key)
     far = key is not None
     if json:
         emit_json({"commands": [as_row(record, run, far=far) for record in records], **run_as_json(run)})
@@ -66,7 +66,7 @@ def print_log(records: list[m.CommandRecord], run: Past | None, *, far: bool = F
             console.print(Text(f"{record.command}  latest report: {'; '.join(words)}"))
 
 
-def _records(
+def records_of(
     last: int, previous: bool, run_dir: Path | None, key: Path | None
 ) -> tuple[list[m.CommandRecord], Past | None]:
     where = run_dir or default_run_dir()

@@ -41,6 +41,7 @@ COMMANDS = {
     "replay": "replay",
     "break": "debug",
     "step": "debug",
+    "trust": "trust",
     "cell": "cell",
     "names": "names",
     "teach": "teach",

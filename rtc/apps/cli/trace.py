@@ -11,6 +11,7 @@ import msgspec
 import typer
 from rich.text import Text
 
+from rtc.apps.cli.feedback import stages
 from rtc.apps.cli.measured import duration, in_words
 from rtc.apps.cli.output import (
     COLOUR,
@@ -149,7 +150,8 @@ def print_trace(record: m.CommandRecord) -> None:
         if note.step and note.step != step and note.phase != m.Phase.ENDED:
             step = note.step
             console.print(Text(step, style="cyan"))
-        console.print(Text(trace_line(note, record.accepted_at_s)))
+        for line in trace_lines(note, record.accepted_at_s):
+            console.print(Text(line))
     print_reports(record)
     _print_decision(record)
 
@@ -163,10 +165,17 @@ def print_reports(record: m.CommandRecord) -> None:
         console.print(Text(f"{seconds(note.at_s - record.accepted_at_s):>9}  reported: {'; '.join(words)}"))
 
 
-def trace_line(note: m.ProgressNote, accepted_at_s: float) -> str:
+def trace_lines(note: m.ProgressNote, accepted_at_s: float) -> list[str]:
+    """One line; of the feedback loop one for each of its stages."""
+    first, *others = [f"{stage}: {words}" if words else stage for stage, words in stages(note)] or [note.note]
+    return [trace_line(note, accepted_at_s, first), *(f"{'':51}{words}" for words in others)]
+
+
+def trace_line(note: m.ProgressNote, accepted_at_s: float, first: str) -> str:
+    """`first`: the note in words."""
     took = seconds(note.took_s) if note.node else ""
     line = f"{seconds(note.at_s - accepted_at_s):>9}  {took:>8}  {note.node:<13} {address(note.node):<4} "
-    words = [note.note] if note.note else []
+    words = [first] if first else []
     words += [f"about {duration(note.expected_s)}"] if note.expected_s else []
     words += in_words(note.measured) if note.measured else []
     return line + (f"{note.phase.value:<11}  {'; '.join(words)}" if words else note.phase.value)
@@ -246,6 +255,7 @@ def as_json(record: m.CommandRecord) -> dict[str, Any]:
     for note, source in zip(shown.get("notes", []), record.notes, strict=True):
         note["since_accept_s"] = round(source.at_s - record.accepted_at_s, 6)
         note["address"] = address(source.node)
+        note["stages"] = dict(stages(source))
     return shown
 
 
@@ -268,13 +278,14 @@ def chain(record: m.CommandRecord) -> list[str]:
 
 
 def link(note: m.ProgressNote) -> str:
-    """One link of the chain."""
+    """One link of the chain; of the feedback loop with its stages."""
     if not note.node:
         return f"{note.phase.value}: {note.note}".rstrip(": ")
     if note.note == "started":
         return f"started by {note.node}"
     done = DID.get(note.node.partition("@")[0], "reported")
-    return f"{done} by {note.node} in {seconds(note.took_s)}" + (f": {note.note}" if note.note else "")
+    words = "; ".join(f"{stage}: {said}" for stage, said in stages(note) if said) or note.note
+    return f"{done} by {note.node} in {seconds(note.took_s)}" + (f": {words}" if words else "")
 
 
 def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from rtc.protocol.messages.shared import PROGRAM_BYTES, Heartbeat, Hello, Message, Name, Shutdown, WorkerKind
-from rtc.protocol.outcomes import Measured, NotSucceeded, Outcome, OutcomeKind, Refusal
+from rtc.protocol.outcomes import Compared, Measured, NotSucceeded, Outcome, OutcomeKind, Refusal
 
 SHOWN = 60  # characters of a sentence in `repr`
 
@@ -138,6 +138,8 @@ class ProgressNote(Message, frozen=True, kw_only=True):
     note: str = ""  # its result, in words
     expected_s: float = 0.0  # planned duration of the current step; 0 = unknown
     measured: Measured | None = None  # what REPORT requests
+    compared: Compared | None = None  # prediction and report of the step that was judged
+    trim: int = 0  # entry of the trimming stack that was pushed
     warning: bool = False  # needs a person's attention although the command continues
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ from rtc.protocol.messages.shared import Message
 from rtc.protocol.messages.step import Step
 from rtc.protocol.messages.subsystem import EndReport
 from rtc.protocol.messages.world import WorldChange
-from rtc.protocol.outcomes import StopReason
+from rtc.protocol.outcomes import Compared, StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.protocol.sentence import ParsedCommand, ReflexItem, Report
 from rtc.protocol.strict import Strict
@@ -68,6 +68,7 @@ class ScriptContext(Strict, frozen=True, kw_only=True, omit_defaults=True):
     reflexes: list[ReflexItem] = []
     report: Report | None = None  # the REPORT clause
     fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
+    if_drifting: int = 0  # entry that corrects a grip which weakens, before a step fails of it; 0: none
     # Facts stated by the sentence itself, by key, SI.
     stated: dict[str, Any] = msgspec.field(default_factory=dict)
 
@@ -96,6 +97,8 @@ class EvaluationContext(Strict, frozen=True, kw_only=True, omit_defaults=True):
     goal_pose: list[float] | None = None  # of the tcp, predicted at the goal
     held: str = ""  # the object in the hand before the primitive, if any
     predicted_s: float = 0.0
+    within_s: float = 0.0  # half the band of `predicted_s`, beyond what the analyzer's program allows every step
+    force_n: float = 0.0  # at which F ends the motion as a fault; 0: none does, or a touch is to end it
     width_m: list[float] | None = None  # for a grip: [least, most] that count as success
     no_contact_is_failure: bool = False
     remark: str = ""  # on speed and force of the motion, for the result
@@ -169,3 +172,5 @@ class Assessment(Message, frozen=True, kw_only=True):
     changes: list[WorldChange] = []
     clears: str = ""  # what would clear the failure
     remark: str = ""  # on a success: what the result of the command states if this is its last step
+    compared: Compared | None = None  # prediction and report; None: nothing was predicted
+    drift: str = ""  # in words: what left its band although the step ended as expected

@@ -543,6 +543,7 @@ class Executor:
             self.trip,
             at_s=now_s,
             duration_s=self._ticks * TICK_S,
+            paused_s=self._paused_ticks * TICK_S,
             seen=self._seen,
             items=self.primitive.reporting.items,
             turned_rad=None if self._spindle is None else self._spindle.turned_rad,

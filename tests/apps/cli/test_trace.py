@@ -6,9 +6,10 @@ from typing import Any
 
 import msgspec
 
-from rtc.apps.cli.trace import address, as_json, chain, link, waits_for
+from rtc.apps.cli.feedback import in_words, stages
+from rtc.apps.cli.trace import address, as_json, chain, link, trace_lines, waits_for
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
+from rtc.protocol.outcomes import Compared, Figure, Outcome, OutcomeKind, StopReason
 
 
 def note(phase: m.Phase, **fields: Any) -> m.ProgressNote:
@@ -54,8 +55,8 @@ def test_a_failure_has_every_link_of_its_last_step_and_one_line_for_the_others()
         "script line 1 of 2: go before HANDLE-A: MCM ended: goal after 2.50 s",
         "script line 2 of 2: feel one side",
         "    bound by binder@2 in 10 ms: 0.8 s predicted",
-        "    reported by MCM in 1.00 s: ended: force_limit",
-        "    judged by analyzer@3 in 1.00 ms: failed: a finger landed on the handle",
+        "    reported by MCM in 1.00 s: monitor: ended: force_limit",
+        "    judged by analyzer@3 in 1.00 ms: evaluator: failed: a finger landed on the handle",
     ]
 
 
@@ -137,3 +138,30 @@ def test_what_the_analyzer_found_in_a_report_is_in_the_line_of_its_step() -> Non
         failed_in_step_2(), notes=notes, outcome=Outcome(kind=OutcomeKind.SUCCEEDED, steps_done=1)
     )
     assert chain(record)[-1] == f"script line {step}: S&P ended: found after 400 ms; 20.0 mm off; tags 8, 9"
+
+
+def judged(**fields: Any) -> m.ProgressNote:
+    found = Compared(
+        "LIFT", "move_held", [Figure("duration_s", 1.8, 2.5, 0.2), Figure("off_goal_m", 0.0, 0.001, 0.0015)]
+    )
+    return note(m.Phase.BINDING, node="analyzer@3", compared=found, **fields)
+
+
+def test_the_stages_of_the_feedback_loop_are_named() -> None:
+    (monitor,) = stages(note(m.Phase.ANALYZING, node="MCM", note="ended: goal"))
+    assert monitor == ("monitor", "ended: goal")
+    found = stages(judged(note="lift MACS-NEW: trim 2, regrasp MACS-NEW", trim=2))
+    assert [stage for stage, _ in found] == ["predictor", "evaluator", "trimmer"]
+    assert found[1:] == [("evaluator", "lift MACS-NEW"), ("trimmer", "trim 2, regrasp MACS-NEW")]
+    assert stages(note(m.Phase.EXECUTING, node="binder@2")) == []  # of the forward loop
+
+
+def test_each_stage_has_a_line_of_the_trace() -> None:
+    lines = trace_lines(judged(note="lift MACS-NEW"), 10.0)
+    assert len(lines) == 2
+    assert "predictor: duration 2.5 s (1.8 +- 0.2) DRIFTS, off goal 1 mm (0 +- 1.5)" in lines[0]
+    assert lines[1].strip() == "evaluator: lift MACS-NEW"
+
+
+def test_a_step_that_ended_otherwise_has_no_figures() -> None:
+    assert in_words(Compared("LIFT", "move_held")) == "it ended otherwise than predicted"

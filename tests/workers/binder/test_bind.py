@@ -66,7 +66,7 @@ def test_a_motion_starts_where_the_arm_is_and_ends_at_its_goal(bench):
     assert way.positions[-1] == pytest.approx(script.bindings["JAP"].joints)
     assert bound.subsystem == "MCM"
     assert bound.primitive.performer == "RIGHT-ARM"
-    assert bound.evaluation.predicted_s == pytest.approx(way.duration_s)
+    assert way.duration_s < bound.evaluation.predicted_s < way.duration_s + 0.05  # until the arm rests
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
-from rtc.protocol.outcomes import OutcomeKind, StopReason
+from rtc.protocol.outcomes import Compared, Figure, OutcomeKind, StopReason
 from tests.broker.harness import Harness, bound, give_up, go_on, mend, script, trim
 
 # --- trims --------------------------------------------------------------------------------------------
@@ -94,3 +95,28 @@ def test_a_step_of_a_trim_has_its_own_words():
     s.analyzing(script(trims=[trim()]))
     s.answers("C-1", mend())
     assert s.state.commands["C-1"].step_words == "trim 1, 1 of 1: mend"
+
+
+# --- what was predicted -------------------------------------------------------------------------------
+
+
+def test_a_drift_is_a_warning_with_its_figures_and_the_command_goes_on():
+    s = Harness()
+    s.analyzing(script(steps=2))
+    found = Compared("LIFT", "move_held", [Figure("duration_s", 1.8, 2.5, 0.2)])
+    s.answers("C-1", msgspec.structs.replace(go_on(), compared=found, drift="took 2.50 s"))
+    note = next(one for one in s.state.commands["C-1"].notes if one.compared)
+    assert (note.compared, note.warning) == (found, True)
+    assert "took 2.50 s" in note.note
+    assert s.state.commands["C-1"].steps_done == 1
+
+
+def test_a_trim_after_a_good_step_does_not_repeat_it():
+    s = Harness()
+    s.analyzing(script(steps=2, trims=[trim(1, "skip")]))
+    s.answers("C-1", msgspec.structs.replace(mend(1), reason=StopReason.GOAL))
+    assert next(one for one in s.state.commands["C-1"].notes if one.trim).trim == 1
+    s.answers("C-1", bound("C-1.2"))
+    s.reports("C-1")
+    s.answers("C-1", go_on())
+    assert s.state.commands["C-1"].actions.step == (0, 1)
