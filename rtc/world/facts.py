@@ -49,7 +49,7 @@ class Facts:
         return self.cell.arm(arm).gripper.max_opening_m if width is None else float(width)
 
     def hand_force(self, arm: str) -> float:
-        """The force (N) with which the hand gripped when it had closed; 0: it does not grip, or nobody knows."""
+        """The force (N) with which the hand gripped when it had closed; 0: it does not grip, or has not closed yet."""
         return float(self.world.value(f"{arm}.hand_force") or 0.0)
 
     def holding(self, arm: str) -> str:

@@ -99,10 +99,10 @@ class Reporter:
         if reason is StopReason.GOAL and made.partner is not None:
             other = made.partner.performer
             self.joints[other] = np.array(made.paths[other].positions[-1])
-            partner = self._report(made, other, reason, bound, 0.0)
-        return msgspec.structs.replace(self._report(made, arm, reason, bound, pressed), partner=partner)
+            partner = self._report(made, other, reason, bound)
+        return msgspec.structs.replace(self._report(made, arm, reason, bound), partner=partner)
 
-    def _report(self, made: Primitive, arm: str, reason: StopReason, bound: BoundStep, pressed: float) -> EndReport:
+    def _report(self, made: Primitive, arm: str, reason: StopReason, bound: BoundStep) -> EndReport:
         assert bound.evaluation is not None
         pose = MODEL.arms[arm].fk(self.joints[arm]).tolist()
         return EndReport(

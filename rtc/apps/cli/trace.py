@@ -284,7 +284,7 @@ def link(note: m.ProgressNote) -> str:
     if note.note == "started":
         return f"started by {note.node}"
     done = DID.get(note.node.partition("@")[0], "reported")
-    words = "; ".join(f"{stage}: {said}" for stage, said in stages(note) if said) or note.note
+    words = "; ".join(f"{stage}: {result}" for stage, result in stages(note) if result) or note.note
     return f"{done} by {note.node} in {seconds(note.took_s)}" + (f": {words}" if words else "")
 
 
