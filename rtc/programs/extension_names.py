@@ -76,7 +76,7 @@ CAMERA = "camera"
 PARTNER = "partner_arm"
 PERFORMERS = ("active_arm", PARTNER, CAMERA)
 #: binder: algorithms that turn a step into a primitive
-ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look")
+ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look", "answered")
 PROCEDURES = ("open_hand", "grasp_plan")
 #: binder: predicates of F
 PREDICATES = (

@@ -87,6 +87,7 @@ class Report(Strict, frozen=True, kw_only=True, omit_defaults=True):
 
 
 BOTH_ARMS = "BOTH-ARMS"  # in the place of a hand: every arm
+OPERATOR = "OPERATOR"  # in the place of a performer: VIA OPERATOR-INTERVENTION
 
 
 class ParsedCommand(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="ParsedCommand"):

@@ -37,6 +37,7 @@ NEEDS_WORLD = True
 NEEDS_CELL = True
 
 STATED_BY = "OPERATOR"  # performer in the report of facts that a command states
+ANSWERED_BY = "RTC"  # performer in the report of an answer
 HELD = "still_held"  # effect of a hand that closes on what it holds
 MIN_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 
@@ -193,6 +194,16 @@ def bind_stated_facts(task: BindTask) -> BoundStep:
     return BoundStep(report=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="stated")
 
 
+def bind_answer(task: BindTask) -> BoundStep:
+    """An answer that the elaborator has given, as a report without facts."""
+    data = task.data
+    report = EndReport(
+        primitive=data.primitive_id, performer=ANSWERED_BY, reason=StopReason.GOAL, at_s=0.0, duration_s=0.0
+    )
+    evaluation = EvaluationContext(context=data.context, step=data.step)
+    return BoundStep(report=report, evaluation=evaluation, note="answered")
+
+
 def bind_procedure(task: BindTask) -> BoundStep:
     known = task.program.procedures
     name = task.data.step.name
@@ -225,5 +236,6 @@ ACTIONS: dict[str, Action] = {
     "stated": bind_stated_facts,
     "procedure": bind_procedure,
     "look": bind_look,
+    "answered": bind_answer,
 }
 PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "grasp_plan": grasp_plan}

@@ -63,14 +63,12 @@ def in_words(path: str) -> str:
     return _WORDS.get(path, path)
 
 
-def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand, *, cameras: bool = False) -> None:
-    """Refuse a field that this release does not support. `cameras`: VIA may name one."""
+def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand) -> None:
+    """Refuse a field that this release does not support."""
     checks = [check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when]
     chosen_by = {(name, value) for check in checks for name, value in check.equals.items()}
     for name, why in program.not_yet.items():
         value = field(parsed, name)
-        if cameras and name == "performer":
-            continue
         if value is not None and not (isinstance(value, str) and (name, value) in chosen_by):
             raise _refused(why, name, f"leave out {in_words(name)}")
 

@@ -8,11 +8,13 @@ scripts.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import msgspec
 
 from rtc.programs import attributes, expressions
 from rtc.programs.loader import decode
-from rtc.programs.schema import ElaboratorProgram
+from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import ElaboratorInput, Script
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
@@ -20,6 +22,7 @@ from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
 from workers.conditions import reflexes
 from workers.elaborator import (
+    answers,
     arm_candidates,
     command_fields,
     look,
@@ -28,6 +31,7 @@ from workers.elaborator import (
     object_attributes,
     set_fact,
     stages,
+    strategies,
 )
 from workers.elaborator.backtrack import Planned, can_be_seen
 from workers.elaborator.script_checks import CHECKS, why_uncertain, why_unsure_grasp, why_unsure_place
@@ -64,28 +68,29 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     assert cell is not None
     assert world is not None
     try:
-        return _elaborated(
-            compiled, WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving), data.parsed
-        )
+        query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
+        return _elaborated(compiled, query, data.parsed, data.owners)
     except Refused as refused:
         return refused.refusal
 
 
-def _elaborated(compiled: Compiled, query: WorldQuery, parsed: ParsedCommand) -> Script:
+def _elaborated(compiled: Compiled, query: WorldQuery, parsed: ParsedCommand, owners: Mapping[str, str]) -> Script:
     """The first feasible script of those that the decision tree has for this sentence. Raises Refused."""
     program, scripts = compiled.program, compiled.scripts
     branches = [branch for branch in program.decision_tree if branch.verb == parsed.verb and branch.enabled]
     if not branches:
         raise no_script.refused_verb(program, parsed)
     cameras = any("camera" in scripts[branch.script].resources for branch in branches)
-    command_fields.refuse_unsupported(program, parsed, cameras=cameras)
+    asked = parsed
+    parsed, branches = strategies.via(program, parsed, branches, query, cameras=cameras)
+    command_fields.refuse_unsupported(program, parsed)
     command_fields.refuse_report_interval(parsed)
     command_fields.refuse_report_items(parsed)
     limits = command_fields.limits(program, parsed, query.cell)
     command_fields.refuse_longer_than_limit(parsed, limits)
     _refuse_unmeasured(parsed, query)
     if parsed.kind == "data":
-        return set_fact.script(program, scripts[branches[0].script], parsed, query)
+        return _of_data(program, scripts[branches[0].script], parsed, query, owners)
     branches = [branch for branch in branches if fits_sentence(branch, parsed)] or branches
     candidates: list[TaskCandidate] = []
     for by_camera in sorted({only_looks(scripts[branch.script]) for branch in branches}):
@@ -95,10 +100,23 @@ def _elaborated(compiled: Compiled, query: WorldQuery, parsed: ParsedCommand) ->
     options = ranked(branches, candidates, scripts, unstated)
     if not options and unstated:
         raise Refused(unstated[0])
+    if not options and parsed is not asked:
+        every = [row for row in program.decision_tree if row.verb == parsed.verb and row.enabled]
+        fitting = ranked(every, candidates, scripts, [])
+        raise strategies.refused(asked, strategies.names([one.branch for one in fitting]))
     if not options:
         hinged = parsed.object is not None and query.hinge(parsed.object) is not None
         raise no_script.refused_form(parsed, branches, hinged=hinged)
     return _first_feasible(compiled, options, [f"not generated: {why.message}; {why.clears}" for why in unstated])
+
+
+def _of_data(
+    program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery, owners: Mapping[str, str]
+) -> Script:
+    """The script of a sentence that states or asks facts. Raises Refused."""
+    if any(step.do == "answer" for step in file.steps):
+        return answers.script(file, answers.Question(program, parsed, query, owners))
+    return set_fact.script(program, file, parsed, query)
 
 
 def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:

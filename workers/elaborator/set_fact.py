@@ -19,7 +19,7 @@ from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
-from workers.elaborator import command_fields, preconditions, teach
+from workers.elaborator import command_fields, preconditions, strategies, teach
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 
@@ -31,6 +31,8 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
     command_fields.refuse_unused_field(parsed, file.script, file.uses)
     if teach.is_posture(parsed):
         return _script(file, parsed, parsed.object or "", teach.posture(parsed, query))
+    if strategies.is_default(program, parsed):
+        return _script(file, parsed, parsed.object or "", strategies.stated(program, parsed))
     if teach.is_world(parsed, query):
         return _script(file, parsed, parsed.object or "", teach.world(program, parsed, query))
     things: dict[str, Thing] = {thing.name: thing for thing in query.cell.objects}

@@ -78,6 +78,8 @@ def elaborate(context: DecisionContext, command: Command) -> None:
 
 
 def start_elaboration(context: DecisionContext, command: Command) -> None:
-    data = {"command": command.id, "parsed": command.parsed, "at_s": context.now}
+    data: dict[str, Any] = {"command": command.id, "parsed": command.parsed, "at_s": context.now}
+    if command.head is not None and command.head.kind == "data":
+        data["owners"] = {name: ", ".join(users) for name, users in context.state.resources.holders.items()}
     context.create_job(command, WorkerKind.ELABORATOR, data)
     context.enter(command, Phase.ELABORATING)

@@ -118,6 +118,7 @@ class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     parsed: ParsedCommand
     at_s: float = 0.0
     moving: list[Primitive] = []  # of other arms: executing, or ended and not in the world database yet
+    owners: dict[str, str] = {}  # of a sentence that states or asks facts: name -> the commands that use it
 
 
 class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):

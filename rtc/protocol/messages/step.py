@@ -32,6 +32,7 @@ class StepWords(Strict, frozen=True, kw_only=True, omit_defaults=True):
     missed: str = ""  # the effect of a failure that may be tried again
     leaves: str = ""  # "seat": the held object leaves its seat
     seat: str = ""  # where the object is set down, or should be seen
+    says: str = ""  # the answer that the result of the command states
     needs: str = ""  # a seat whose bounds the pose of the held object must keep
 
 

@@ -1,0 +1,203 @@
+"""Answers in words, to sentences that ask: what is, and what a name means. Pure.
+
+A script with a step `do: answer` has the answer made here, by the `name` of the step: `state` is what the world has of a
+name, `meaning` what the programs and the cell say of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from rtc.language import dictionary
+from rtc.language.hands import hand_in_words
+from rtc.model.cells import parts
+from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece
+from rtc.protocol.messages import Script, ScriptContext, Step, StepWords
+from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
+from rtc.spatial import geometry
+from rtc.world import spread
+from workers.elaborator import command_fields, strategies
+from workers.planning import suggestions
+from workers.planning.world_query import WorldQuery
+
+RESOURCES = "RESOURCES"
+ENTRY, SCRIPT = "-ENTRY", "-SCRIPT"  # GRASP-ENTRY: the entry of the dictionary; INSERT-SCRIPT: the script
+
+
+class Question(NamedTuple):
+    program: ElaboratorProgram
+    parsed: ParsedCommand
+    query: WorldQuery
+    owners: Mapping[str, str]  # name -> the commands that use it
+
+    @property
+    def name(self) -> str:
+        return self.parsed.hand or self.parsed.object or ""
+
+
+def script(file: ScriptFile, question: Question) -> Script:
+    """The script whose only step has the answer. Raises Refused for an unknown name."""
+    command_fields.refuse_unused_field(question.parsed, file.script, file.uses)
+    (step,) = file.steps
+    says = ANSWERS[step.name](question)
+    label = step.label.replace("{object}", question.name)
+    return Script(
+        context=ScriptContext(verb=question.parsed.verb, script=file.script, object=""),
+        case=file.case,
+        steps=[Step(do=step.do, name=step.name, label=label, words=StepWords(says=says))],
+    )
+
+
+# --- what is ---------------------------------------------------------------------------------------------
+
+
+def state(question: Question) -> str:
+    """What the world has of this name now."""
+    query, name, cell = question.query, question.name, question.query.cell
+    if name == RESOURCES:
+        return _resources(question)
+    if name == BOTH_ARMS:
+        return "; ".join(_arm(question, arm) for arm in cell.arms)
+    for group, shown in ((cell.arms, _arm), (cell.objects, _object), (cell.seats, _seat)):
+        for part in group:
+            if part.name == name:
+                return shown(question, part)  # type: ignore[operator]
+    own = {key: fact for key, fact in query.world.facts.items() if key.rpartition(".")[0] == name}
+    if own:
+        facts = (f"{key.rpartition('.')[2]} {fact.value} ({fact.validity.value})" for key, fact in own.items())
+        return f"{name}: " + ", ".join(facts)
+    known = [part.name for group in (cell.arms, cell.objects, cell.seats) for part in group]
+    raise suggestions.unknown("object, seat or arm", name, [*known, RESOURCES])
+
+
+def _resources(question: Question) -> str:
+    cell, owners = question.query.cell, question.owners
+    all_ = [part.name for group in (cell.arms, cell.cameras, cell.objects, cell.seats) for part in group]
+    used = [f"{name} by {owners[name]}" for name in all_ if name in owners]
+    free = [name for name in all_ if name not in owners]
+    return f"in use: {', '.join(used) or 'nothing'}; free: {', '.join(free) or 'nothing'}"
+
+
+def _arm(question: Question, arm: parts.Arm) -> str:
+    query, name = question.query, arm.name
+    slides = [isinstance(value, str) for value in arm.home_deg]
+    joints = (
+        f"{value:.3f} m" if slide else f"{math.degrees(value):.1f}"
+        for value, slide in zip(query.joints(name), slides, strict=True)
+    )
+    doubt = "" if query.trusts(f"{name}.joints") else " (in doubt)"
+    where = _pose(query.tcp(name))
+    hand = f"{hand_in_words(name)} is open {1000 * query.hand_width(name):.0f} mm"
+    holds = f"holds {query.holding(name)}" if query.holding(name) else "holds nothing"
+    return f"{name}: joints {' '.join(joints)} deg{doubt}; tcp {where}; {hand} and {holds}; {_use(question, name)}"
+
+
+def _object(question: Question, thing: parts.Object) -> str:
+    query, name = question.query, thing.name
+    doubt = "" if query.trusts(f"{name}.frame") else ", in doubt"
+    known = query.spread(f"{name}.frame")
+    within = f", known within {spread.in_words(known)}" if any(known) else ""
+    angle = f", open by {math.degrees(query.angle(name)):.1f} deg" if thing.hinge is not None else ""
+    inside = f"in {query.seat(name)}" if query.seat(name) else "in no seat"
+    held = f"held by {query.held_by(name)}" if query.held_by(name) else "not held"
+    return f"{name}: {_pose(query.frame(name))}{angle}{within}{doubt}; {inside}, {held}; {_use(question, name)}"
+
+
+def _seat(question: Question, seat: parts.Seat) -> str:
+    query = question.query
+    inside = [thing.name for thing in query.cell.objects if query.seat(thing.name) == seat.name]
+    return f"{seat.name}: {_pose(query.seat_frame(seat.name))}; holds {', '.join(inside) or 'nothing'}"
+
+
+def _use(question: Question, name: str) -> str:
+    return f"in use by {question.owners[name]}" if name in question.owners else "free"
+
+
+def _pose(pose: geometry.Array) -> str:
+    at = " ".join(f"{100 * x:.1f}" for x in pose[:3])
+    turned = " ".join(f"{round(float(x), 1) + 0:g}" for x in np.degrees(geometry.to_rpy(pose)))
+    return f"at {at} cm, {turned} deg"
+
+
+# --- what a name means -----------------------------------------------------------------------------------
+
+
+def meaning(question: Question) -> str:
+    """What a script, a piece, an entry of the dictionary or a part of the cell is."""
+    program, name, cell = question.program, question.name, question.query.cell
+    if name.endswith(ENTRY) and name.removesuffix(ENTRY) in dictionary.verbs():
+        return str(dictionary.entry(name.removesuffix(ENTRY)))
+    if (found := _script_named(program, name)) is not None:
+        return _script(found, program)
+    for piece in program.pieces:
+        if piece.skill.upper() == name:
+            return f"{name} is a piece of AND TRY: {piece.about}; {_steps(piece)}"
+    described: dict[str, str] = {}
+    described |= {arm.name: _describe_arm(arm) for arm in cell.arms}
+    described |= {thing.name: _describe_object(thing) for thing in cell.objects}
+    described |= {seat.name: _describe_seat(seat) for seat in cell.seats}
+    described |= {place.name: f"a place of {', '.join([*place.poses, *place.joints_deg])}" for place in cell.places}
+    described |= {region.name: f"a region of {_sizes(region.size_m)}" for region in cell.regions}
+    described |= {
+        camera.name: "a camera" + f" in the hand of {camera.arm}" * bool(camera.arm) for camera in cell.cameras
+    }
+    if name in described:
+        return f"{name} is {described[name]}"
+    scripts = [f"{one.script.upper()}{SCRIPT}" for one in program.scripts]
+    entries = [f"{verb}{ENTRY}" for verb in dictionary.verbs()]
+    raise suggestions.unknown("name to describe", name, [*described, *scripts, *entries])
+
+
+def _script_named(program: ElaboratorProgram, name: str) -> ScriptFile | None:
+    """The script of this name; with -SCRIPT, that of a verb too."""
+    short = name.removesuffix(SCRIPT)
+    scripts = {one.script: one for one in program.scripts}
+    if short.lower() in scripts:
+        return scripts[short.lower()]
+    rows = [row for row in program.decision_tree if strategies.is_strategy(short, row.verb, row.script)]
+    if not rows and short != name:
+        rows = [row for row in program.decision_tree if row.verb == short]
+    return scripts[max(rows, key=lambda row: row.likelihood).script] if rows else None
+
+
+def _script(found: ScriptFile, program: ElaboratorProgram) -> str:
+    kind = "a skill" if found.case > 2 else "an action"
+    verbs = dict.fromkeys(row.verb for row in program.decision_tree if row.script == found.script)
+    trims = ", ".join(f"{entry.n} {entry.skill} ({entry.then})" for entry in found.trimming_stack)
+    needs = f"; needs {', '.join(found.needs)}" if found.needs else ""
+    about = f"{found.script} is {kind} (case {found.case}) of {', '.join(verbs) or 'no verb'}: {found.about}"
+    return f"{about}{needs}; {_steps(found)}" + (f"; trims: {trims}" if trims else "")
+
+
+def _steps(found: ScriptFile | ScriptPiece) -> str:
+    return "steps: " + ", ".join(f"{n} {step.label}" for n, step in enumerate(found.steps, 1))
+
+
+def _describe_arm(arm: parts.Arm) -> str:
+    hand = f"{arm.end_effector} opens to {1000 * arm.gripper.max_opening_m:g} mm and grips with {arm.gripper.max_force_n:g} N"
+    return f"an arm with {len(arm.joints)} joints that carries {arm.payload_kg:g} kg; {hand}"
+
+
+def _describe_object(thing: parts.Object) -> str:
+    fixed = "fixed, " if thing.fixed else ""
+    points = ", ".join(f"{point.name} ({1000 * point.width_m:g} mm)" for point in thing.grasp_points)
+    hinge = ""
+    if thing.hinge is not None:
+        hinge = f"; it turns from {thing.hinge.range_deg[0]:g} to {thing.hinge.range_deg[1]:g} deg"
+    return f"a {thing.kind}, {fixed}{thing.mass_kg:g} kg; grasp points: {points or 'none'}{hinge}"
+
+
+def _describe_seat(seat: parts.Seat) -> str:
+    catch = f", with a catch of {seat.detent_n:g} N" if seat.detent_n else ""
+    return f"a {seat.kind}, {100 * seat.depth_m:g} cm deep{catch}"
+
+
+def _sizes(size_m: tuple[float, ...]) -> str:
+    return " x ".join(f"{100 * side:g}" for side in size_m) + " cm"
+
+
+ANSWERS: dict[str, Callable[[Question], str]] = {"state": state, "meaning": meaning}

@@ -1,0 +1,92 @@
+"""Strategies of a verb: its scripts, by the names of a sentence. One that VIA names is used; the default is tried first.
+
+The script grasp-centering is GRASP-CENTERING, CENTERING-GRASP or CENTERING. The fact VERB-STRATEGY.default is the default
+of a verb; SET states it. Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+from rtc.programs.schema import Branch, ElaboratorProgram
+from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.sentence import OPERATOR, ParsedCommand
+from workers.elaborator.teach import NONE, Stated
+from workers.planning import suggestions
+from workers.planning.world_query import WorldQuery
+
+STRATEGY, DEFAULT = "-STRATEGY", "DEFAULT"
+
+
+def is_strategy(name: str, verb: str, script: str) -> bool:
+    """Whether a name of a sentence is that of a script: the same words in any order, with or without the verb."""
+    own = set(script.upper().split("-"))
+    return set(name.split("-")) in (own, own - {verb}, own | {verb})
+
+
+def names(branches: Sequence[Branch]) -> list[str]:
+    """The names of the scripts of these rows, as a sentence has them."""
+    return list(dict.fromkeys(branch.script.upper() for branch in branches))
+
+
+def via(
+    program: ElaboratorProgram, parsed: ParsedCommand, branches: list[Branch], query: WorldQuery, *, cameras: bool
+) -> tuple[ParsedCommand, list[Branch]]:
+    """The rows that VIA leaves, and the sentence without a VIA that has named one. Raises Refused.
+
+    `cameras`: VIA may name one. Without VIA the row of the default strategy comes first."""
+    wanted = parsed.performer
+    if wanted is None:
+        return parsed, _default_first(parsed, branches, query)
+    by_row = any(check.equals.get("performer") == wanted for branch in branches for check in branch.when)
+    if by_row or (cameras and wanted != OPERATOR):
+        return parsed, branches
+    if wanted == OPERATOR:
+        message = "VIA OPERATOR-INTERVENTION: there is no operator among the subsystems"
+        raise Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", clears="leave out VIA")
+    chosen = [branch for branch in branches if is_strategy(wanted, parsed.verb, branch.script)]
+    if not chosen:
+        known = [*names(branches), *(v for b in branches for c in b.when if (v := c.equals.get("performer")))]
+        raise suggestions.unknown(f"strategy of {parsed.verb}", wanted, known)
+    return msgspec.structs.replace(parsed, performer=None), chosen
+
+
+def _default_first(parsed: ParsedCommand, branches: list[Branch], query: WorldQuery) -> list[Branch]:
+    default = query.world.value(f"{parsed.verb}{STRATEGY}.{DEFAULT.lower()}")
+    if not isinstance(default, str):
+        return branches
+    first = [b for b in branches if is_strategy(default, parsed.verb, b.script)]
+    others = [b for b in branches if b not in first]
+    return [*(msgspec.structs.replace(b, likelihood=1.0) for b in first), *others]
+
+
+def refused(parsed: ParsedCommand, others: list[str]) -> Refused:
+    """The refusal of a strategy that does not fit the object and the hand as they are."""
+    message = f"{parsed.verb} VIA {parsed.performer}: this strategy does not fit {parsed.object or 'this'} now"
+    clears = "; or ".join(["leave out VIA", *(f"VIA {name}" for name in others)])
+    return Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", expected=others, clears=clears)
+
+
+# --- SET VERB-STRATEGY DEFAULT name ----------------------------------------------------------------------
+
+
+def is_default(program: ElaboratorProgram, parsed: ParsedCommand) -> bool:
+    return (parsed.object or "").removesuffix(STRATEGY) in {row.verb for row in program.decision_tree}
+
+
+def stated(program: ElaboratorProgram, parsed: ParsedCommand) -> Stated:
+    """The default strategy of a verb; NONE forgets it. Raises Refused."""
+    place = parsed.object or ""
+    verb = place.removesuffix(STRATEGY)
+    rows = [row for row in program.decision_tree if row.verb == verb]
+    values = parsed.value or []
+    name = values[0] if len(values) == 1 and isinstance(values[0], str) else ""
+    if parsed.attribute != DEFAULT or not name:
+        message = f"of {place} only {DEFAULT} can be set, to the name of a strategy or to {NONE}"
+        clears = f"{parsed.verb} {place} {DEFAULT} {names(rows)[0]}"
+        raise Refused.because(RefusalReason.SENTENCE, message, where=parsed.attribute or "", clears=clears)
+    if name != NONE and not any(is_strategy(name, verb, row.script) for row in rows):
+        raise suggestions.unknown(f"strategy of {verb}", name, [*names(rows), NONE])
+    return {f"{place}.{DEFAULT.lower()}": None if name == NONE else name}, [place]
