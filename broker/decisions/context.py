@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from broker.decisions.action_stack import NOMINAL, ActionStack
-from broker.decisions.effects import DispatchJob, Effect, PublishNote, StartTimer, StopTimer
+from broker.decisions.effects import DispatchJob, Effect, LoadPart, PublishNote, StartTimer, StopTimer
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import WORLD, Quarantine
 from broker.decisions.state import NOTES_KEPT, SPACES_KEPT, ArmMotion, Command, PendingJob, ScriptHead, State, StepHead
@@ -218,6 +218,9 @@ class DecisionContext:
 
     def dispatch(self, job: PendingJob, client: str = "") -> None:
         """`client`: the client of its command; empty for a command that has ended."""
+        if job.part:
+            self.effects.append(LoadPart(job=job.id, attempt=job.attempt, kind=job.kind, name=job.part))
+            return
         self.effects.append(
             DispatchJob(
                 job=job.id,

@@ -38,6 +38,16 @@ class DispatchJob(Effect, frozen=True, kw_only=True, gc=False):
     doubt: str = ""  # why the facts of `locations` become suspect, instead of an analysis
 
 
+class LoadPart(Effect, frozen=True, kw_only=True, gc=False):
+    """Load a part of the delivered programs (LOAD name INTO kind). The answer is that of a job: its product is a script
+    without steps, whose notes are the changes."""
+
+    job: str
+    attempt: int
+    kind: WorkerKind
+    name: str  # of the part, as the sentence has it
+
+
 class CancelJob(Effect, frozen=True, kw_only=True, gc=False):
     job: str
 

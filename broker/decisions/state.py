@@ -44,6 +44,7 @@ class ParsedHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     hand: str | None = None
     to_hand: str | None = None
     object: str | None = None
+    target: str | None = None
     after: str | None = None
     together_with: str | None = None
     now: bool = False
@@ -128,6 +129,8 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """Evidence of each worker that died while it processed this job."""
     doubt: str = ""
     """Why the analysis was given up: the worker only makes the facts of `locations` suspect. Empty: it analyses."""
+    part: str = ""
+    """The part of a program that the broker loads itself, in the place of a worker. Empty: a worker does the job."""
 
 
 class ArmMotion(msgspec.Struct, kw_only=True, gc=False):

@@ -7,6 +7,7 @@ from typing import Any
 
 from broker.decisions import effects as do
 from broker.decisions.events import ListenersChanged
+from broker.router import part_loads
 from broker.router.core import Core, peer_of
 from broker.router.event_stream import EventStream
 from broker.router.outbox import Outbox
@@ -87,6 +88,9 @@ class Egress:
     def _dispatch_job(self, effect: do.DispatchJob) -> None:
         self._core.registry.submit(effect, self._now)
 
+    def _load_part(self, effect: do.LoadPart) -> None:
+        part_loads.begin(self._core, effect, self._now)
+
     def _cancel_job(self, effect: do.CancelJob) -> None:
         if worker := self._core.registry.cancel(effect.job):
             send(self._core.sockets["workers"], m.CancelJobs(jobs=[effect.job]), peer_of(worker))
@@ -162,6 +166,7 @@ class Egress:
 
 PERFORM: dict[type[do.Effect], Callable[[Egress, Any], None]] = {
     do.DispatchJob: Egress._dispatch_job,
+    do.LoadPart: Egress._load_part,
     do.CancelJob: Egress._cancel_job,
     do.SendPrimitive: Egress._send_primitive,
     do.SendPace: Egress._send_pace,

@@ -18,6 +18,7 @@ from broker.decisions.state import State
 from broker.persistence.journal import Journal
 from broker.persistence.program_loads import Check, InProcessCheck
 from broker.persistence.program_store import ProgramStore
+from broker.router import part_loads
 from broker.router.core import Core
 from broker.router.egress import Egress
 from broker.router.halts import Halts
@@ -141,11 +142,18 @@ class Router:
     def _install_programs(self, now: float) -> None:
         """Install the programs whose check has ended. Each is decided and journalled before its client is answered."""
         for peer, text, loaded in self.core.loads.poll(now):
+            by_sentence = peer == part_loads.PEER
             if isinstance(loaded, Refusal):
-                self.egress.decline(peer, text.request, loaded)
+                if by_sentence:
+                    self.enqueue(part_loads.answer(text, loaded, now))
+                else:
+                    self.egress.decline(peer, text.request, loaded)
                 continue
             self.enqueue(ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest, file=text.name))
             self._settle(now)
+            if by_sentence:
+                self.enqueue(part_loads.answer(text, loaded, now))
+                continue
             changes = loaded.changes
             answer = m.ProgramLoaded(request=text.request, kind=text.kind, digest=loaded.digest, changes=changes)
             self.egress.answer(peer, answer)

@@ -71,6 +71,28 @@ def default(kind: WorkerKind | str) -> bytes:
     return _canonical(kind, document, str(folder.relative_to(PROGRAMS.parent)))
 
 
+@lru_cache(maxsize=8)
+def parts(kind: WorkerKind | str) -> dict[str, Path]:
+    """The files of the delivered program of a kind, by the names that a sentence may give them: that of the file, and
+    those of the scripts and pieces in it."""
+    kind = WorkerKind(kind)
+    if kind is WorkerKind.PARSER:
+        return {"GRAMMAR": GRAMMAR}
+    named: dict[str, Path] = {}
+    for path in sorted((PROGRAMS / kind.value).rglob("*.yaml")):
+        document = _read(path.read_bytes(), path.name)
+        items = [document, *(document.get("scripts") or ()), *(document.get("pieces") or ())]
+        own = [item[field] for item in items for field in ITEMS if isinstance(item.get(field), str)]
+        named |= {name.upper().replace("_", "-"): path for name in (path.stem, *own)}
+    return named
+
+
+def part(kind: WorkerKind | str, name: str) -> Path | None:
+    """The file of a part by its name, whose words may have any order: CENTERING-GRASP is grasp-centering."""
+    words = sorted(name.split("-"))
+    return next((path for known, path in parts(kind).items() if sorted(known.split("-")) == words), None)
+
+
 def merge(
     kind: WorkerKind | str, program: bytes, name: str, text: bytes, others: Mapping[WorkerKind, bytes] | None = None
 ) -> bytes:

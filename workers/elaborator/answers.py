@@ -1,19 +1,19 @@
 """Answers in words, to sentences that ask: what is, and what a name means. Pure.
 
-A script with a step `do: answer` has the answer made here, by the `name` of the step: `state` is what the world has of a
-name, `meaning` what the programs and the cell say of it.
+A step `do: answer` has its answer made here, by the `name` of the step: `state` is what the world has of a name,
+`meaning` what the programs and the cell say of it.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from rtc.language import dictionary
-from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece
 from rtc.protocol.messages import Script, ScriptContext, Step, StepWords
@@ -62,10 +62,11 @@ def state(question: Question) -> str:
         return _resources(question)
     if name == BOTH_ARMS:
         return "; ".join(_arm(question, arm) for arm in cell.arms)
-    for group, shown in ((cell.arms, _arm), (cell.objects, _object), (cell.seats, _seat)):
-        for part in group:
-            if part.name == name:
-                return shown(question, part)  # type: ignore[operator]
+    shown = [_arm(question, arm) for arm in cell.arms if arm.name == name]
+    shown += [_object(question, thing) for thing in cell.objects if thing.name == name]
+    shown += [_seat(question, seat) for seat in cell.seats if seat.name == name]
+    if shown:
+        return shown[0]
     own = {key: fact for key, fact in query.world.facts.items() if key.rpartition(".")[0] == name}
     if own:
         facts = (f"{key.rpartition('.')[2]} {fact.value} ({fact.validity.value})" for key, fact in own.items())
@@ -91,7 +92,7 @@ def _arm(question: Question, arm: parts.Arm) -> str:
     )
     doubt = "" if query.trusts(f"{name}.joints") else " (in doubt)"
     where = _pose(query.tcp(name))
-    hand = f"{hand_in_words(name)} is open {1000 * query.hand_width(name):.0f} mm"
+    hand = f"{arm.end_effector} is open {1000 * query.hand_width(name):.0f} mm"
     holds = f"holds {query.holding(name)}" if query.holding(name) else "holds nothing"
     return f"{name}: joints {' '.join(joints)} deg{doubt}; tcp {where}; {hand} and {holds}; {_use(question, name)}"
 
@@ -174,11 +175,13 @@ def _script(found: ScriptFile, program: ElaboratorProgram) -> str:
 
 
 def _steps(found: ScriptFile | ScriptPiece) -> str:
-    return "steps: " + ", ".join(f"{n} {step.label}" for n, step in enumerate(found.steps, 1))
+    labels = (re.sub(r"\{(\w+)\}", lambda word: word[1].upper(), step.label) for step in found.steps)
+    return "steps: " + ", ".join(f"{n} {label}" for n, label in enumerate(labels, 1))
 
 
 def _describe_arm(arm: parts.Arm) -> str:
-    hand = f"{arm.end_effector} opens to {1000 * arm.gripper.max_opening_m:g} mm and grips with {arm.gripper.max_force_n:g} N"
+    most_mm, most_n = 1000 * arm.gripper.max_opening_m, arm.gripper.max_force_n
+    hand = f"{arm.end_effector} opens to {most_mm:g} mm and grips with {most_n:g} N"
     return f"an arm with {len(arm.joints)} joints that carries {arm.payload_kg:g} kg; {hand}"
 
 

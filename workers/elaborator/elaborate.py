@@ -185,9 +185,10 @@ _PRECEDENCE = dict.fromkeys(RefusalReason, 1) | {
 }
 
 
-def _rank(refusal: Refusal) -> tuple[int, bool]:
-    """A refusal that another arm causes is the best of its rank: it may be cleared by waiting."""
-    return _PRECEDENCE[refusal.reason], IN_THE_WAY not in refusal.detail
+def _rank(refusal: Refusal) -> tuple[int, bool, bool]:
+    """A refusal that another arm causes is the best of its rank: it may be cleared by waiting. What is out of reach is
+    the last one: another candidate has come farther."""
+    return _PRECEDENCE[refusal.reason], IN_THE_WAY not in refusal.detail, refusal.detail.get("cause") == "reach"
 
 
 # --- the script ------------------------------------------------------------------------------------------

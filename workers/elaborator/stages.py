@@ -12,12 +12,13 @@ from dataclasses import replace
 
 import msgspec
 
+from rtc.language.hands import hand_in_words
 from rtc.programs.extension_names import PARTNER
 from rtc.programs.schema import PlanLine, ScriptFile
 from rtc.protocol.messages import Step, WorldChange
-from rtc.protocol.outcomes import Refused
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, Refused
 from rtc.spatial import geometry
-from workers.elaborator import backtrack
+from workers.elaborator import backtrack, preconditions
 from workers.elaborator.backtrack import Planned
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import shared_hold
@@ -39,8 +40,7 @@ def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, se
         try:
             found = backtrack.plan(part, part_steps, now, sensed)
         except Refused as refused:
-            message = f"{now.arm.name}, {refused.refusal.message}" if refused.refusal.detail else str(refused)
-            raise Refused(msgspec.structs.replace(refused.refusal, message=message)) from None
+            raise Refused(_of_stage(refused.refusal, candidate, now.arm.name)) from None
         query = query.after(_predicted(part_steps, now, found))
         ways = found.ways if not first else {}  # a later one begins where the arm will come to rest
         whole = Planned(
@@ -53,6 +53,19 @@ def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, se
             found.end,
         )
     return whole
+
+
+def _of_stage(refusal: Refusal, candidate: TaskCandidate, arm: str) -> Refusal:
+    """The refusal with its arm. An arm of the command itself does not leave the way: it holds the object elsewhere."""
+    message = f"{arm}, {refusal.message}" if refusal.detail else refusal.message
+    refusal = msgspec.structs.replace(refusal, message=message)
+    if refusal.detail.get(IN_THE_WAY) not in (candidate.arm.name, candidate.partner and candidate.partner.name):
+        return refusal
+    rows, thing = candidate.program.needs, candidate.body
+    clears = rows.get("other_grasp", "").replace("{let_go}", preconditions.let_go(rows, candidate.query, thing))
+    clears = candidate.fill_in(clears.replace("{hand}", hand_in_words(candidate.arm.name)))
+    detail = {name: value for name, value in refusal.detail.items() if name != IN_THE_WAY}
+    return msgspec.structs.replace(refusal, clears=clears, detail=detail)
 
 
 def _stages(script: ScriptFile, steps: Sequence[Step]) -> Iterator[tuple[int, ScriptFile]]:

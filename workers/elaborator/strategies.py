@@ -1,7 +1,7 @@
-"""Strategies of a verb: its scripts, by the names of a sentence. One that VIA names is used; the default is tried first.
+"""Strategies of a verb: its scripts, by the names of a sentence. Pure.
 
-The script grasp-centering is GRASP-CENTERING, CENTERING-GRASP or CENTERING. The fact VERB-STRATEGY.default is the default
-of a verb; SET states it. Pure.
+The script grasp-centering is GRASP-CENTERING, CENTERING-GRASP or CENTERING. One that VIA names is used alone. The fact
+VERB-STRATEGY.default, which SET states, is the one that is tried first.
 """
 
 from __future__ import annotations

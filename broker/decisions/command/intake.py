@@ -6,6 +6,7 @@ from typing import Any
 
 import msgspec
 
+from broker.decisions.command import loading
 from broker.decisions.command.claims import claim_and_elaborate
 from broker.decisions.command.control import concerns_earlier, control
 from broker.decisions.command.dependencies import wait_for_another
@@ -66,5 +67,9 @@ def take_up(context: DecisionContext, command: Command, _: Any = None) -> None:
     assert command.head is not None
     if command.head.kind == "control":
         control(context, command, command.head)
-    elif not wait_for_another(context, command, command.head):
+    elif wait_for_another(context, command, command.head):
+        return
+    elif command.head.kind == "data" and command.head.verb == loading.LOAD:
+        loading.load(context, command, command.head)
+    else:
         claim_and_elaborate(context, command)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rtc.model.cells.cell import Cell
 
 REFUSED = 2  # exit status
-CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT"}  # performed by the broker, without a script
+CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT", "LOAD"}  # performed by the broker, without a script
 
 
 def parse(

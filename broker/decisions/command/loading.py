@@ -1,0 +1,36 @@
+"""LOAD name INTO kind: the broker itself loads a part of the delivered programs, as a job without a worker. Pure.
+
+The roll-out of the program is that of any load (`broker.decisions.program_rollout`).
+"""
+
+from __future__ import annotations
+
+from broker.decisions.command.termination import refuse
+from broker.decisions.context import DecisionContext
+from broker.decisions.state import NIL, Command, ParsedHead, PendingJob
+from rtc.protocol.messages import Phase, WorkerKind
+from rtc.protocol.outcomes import Refusal, RefusalReason
+
+LOAD = "LOAD"
+
+
+def load(context: DecisionContext, command: Command, head: ParsedHead) -> None:
+    """Load the part; refuse a kind of worker that does not exist."""
+    kinds = [kind.value.upper() for kind in WorkerKind]
+    if head.target not in kinds:
+        message = f"there is no program of {head.target}; there are those of {', '.join(kinds)}"
+        clears = f"{LOAD} {head.object} INTO {WorkerKind.ELABORATOR.value.upper()}"
+        refuse(context, command, Refusal(reason=RefusalReason.NAME, message=message, expected=kinds, clears=clears))
+        return
+    command.jobs += 1
+    command.job = PendingJob(
+        id=f"{command.id}/{command.jobs}",
+        attempt=1,
+        kind=WorkerKind(str(head.target).lower()),
+        program="",
+        input=NIL,
+        since_s=context.now,
+        part=head.object or "",
+    )
+    context.dispatch(command.job, command.client)
+    context.enter(command, Phase.ELABORATING, f"loads {head.object}")
