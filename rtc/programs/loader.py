@@ -89,7 +89,7 @@ def parts(kind: WorkerKind | str) -> dict[str, Path]:
 
 def part(kind: WorkerKind | str, name: str) -> Path | None:
     """The file of a part by its name, whose words may have any order: CENTERING-GRASP is grasp-centering."""
-    words = sorted(name.split("-"))
+    words = sorted(name.removesuffix("-SCRIPT").split("-"))  # LIFT-SCRIPT, because LIFT is a reserved word
     return next((path for known, path in parts(kind).items() if sorted(known.split("-")) == words), None)
 
 

@@ -24,7 +24,7 @@ def test_a_sentence_of_the_page_parses(sentence: str) -> None:
 
 
 def test_the_page_has_examples_for_every_part_of_a_task() -> None:
-    assert len(SENTENCES) == 14
+    assert len(SENTENCES) == 17
 
 
 def test_the_picture_of_a_refusal_is_the_one_shown() -> None:

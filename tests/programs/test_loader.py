@@ -214,7 +214,7 @@ PLAN = "plan: [{name: A, at: destination, solve: true}]"
         (
             GOOD.replace("do: move", "do: jump"),
             "",
-            r"line 7: .*no action of the binder jump; there are grip, hold, .*move",
+            r"line 7: .*no action of the binder jump; there are answer, grip, hold, .*move",
         ),
         (GOOD.replace(", stop: move_free", ""), "", r"line 7: .*no stop class \(none\)"),
         ("{do: grip, op: twist, label: x}", "", r"line 7: .*no motion of the hand twist; there are close, open"),
@@ -277,7 +277,7 @@ def test_the_line_is_that_of_the_file_whatever_it_brings():
             b"stop_classes:\n  mine:\n    stops: [{reason: goal, when: wished}]",
             "line 3: .*no predicate wished; there",
         ),
-        (b"actions: {move: teleport}", "line 1: .*no action teleport; there are assign, hand"),
+        (b"actions: {move: teleport}", "line 1: .*no action teleport; there are answered, assign, hand"),
         (b"procedures: {grasp_init: pray}", "line 1: .*no procedure pray; there are grasp_plan, open_hand"),
         (b"actions: {grip: motion}", "it is incompatible with the elaborator's program: .*no stop class"),
     ],

@@ -16,6 +16,8 @@ from broker.decisions import effects as do
 from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.state import State
+from broker.persistence.program_store import StoredProgram
+from broker.router import part_loads
 from rtc.drawing.scene import SceneView
 from rtc.programs import loader
 from rtc.protocol import messages as m
@@ -148,6 +150,8 @@ class OneProcess:
         match effect:
             case do.DispatchJob():
                 self._later(TICKS[effect.kind], self._worked(effect))
+            case do.LoadPart():
+                self._later(1, self._loaded(effect))
             case do.SendPrimitive():
                 primitive = msgspec.msgpack.decode(effect.primitive, type=Primitive)
                 if effect.subsystem == CAMERAS.name:
@@ -177,6 +181,13 @@ class OneProcess:
                 self.notes.append(effect.note)
             case do.ReportEnd():
                 self.outcomes[effect.ended.command] = effect.ended.outcome
+
+    def _loaded(self, effect: do.LoadPart) -> events.Event:
+        """The load of a delivered part, which never changes these programs."""
+        path = loader.part(effect.kind, effect.name)
+        assert path is not None
+        text = m.ProgramText(request=f"{effect.job} {effect.attempt}", kind=effect.kind, name=path.name, body=b"")
+        return part_loads.answer(text, StoredProgram("x", []), self.now_s)
 
     def _look(self, look: Primitive) -> None:
         assert self.eyes is not None

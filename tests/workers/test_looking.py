@@ -117,7 +117,7 @@ def test_all_cameras_that_see_a_body_at_rest_locate_it_together_unless_one_is_na
         ("LOCATE MACS-OLD REPORT FORCES", RefusalReason.NO_SCRIPT, "neither joints nor forces"),
         ("VERIFY MACS-OLD AT RACK-9", RefusalReason.NAME, "RACK-9"),
         ("VERIFY MACS-OLD AT LEFT-ARM VIA CAMERA-2", RefusalReason.NO_SCRIPT, "VIA"),
-        ("GRASP LEFT-END-EFF MACS-OLD VIA CAMERA-2", RefusalReason.NO_SCRIPT, "VIA"),
+        ("GRASP LEFT-END-EFF MACS-OLD VIA CAMERA-2", RefusalReason.NAME, "no GRASP strategy CAMERA-2"),
     ],
 )
 def test_what_no_camera_can_do_is_refused_before_it_begins(bench, sentence, reason, words) -> None:

@@ -125,7 +125,7 @@ def test_half_way_out_of_its_seat_is_no_place_to_let_go(bench):
 def test_free_drift_is_a_strategy_of_one_verb(bench):
     bench.do(GRASP)
     for sentence in ("LIFT MACS-NEW VIA FREE-DRIFT", "RELEASE MACS-NEW VIA CAMERA-1"):
-        assert bench.do(sentence).refusal.reason is RefusalReason.NO_SCRIPT
+        assert bench.do(sentence).refusal.reason is RefusalReason.NAME
 
 
 def test_the_refusal_for_a_full_hand_in_the_air_names_a_free_seat(in_the_air):

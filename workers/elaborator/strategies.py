@@ -49,7 +49,7 @@ def via(
     chosen = [branch for branch in branches if is_strategy(wanted, parsed.verb, branch.script)]
     if not chosen:
         known = [*names(branches), *(v for b in branches for c in b.when if (v := c.equals.get("performer")))]
-        raise suggestions.unknown(f"strategy of {parsed.verb}", wanted, known)
+        raise suggestions.unknown(f"{parsed.verb} strategy", wanted, known)
     return msgspec.structs.replace(parsed, performer=None), chosen
 
 
@@ -88,5 +88,5 @@ def stated(program: ElaboratorProgram, parsed: ParsedCommand) -> Stated:
         clears = f"{parsed.verb} {place} {DEFAULT} {names(rows)[0]}"
         raise Refused.because(RefusalReason.SENTENCE, message, where=parsed.attribute or "", clears=clears)
     if name != NONE and not any(is_strategy(name, verb, row.script) for row in rows):
-        raise suggestions.unknown(f"strategy of {verb}", name, [*names(rows), NONE])
+        raise suggestions.unknown(f"{verb} strategy", name, [*names(rows), NONE])
     return {f"{place}.{DEFAULT.lower()}": None if name == NONE else name}, [place]

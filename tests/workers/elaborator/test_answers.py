@@ -1,0 +1,103 @@
+"""SHOW, DESCRIBE, VIA a strategy, SET of a default strategy: sentences about the facts and the programs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from tests.workers.conftest import Bench
+
+TAKE = "GRASP MACS-NEW WITH RIGHT-ARM"
+
+
+def answer(bench: Bench, sentence: str) -> str:
+    run = bench.do(sentence)
+    assert run.succeeded, (run.refusal, run.failure)
+    assert run.primitives == []
+    return run.assessments[-1].remark
+
+
+def script_of(bench: Bench, sentence: str) -> str:
+    made: Any = bench.elaborate(sentence)
+    assert not isinstance(made, Refusal), made
+    return str(made.context.script)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "words"),
+    [
+        ("SHOW RIGHT-ARM", ["joints", "RIGHT-END-EFF", "holds MACS-NEW"]),
+        ("SHOW BOTH-ARMS", ["RIGHT-ARM: ", "LEFT-ARM: "]),
+        ("SHOW MACS-NEW", ["held by RIGHT-ARM", "in RACK-1"]),
+        ("SHOW RACK-2", ["holds MACS-OLD"]),
+        ("SHOW RESOURCES", ["RIGHT-ARM", "CAMERA-1", "RACK-1"]),
+        ("DESCRIBE INSERT-SCRIPT", ["skill (case 4)", "seat_free", "realign-1"]),
+        ("DESCRIBE CENTERING-GRASP", ["grasp-centering", "vision (retry_step)"]),
+        ("DESCRIBE EXTRACT-SCRIPT", ["out of the seat"]),
+        ("DESCRIBE GRASP-ENTRY", ["LEFT-END-EFF"]),
+        ("DESCRIBE WIGGLE", ["to either side"]),
+        ("DESCRIBE MACS-OLD", ["module", "2 kg", "HANDLE-A (20 mm)"]),
+        ("DESCRIBE RIGHT-ARM", ["6 joints", "2.5 kg"]),
+        ("DESCRIBE BAY-2-FRONT", ["a place of RIGHT-ARM, LEFT-ARM"]),
+    ],
+)
+def test_a_question_is_answered_in_words(bench: Bench, sentence: str, words: list[str]) -> None:
+    assert bench.do(f"{TAKE} VIA SIMPLE").succeeded
+    given = answer(bench, sentence)
+    assert [word for word in words if word not in given] == []
+
+
+@pytest.mark.parametrize("sentence", ["SHOW RACK-3", "DESCRIBE MACS-NEU", "SHOW C-7"])
+def test_a_question_about_nothing_names_what_there_is(bench: Bench, sentence: str) -> None:
+    refusal = bench.do(sentence).refusal
+    assert refusal is not None
+    assert refusal.reason is RefusalReason.NAME
+    assert {"RIGHT-ARM", "MACS-NEW"} <= set(refusal.expected)
+
+
+@pytest.mark.parametrize("name", ["SIMPLE", "GRASP-SIMPLE", "SIMPLE-GRASP"])
+def test_via_chooses_the_strategy_of_a_verb(bench: Bench, name: str) -> None:
+    assert script_of(bench, TAKE) == "grasp-centering"
+    assert script_of(bench, f"{TAKE} VIA {name}") == "grasp-simple"
+
+
+@pytest.mark.parametrize(
+    ("via", "words", "expected"),
+    [
+        ("SECOND", "does not fit MACS-NEW now", "GRASP-SIMPLE"),  # no other hand holds it
+        ("MAGIC", "no GRASP strategy MAGIC", "GRASP-CENTERING"),
+        ("CAMERA-1", "no GRASP strategy CAMERA-1", "GRASP-FEELING"),
+    ],
+)
+def test_a_strategy_that_does_not_fit_is_refused_with_those_that_do(
+    bench: Bench, via: str, words: str, expected: str
+) -> None:
+    refusal = bench.do(f"{TAKE} VIA {via}").refusal
+    assert refusal is not None
+    assert words in refusal.message
+    assert expected in refusal.expected
+
+
+def test_the_default_strategy_is_tried_first_until_it_is_forgotten(bench: Bench) -> None:
+    assert bench.do("SET GRASP-STRATEGY DEFAULT SIMPLE").succeeded
+    assert script_of(bench, TAKE) == "grasp-simple"
+    assert script_of(bench, f"{TAKE} VIA CENTERING") == "grasp-centering"
+    assert "SIMPLE" in answer(bench, "SHOW GRASP-STRATEGY")
+    assert bench.do("SET GRASP-STRATEGY DEFAULT NONE").succeeded
+    assert script_of(bench, TAKE) == "grasp-centering"
+
+
+@pytest.mark.parametrize(
+    ("sentence", "words"),
+    [
+        ("SET GRASP-STRATEGY DEFAULT MAGIC", "no GRASP strategy MAGIC"),
+        ("SET GRASP-STRATEGY LIKELIHOOD 1", "only DEFAULT"),
+        ("SET DANCE-STRATEGY DEFAULT SIMPLE", "DANCE-STRATEGY"),
+    ],
+)
+def test_a_wrong_default_is_refused(bench: Bench, sentence: str, words: str) -> None:
+    refusal = bench.do(sentence).refusal
+    assert refusal is not None
+    assert words in refusal.message
