@@ -19,9 +19,8 @@ from pathlib import Path
 
 from benchmarks.load.scenarios import FUNCTIONS, Scenario, WorkerJob, Workers, changed, sentences
 from benchmarks.report import finish, percentile, question, spread
-from broker.decisions import action_stack
 from rtc.model.cells.cell import Cell
-from rtc.programs import loader
+from rtc.programs import action_stack, loader
 from rtc.protocol.messages import BinderInput, BoundStep, ElaboratorInput, ParserInput, Script, WorkerKind
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import JointTrajectory

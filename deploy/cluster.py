@@ -33,6 +33,7 @@ from deploy.directory import Directory, claim_path
 from deploy.more_workers import MoreCommand
 from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Hooks, Supervisor
 from rtc.client.halt import HaltLine
+from rtc.protocol.messages import REHEARSER
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.protocol.subsystems import ARMS, Subsystem
 from rtc.runtime import fork_server, handover, process, process_table
@@ -92,6 +93,13 @@ def worker(settings: Settings, address: int) -> Spec:
     name = hypercube.name_of(address)
     about = {"node": address, "fork_server": TEMPLATE, "order": order, "awaits_fork_server": True}
     return _spec(name, "workers", settings, *arguments, **about)
+
+
+def new_rehearser(settings: Settings, number: int, fd: int) -> Spec:
+    """The spec of a rehearser, which performs TEST sentences on paper."""
+    order = msgspec.json.encode({"node": number})
+    about = {"node": number, "fork_server": TEMPLATE, "order": order, "awaits_fork_server": True}
+    return _hand(_spec(f"{REHEARSER}@{number}", "workers", settings, "--rehearser", str(number), **about), fd)
 
 
 def new_worker(settings: Settings, address: int, fd: int) -> Spec | None:
@@ -162,6 +170,7 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
             process.raise_priority(RANK, NICENESS)
             hooks = Hooks(
                 new_worker=lambda address: new_worker(settings, address, given.fd),
+                new_rehearser=lambda number: new_rehearser(settings, number, given.fd),
                 show=show,
                 save=save,
                 look=directory.look,

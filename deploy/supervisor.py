@@ -8,6 +8,7 @@ processes. It gets a list of `Spec`s, and a function that makes the spec of a ne
 from __future__ import annotations
 
 import contextlib
+import itertools
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -68,6 +69,7 @@ class Hooks:
     """What a supervisor calls outside of its processes."""
 
     new_worker: Callable[[int], Spec | None]  # for this node
+    new_rehearser: Callable[[int], Spec | None] = lambda number: None  # of this number
     show: Callable[[str], None] = lambda line: None  # a line for people
     save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None  # the process table, after each change
     # The run directory, every second: the files written again, and a reason to end the cluster or "".
@@ -423,9 +425,8 @@ class Supervisor:
                 if child and child.pid == pid:  # otherwise it has ended meanwhile
                     self._show(f"{name} (pid {pid}) is killed: {why}")
                     child.signal(signal.SIGKILL)
-            case m.SpawnWorker(kind=kind):
-                taken = {c.spec.node for c in self._children.values() if c.spec.node is not None}
-                spec = self._hooks.new_worker(hypercube.next_free(kind, taken))
+            case m.SpawnWorker(kind=kind, rehearses=rehearses):
+                spec = self._new_rehearser() if rehearses else self._hooks.new_worker(self._free_address(kind))
                 if spec is not None:
                     self._children[spec.name] = Child(spec, self._logs / f"{spec.name}.log")
             case m.RetireWorker(name=name):
@@ -441,6 +442,14 @@ class Supervisor:
                 self._me.stop()
             case m.AllEnded():
                 self._all_ended = order
+
+    def _free_address(self, kind: m.WorkerKind) -> int:
+        workers = (c.spec for c in self._children.values() if not c.spec.name.startswith(f"{m.REHEARSER}@"))
+        return hypercube.next_free(kind, {spec.node for spec in workers if spec.node is not None})
+
+    def _new_rehearser(self) -> Spec | None:
+        number = next(n for n in itertools.count() if f"{m.REHEARSER}@{n}" not in self._children)
+        return self._hooks.new_rehearser(number)
 
     def _ask_more(self, order: m.RequestWorkers) -> None:
         if self._more is None or self._more.pid:

@@ -21,7 +21,7 @@ from rtc.runtime.keys import KeyFile
 from rtc.runtime.settings import Settings, systemd_socket
 from workers.runtime.contact import LIMIT_S, BrokerContact, Systemd
 from workers.runtime.preload import preload
-from workers.runtime.start import join, work
+from workers.runtime.start import join, rehearse, work
 
 
 def parser() -> argparse.ArgumentParser:
@@ -33,6 +33,9 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument("--template", action="store_true", help="run as the fork server for workers")
     made.add_argument("--kind", choices=[kind.value for kind in WorkerKind])
+    made.add_argument(
+        "--rehearser", type=int, metavar="N", help="run as rehearser N, for TEST sentences, without --kind"
+    )
     made.add_argument("--node", type=int, help="address in the cube; with --with the cluster assigns one by default")
     made.add_argument(
         "--lost-after",
@@ -64,6 +67,11 @@ def main() -> None:
     kind = WorkerKind(given.kind) if given.kind else None
     if given.template:
         serve(handover.load(given.run_dir, given.handed).settings)
+    elif given.rehearser is not None:
+        if given.run_dir is None:
+            asked.error("--rehearser is for workers of the cluster's own machine (--run-dir)")
+        settings = handover.load(given.run_dir, given.handed).settings
+        rehearse(settings, given.rehearser, preload(WorkerKind, settings.cell))
     elif kind is None or (given.node is None and given.key is None):
         asked.error("a worker needs --kind, and without a key --node")
     elif given.key:
@@ -74,8 +82,10 @@ def main() -> None:
 
 
 class Order(msgspec.Struct, frozen=True):
-    kind: WorkerKind
+    """Of a worker: `node` is its address. Without a kind it is a rehearser, and `node` its number."""
+
     node: int
+    kind: WorkerKind | None = None
 
 
 def serve(settings: Settings) -> None:
@@ -86,7 +96,10 @@ def serve(settings: Settings) -> None:
 
     def be(order: bytes) -> None:
         wanted = read(order)
-        work(settings, wanted.kind, wanted.node, prepared)
+        if wanted.kind is None:
+            rehearse(settings, wanted.node, prepared)
+        else:
+            work(settings, wanted.kind, wanted.node, prepared)
 
     fork_server.serve(be)
 

@@ -11,10 +11,9 @@ import random
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from broker.decisions import action_stack
 from rtc.drawing.scene import SceneView
 from rtc.model.cells.cell import Cell
-from rtc.programs import loader
+from rtc.programs import action_stack, loader
 from rtc.protocol.messages import (
     AnalyzerInput,
     Assessment,

@@ -10,11 +10,11 @@ from typing import Any
 
 import msgspec
 
-from broker.decisions.action_stack import NOMINAL, ActionStack
 from broker.decisions.effects import DispatchJob, Effect, LoadPart, PublishNote, StartTimer, StopTimer
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import WORLD, Quarantine
 from broker.decisions.state import NOTES_KEPT, SPACES_KEPT, ArmMotion, Command, PendingJob, ScriptHead, State, StepHead
+from rtc.programs.action_stack import NOMINAL, ActionStack
 from rtc.protocol import wire
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Compared, Measured
@@ -22,6 +22,7 @@ from rtc.protocol.primitive import Box, apart
 
 read_step = wire.decoder(StepHead)
 PLANNERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # they plan beside the motions of other arms
+NO_PROGRAMS: dict[str, str] = {}
 START = " (starts when "  # in the words of a step: the condition of its start
 
 
@@ -189,7 +190,15 @@ class DecisionContext:
         if command.progress or (state.has_subscribers and not command.unwatched):
             self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
 
-    def create_job(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
+    def create_job(
+        self,
+        command: Command,
+        kind: WorkerKind,
+        data: Any,
+        locations: list[str] | None = None,
+        *,
+        rehearses: bool = False,
+    ) -> None:
         """Create the next job of this command, with the programs the command began with, and dispatch it."""
         if kind in PLANNERS:
             data |= self._motions_beside(command)
@@ -198,12 +207,13 @@ class DecisionContext:
             id=f"{command.id}/{command.jobs}",
             attempt=1,
             kind=kind,
-            program=command.programs.get(kind, ""),
+            program="" if rehearses else command.programs.get(kind, ""),
             input=wire.raw(data),
             locations=locations,
             since_s=self.now,
+            rehearses=rehearses,
         )
-        self.dispatch(job, command.client)
+        self.dispatch(job, command.client, command.programs if rehearses else {})
 
     def _motions_beside(self, command: Command) -> dict[str, Any]:
         """The motions of other commands, as a field of a planner's input; what the job knows is kept in the command."""
@@ -216,8 +226,13 @@ class DecisionContext:
         command.beside = list(others)
         return {"moving": list(others.values())} if others else {}
 
-    def dispatch(self, job: PendingJob, client: str = "") -> None:
-        """`client`: the client of its command; empty for a command that has ended."""
+    def dispatch_again(self, command: Command) -> None:
+        """Dispatch the job of a command once more: jobs are stateless."""
+        assert command.job is not None
+        self.dispatch(command.job, command.client, command.programs if command.job.rehearses else {})
+
+    def dispatch(self, job: PendingJob, client: str = "", programs: dict[str, str] = NO_PROGRAMS) -> None:
+        """`client`: the client of its command; empty for a command that has ended. `programs`: of a rehearsal."""
         if job.part:
             self.effects.append(LoadPart(job=job.id, attempt=job.attempt, kind=job.kind, name=job.part))
             return
@@ -231,6 +246,8 @@ class DecisionContext:
                 input=job.input,
                 locations=job.locations,
                 client=client,
+                rehearses=job.rehearses,
+                programs=programs,
                 doubt=job.doubt,
             )
         )

@@ -150,6 +150,9 @@ def _accept(context: DecisionContext, event: CommandReceived) -> Command:
         given_at_s=min(sentence.sent_at_s or event.at_s, event.at_s),
         programs=dict(state.programs),
         previous=state.last_given.pop(event.client, ""),
+        after_test=sentence.after_test,
+        label=sentence.label,
+        if_tested=sentence.if_tested,
     )
     state.last_given[event.client] = command.id  # the latest client last
     if len(state.last_given) > CLIENTS_KEPT:
@@ -318,7 +321,7 @@ def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
     for command in context.state.commands.values():
         if command.job is not None:
             command.job.attempt += 1
-            context.dispatch(command.job, command.client)
+            context.dispatch_again(command)
         if command.phase is Phase.ANALYZING:
             command.due_s = 0.0  # its retry was dispatched above
         if command.phase is Phase.EXECUTING:

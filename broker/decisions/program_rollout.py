@@ -51,7 +51,7 @@ def is_on_trial(state: State, job: PendingJob) -> bool:
 
 
 def on_job_done(context: DecisionContext, job: PendingJob) -> None:
-    rollout = context.state.rollouts.get(job.kind)
+    rollout = context.state.rollouts.get(job.kind) if not job.rehearses else None
     if rollout is not None and rollout.phase is RolloutPhase.TRIAL and is_on_trial(context.state, job):
         ROLLOUT.run(context, job.kind, RolloutStimulus.JOB_DONE)
 
@@ -61,6 +61,8 @@ def repeat_with_another(context: DecisionContext, command: Command, job: Pending
 
     If this was the first job of the newest program, that program is rolled back. Returns False if the job's program is
     in use or has worked: then the failure is of the job."""
+    if job.rehearses:
+        return False  # it uses several programs, and says nothing about one of them
     state, kind = context.state, job.kind.value
     last_words = (why.strip().splitlines() or ["without an error message"])[-1]
     if is_on_trial(state, job):

@@ -7,14 +7,16 @@ The *Head types below declare the few fields of a product that it reads.
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Any
 
 import msgspec
 
-from broker.decisions.action_stack import ActionStack
 from broker.decisions.resources import Resources
+from rtc.programs.action_stack import ActionStack
 from rtc.protocol.messages import Breakpoint, Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Compared, Measured, OutcomeKind, Refusal, StopReason
 from rtc.protocol.primitive import Box
+from rtc.protocol.rehearsal import Rehearsal
 from rtc.protocol.sentence import Condition
 
 NOTES_KEPT = 400  # maximum length of one command's trace; entries in the middle are dropped
@@ -108,6 +110,36 @@ class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"
     drift: str = ""
 
 
+class RehearsedHead(msgspec.Struct, frozen=True, kw_only=True, tag="Rehearsed", gc=False):
+    """Product of a rehearser."""
+
+    rehearsal: Rehearsal
+    parsed: msgspec.Raw
+    after: msgspec.Raw
+    refusal: Refusal | None = None
+    step: str = ""
+
+
+class Tested(msgspec.Struct, kw_only=True):
+    """A sentence that was rehearsed, as long as its digest is known."""
+
+    before: str
+    """Digest of the test of the sentence before it in its list; empty: it was the first."""
+    record: msgspec.Raw
+    """Its ParsedCommand without TEST."""
+    feasible: bool
+    relies_on: dict[str, int]
+    """Facts of the world database that it rests on, with their versions."""
+    foreseen: list[str]
+    """Facts that it rests on as the sentences before it leave them."""
+    programs: dict[str, str]
+    """As in `Command.programs`."""
+    paper: msgspec.Raw
+    """The world after it, input of the rehearsal of the next sentence."""
+    given: list[str] = []
+    """Commands that were given on the strength of this test."""
+
+
 class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """The current job of a command. Its input is kept, because the job may have to be dispatched again."""
 
@@ -127,6 +159,8 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """Time when the job was created."""
     deaths: list[str] = []
     """Evidence of each worker that died while it processed this job."""
+    rehearses: bool = False
+    """It is for a rehearser, with the programs of all kinds."""
     doubt: str = ""
     """Why the analysis was given up: the worker only makes the facts of `locations` suspect. Empty: it analyses."""
     part: str = ""
@@ -176,6 +210,7 @@ class PendingOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
     message: str
     stop: StopReason | None = None
     refusal: Refusal | None = None
+    rehearsal: Rehearsal | None = None
 
 
 class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
@@ -265,6 +300,14 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """`motions_begun` and `motions_ended` when that job was created."""
     waits_for: str = ""
     """WAITING: the arm that must leave the space it needs."""
+    after_test: str = ""
+    """TEST: digest of the test after which it is rehearsed; empty: in the world as it is."""
+    label: str = ""
+    """TEST: its number in a list of sentences."""
+    if_tested: str = ""
+    """Digest of the test on whose strength it is given."""
+    rests_on: dict[str, Any] = {}
+    """What the elaborator must find unchanged because of `if_tested`."""
 
     @property
     def stands(self) -> bool:
@@ -414,6 +457,8 @@ class State(msgspec.Struct, kw_only=True):
     """Command -> commands that start when it begins to move (TOGETHER-WITH)."""
     subsystems: dict[str, Subsystem] = {}
     """By name, lost ones included."""
+    tested: dict[str, Tested] = {}
+    """Digest -> test, the latest last."""
     motions: dict[str, ArmMotion] = {}
     """Arm -> its motion, until the world database has the result."""
     motions_begun: int = 0

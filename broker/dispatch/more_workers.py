@@ -45,7 +45,7 @@ class MoreWorkers:
         local = {row["name"] for row in processes}
         latest = {one.kind: one for one in asked}
         for kind in WorkerKind:
-            workers = [worker for worker in registry.workers.values() if worker.kind is kind and not worker.retiring]
+            workers = [worker for worker in registry.workers.values() if worker.queue == kind and not worker.retiring]
             far = far_of(workers, local)
             if not self._too_few(registry, kind, len(workers), now) or not self._may_ask(latest.get(kind), far, now):
                 continue

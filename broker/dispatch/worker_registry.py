@@ -16,14 +16,21 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from broker.decisions.effects import DispatchJob
-from rtc.protocol.messages import WorkerKind
+from rtc.protocol.messages import REHEARSER, WorkerKind
 
 BATCH_S = 0.002  # maximum duration of the jobs in one message
 BATCH_MAX = 64  # maximum number of jobs in one message
 SLOW_S = 0.005  # workers with longer jobs get one at a time
 # Limit of the processor time of a job, and of the time in which its worker reports that it has not used any. An
 # analyzer waits for the world database for up to half of it.
-DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 10.0}
+DEADLINE_S: dict[str, float] = {
+    WorkerKind.PARSER: 3.0,
+    WorkerKind.ELABORATOR: 15.0,
+    WorkerKind.BINDER: 15.0,
+    WorkerKind.ANALYZER: 10.0,
+}
+REHEARSAL_S = 60.0  # the same of a rehearsal, which does the work of many such jobs
+QUEUES: tuple[str, ...] = (*WorkerKind, REHEARSER)  # names; each is shared by the workers of one kind
 PROGRESS_S = 0.001  # least processor time that counts as progress of a job
 SILENCE_S = 3.0  # time limit for a sign of life of an idle worker, which sends one every 0.5 s
 BUSY_SILENCE_S = 30.0  # the same during a job: on a busy machine its signs of life are late
@@ -100,14 +107,12 @@ class LostJob(NamedTuple):
 
 class Worker:
     __slots__ = (
-        *("abilities", "assigned", "done", "kind", "last_seen_s", "mean_s", "name", "node", "pid"),
+        *("abilities", "assigned", "done", "last_seen_s", "mean_s", "name", "node", "pid", "queue"),
         *("progress_at_s", "retiring", "since_s", "worked_s"),
     )
 
-    def __init__(
-        self, name: str, node: int, kind: WorkerKind, pid: int, now: float, abilities: Sequence[str] = ()
-    ) -> None:
-        self.name, self.node, self.kind, self.pid, self.abilities = name, node, kind, pid, list(abilities)
+    def __init__(self, name: str, node: int, queue: str, pid: int, now: float, abilities: Sequence[str] = ()) -> None:
+        self.name, self.node, self.queue, self.pid, self.abilities = name, node, queue, pid, list(abilities)
         self.assigned: dict[str, DispatchJob] = {}  # jobs in order; the first is in progress
         self.since_s = now  # time when the first job began
         self.worked_s = 0.0  # processor time that it has reported for the first job
@@ -137,17 +142,17 @@ class Worker:
 class WorkerRegistry:
     def __init__(self) -> None:
         self.workers: dict[str, Worker] = {}
-        self.queues: dict[WorkerKind, Queue] = {kind: Queue() for kind in WorkerKind}
-        self.active_at_s: dict[WorkerKind, float] = {}  # worker kind -> time of the latest result or progress
+        self.queues: dict[str, Queue] = {name: Queue() for name in QUEUES}
+        self.active_at_s: dict[str, float] = {}  # queue -> time of the latest result or progress
 
     # --- workers come and go --------------------------------------------------------------------------
 
     def register(
-        self, name: str, node: int, kind: WorkerKind, pid: int, now: float, abilities: Sequence[str] = ()
+        self, name: str, node: int, queue: str, pid: int, now: float, abilities: Sequence[str] = ()
     ) -> list[LostJob]:
-        """Add a ready worker. Returns the jobs that an earlier worker of that name has lost."""
+        """Add a ready worker of this kind, or a rehearser. Returns the jobs that an earlier one of that name lost."""
         lost = self.remove(name)
-        self.workers[name] = Worker(name, node, kind, pid, now, abilities)
+        self.workers[name] = Worker(name, node, queue, pid, now, abilities)
         return lost
 
     def remove(self, name: str) -> list[LostJob]:
@@ -165,7 +170,7 @@ class WorkerRegistry:
         worker.last_seen_s = now
         if worker.assigned and worked_s - worker.worked_s >= PROGRESS_S:
             worker.worked_s = worked_s
-            worker.progress_at_s = self.active_at_s[worker.kind] = now
+            worker.progress_at_s = self.active_at_s[worker.queue] = now
         return True
 
     def answered(self, name: str, job: str, attempt: int, took_s: float, now: float) -> bool:
@@ -173,7 +178,7 @@ class WorkerRegistry:
         worker = self.workers.get(name)
         if worker is None:
             return False
-        worker.last_seen_s = self.active_at_s[worker.kind] = now
+        worker.last_seen_s = self.active_at_s[worker.queue] = now
         worker.begin_job(now)
         assigned = worker.assigned.get(job)
         if assigned is None or assigned.attempt != attempt:  # a late result of an earlier attempt
@@ -187,7 +192,7 @@ class WorkerRegistry:
 
     def submit(self, job: DispatchJob, now: float) -> None:
         """Queue a job."""
-        self.queues[job.kind].add(job, now)
+        self.queues[job.queue].add(job, now)
 
     def cancel(self, job: str) -> str:
         """Remove a job from the queues. Returns the worker that has it and must drop it, or an empty name."""
@@ -197,9 +202,9 @@ class WorkerRegistry:
 
     def assign(self, now: float) -> Iterator[tuple[str, list[DispatchJob]]]:
         """Assign queued jobs. Yields (worker, jobs) pairs, the least loaded worker first."""
-        for kind, queue in self.queues.items():
+        for name, queue in self.queues.items():
             while queue:
-                free = [w for w in self.workers.values() if w.kind is kind and w.free_slots > 0]
+                free = [w for w in self.workers.values() if w.queue == name and w.free_slots > 0]
                 if not free:
                     break
                 worker = min(free, key=lambda w: len(w.assigned))
@@ -209,9 +214,9 @@ class WorkerRegistry:
                 worker.assigned.update((job.job, job) for job in jobs)
                 yield worker.name, jobs
 
-    def waiting_s(self, kind: WorkerKind, now: float) -> float | None:
-        """Waiting time of the oldest queued job of this kind, in seconds; None: the queue is empty."""
-        since_s = self.queues[kind].oldest_s()
+    def waiting_s(self, queue: str, now: float) -> float | None:
+        """Waiting time of the oldest job of this queue, in seconds; None: the queue is empty."""
+        since_s = self.queues[queue].oldest_s()
         return None if since_s is None else now - since_s
 
     # --- trouble --------------------------------------------------------------------------------------
@@ -226,15 +231,15 @@ class WorkerRegistry:
 
         A worker that is busy for an earlier broker registers after its job."""
         kind = name.partition("@")[0]
-        return name not in self.workers and kind in DEADLINE_S and now - ready_since_s > BUSY_SILENCE_S
+        return name not in self.workers and kind in QUEUES and now - ready_since_s > BUSY_SILENCE_S
 
     def waited_too_long(self, now: float) -> list[DispatchJob]:
         """Remove and return the jobs that waited longer than the limit while no worker of their kind made progress.
 
         As long as workers answer or work, the queue is only long, and its jobs stay."""
         expired = []
-        for kind, queue in self.queues.items():
-            if now - self.active_at_s.get(kind, -QUEUE_LIMIT_S) < QUEUE_LIMIT_S:
+        for name, queue in self.queues.items():
+            if now - self.active_at_s.get(name, -QUEUE_LIMIT_S) < QUEUE_LIMIT_S:
                 continue
             late = queue.waiting_since(now - QUEUE_LIMIT_S)
             for job in late:
@@ -245,7 +250,7 @@ class WorkerRegistry:
 
 def _why_hung(worker: Worker, now: float) -> str:
     """The evidence that a worker hangs; empty if it does not."""
-    silent_s, limit_s = now - worker.last_seen_s, DEADLINE_S[worker.kind]
+    silent_s, limit_s = now - worker.last_seen_s, DEADLINE_S.get(worker.queue, REHEARSAL_S)
     if not worker.assigned:
         return f"silent for {silent_s:.1f} s" if silent_s > SILENCE_S else ""
     job, in_hand_s, idle_s = (

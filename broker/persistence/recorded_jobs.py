@@ -31,8 +31,12 @@ def recorded_jobs(journal: Journal, command: str) -> RecordedJobs:
                     if isinstance(effect, DispatchJob) and _belongs(effect.job, command) and not effect.doubt:
                         dispatched[effect.job, effect.attempt] = effect
         bodies = journal.programs()
-    needed = {digest for recorded in jobs for digest in (recorded.job.program, recorded.job.cell)}
+    needed = {digest for recorded in jobs for digest in _bodies_of(recorded.job)}
     return RecordedJobs(jobs=jobs, bodies={name: body for name, body in bodies.items() if name in needed})
+
+
+def _bodies_of(job: Job) -> list[str]:
+    return [job.program, job.cell, *job.programs.values()]
 
 
 def _belongs(job: str, command: str) -> bool:
@@ -49,7 +53,14 @@ def _answer_of(event: Event, command: str) -> JobDone | JobRefused | None:
 
 
 def _recorded(job: DispatchJob, answer: JobDone | JobRefused) -> RecordedJob:
-    given = Job(id=job.job, attempt=job.attempt, program=job.program, cell=job.cell, input=job.input)
+    given = Job(
+        id=job.job,
+        attempt=job.attempt,
+        program=job.program,
+        programs=job.programs,
+        cell=job.cell,
+        input=job.input,
+    )
     return RecordedJob(kind=job.kind, job=given, answer=answer)
 
 

@@ -53,6 +53,7 @@ class Egress:
                     id=job.job,
                     attempt=job.attempt,
                     program=job.program,
+                    programs=job.programs,
                     cell=job.cell,
                     input=job.input,
                     lease=None if not job.locations else sign(core.given.lease_key, job.job, job.locations),

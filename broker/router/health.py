@@ -79,7 +79,7 @@ class Health:
 
     def _expire_jobs(self, now: float) -> None:
         for job in self._core.registry.waited_too_long(now):
-            message = f"no {job.kind.value} took the job within the limit; is one alive? see `rtc status`"
+            message = f"no {job.queue} took the job within the limit; is one alive? see `rtc status`"
             refusal = Refusal(reason=RefusalReason.TIMEOUT, message=message)
             self._core.enqueue(JobDeclined(at_s=now, job=job.job, attempt=job.attempt, node="broker", refusal=refusal))
 

@@ -42,7 +42,7 @@ def requests_for_more(
     asked: WorkerRequest, registry: WorkerRegistry, processes: Sequence[Mapping[str, Any]], now: float
 ) -> dict[str, Any]:
     """The latest request for more workers of a kind: how many were asked for, how many have joined since."""
-    workers = [worker for worker in registry.workers.values() if worker.kind is asked.kind]
+    workers = [worker for worker in registry.workers.values() if worker.queue == asked.kind]
     return {
         "kind": asked.kind.value,
         "asked": asked.count,

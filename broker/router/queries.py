@@ -39,7 +39,7 @@ def status(core: Core, now: float) -> dict[str, Any]:
         "hosts": hosts(registry, core.processes, core.peers, core.late_results, now),
         "asked_for": [requests_for_more(one, registry, core.processes, now) for one in core.asked],
         "gateway_silent_s": now - core.peers_at_s if core.settings.listen else 0.0,
-        "queues": {kind.value: len(queue) for kind, queue in registry.queues.items()},
+        "queues": {str(name): len(queue) for name, queue in registry.queues.items()},
         "resources": _resources(state),
         "commands": [_command(c, state, now) for c in list(state.commands.values())[:COMMANDS_SHOWN]],
         "commands_live": len(state.commands),
@@ -67,7 +67,7 @@ def _worker(worker: Worker) -> dict[str, Any]:
     return {
         "name": worker.name,
         "node": worker.node,
-        "kind": worker.kind.value,
+        "kind": str(worker.queue),
         "pid": worker.pid,
         "abilities": worker.abilities,
         "busy_with": next(iter(worker.assigned), ""),

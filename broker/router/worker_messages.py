@@ -47,7 +47,8 @@ class WorkerMessages:
             raise WireError(f"{name!r:.80} introduces itself as {message.name!r:.80}")
         if message.node is None:
             raise WireError(f"{name!r:.80} has no address")
-        lost = self._core.registry.register(name, message.node, message.kind, message.pid, now, message.abilities)
+        queue = m.REHEARSER if message.rehearses else message.kind
+        lost = self._core.registry.register(name, message.node, queue, message.pid, now, message.abilities)
         self._core.lose_jobs(name, lost, "its process was replaced", now)
 
     def _remove(self, peer: bytes, message: m.WorkerGone, now: float) -> None:

@@ -36,6 +36,7 @@ from rtc.client.halt import HaltLine, HaltResult
 from rtc.client.handle import CommandHandle
 from rtc.client.heartbeat import HeartbeatSender
 from rtc.client.liveness import BrokerLiveness, Report, is_listening
+from rtc.client.rehearsing import NO_TEST, AboutTest, rehearse
 from rtc.client.requests import Answer, OnEnded, OnProgress, Requests, expect
 from rtc.client.subscription import subscribe
 from rtc.language.refuse import MAX_CHARACTERS
@@ -173,18 +174,19 @@ class Client:
         on_progress: OnProgress | None = None,
         progress: bool = True,
         traceparent: str = "",
+        if_tested: str = "",
     ) -> CommandHandle:
         """Submit one sentence; its handle, after the cluster has journalled it.
 
         `on_progress` receives each ProgressNote, as in `run`. `progress=False`: the cluster sends none, and REPORT
         EVERY and WHEN are refused; for a client that does not wait. `traceparent`: a W3C trace context, below which
-        `rtc observe --otlp` puts the trace of the command.
+        `rtc observe --otlp` puts the trace of the command. `if_tested`: as in `run`.
 
         Raises RequestDeclined if the cluster does not accept it.
         """
         handle = CommandHandle(self, text, on_progress)
         noted = handle.take_note if progress or on_progress is not None else None
-        self._submit(text, noted, handle.take_number, traceparent, handle.take_end)
+        self._submit(text, noted, handle.take_number, traceparent, handle.take_end, AboutTest(if_tested=if_tested))
         self.receive_until(lambda: handle.answered, ANSWER_S, "the sentence was not accepted")
         if not handle.number:
             refusal = handle.wait().outcome.refusal
@@ -199,13 +201,20 @@ class Client:
         timeout_s: float | None = None,
         *,
         traceparent: str = "",
+        if_tested: str = "",
+        after_test: str = "",
+        label: str = "",
     ) -> m.CommandEnded:
         """Submit one sentence and wait for its outcome.
 
-        `on_progress` receives each ProgressNote; `seq` 0 marks a report of EVERY or WHEN. Raises TimedOut after
-        `timeout_s`; the command then continues.
+        `on_progress` receives each ProgressNote; `seq` 0 marks a report of EVERY or WHEN. `if_tested`: digest of a test
+        of this sentence; it is refused if what that rests on has changed. `after_test`, `label`: of a TEST sentence,
+        see `test`. Raises TimedOut after `timeout_s`; the command then continues.
         """
-        return self.run_many([text], on_progress=on_progress, timeout_s=timeout_s, traceparent=traceparent)[0]
+        about = AboutTest(if_tested=if_tested, after_test=after_test, label=label)
+        return self.run_many(
+            [text], on_progress=on_progress, timeout_s=timeout_s, traceparent=traceparent, about=about
+        )[0]
 
     def run_many(
         self,
@@ -217,12 +226,14 @@ class Client:
         on_end: OnEnd | None = None,
         timeout_s: float | None = None,
         traceparent: str = "",
+        about: AboutTest = NO_TEST,
     ) -> list[m.CommandEnded]:
         """Submit sentences and wait; outcomes in the order of `texts`.
 
         `parallel`: submit all at once; the cluster runs those that need different resources at the same time. Otherwise
         each sentence is submitted when the one before has ended. `on_accept(i, "C-7")` and `on_end(i, ended)` are
-        called for sentence i. `timeout_s` is for all together.
+        called for sentence i. `timeout_s` is for all together. `about`: what `run` states of
+        a test.
         """
         limit_s = None if timeout_s is None else time.monotonic() + timeout_s
         ended: dict[int, m.CommandEnded] = {}
@@ -231,7 +242,7 @@ class Client:
         while todo or waiting:
             while todo and len(waiting) < (WINDOW if parallel else 1):
                 n, text = todo.popleft()
-                request = self._submit(text, on_progress, on_accept and partial(on_accept, n), traceparent)
+                request = self._submit(text, on_progress, on_accept and partial(on_accept, n), traceparent, about=about)
                 waiting[request] = n
             self.receive_until(
                 lambda: not waiting.keys().isdisjoint(self._requests.ended),
@@ -244,6 +255,12 @@ class Client:
                 if on_end:
                     on_end(n, ended[n])
         return [ended[n] for n in range(len(texts))]
+
+    def test(
+        self, texts: Sequence[str], labels: Sequence[str] = (), *, keep_going: bool = False
+    ) -> list[m.CommandEnded]:
+        """Test sentences on paper: nothing moves, and nothing is written (`rtc.client.rehearsing`)."""
+        return rehearse(self, texts, labels, keep_going=keep_going)
 
     # --- stopping -------------------------------------------------------------------------------------
 
@@ -370,6 +387,7 @@ class Client:
         on_accept: Callable[[str], None] | None = None,
         traceparent: str = "",
         on_ended: OnEnded | None = None,
+        about: AboutTest = NO_TEST,
     ) -> str:
         """Send one sentence; returns the name of the request. Raises ValueError for an invalid trace context."""
         request = self._next_request()
@@ -383,6 +401,9 @@ class Client:
             progress=on_progress is not None,
             halt_if_lost=self._heartbeat is not None,
             sent_at_s=time.monotonic(),  # a repeat after a halt keeps this time, so that the halt covers it
+            if_tested=about.if_tested,
+            after_test=about.after_test,
+            label=about.label,
         )
         self._connection.send(request, sentence)
         return request

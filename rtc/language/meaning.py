@@ -409,7 +409,17 @@ def operator_sentence(parts: Parts) -> Fields:
 
 
 def test_sentence(parts: Parts) -> Fields:
-    return {**parts[1], "test": True}
+    return {**parts[1], **parts[2], "test": True}
+
+
+def assuming(parts: Parts) -> Fields:
+    return {"assuming": parts[1]}
+
+
+def fault(parts: Parts) -> str:
+    """The word of a stop reason, of which some are words of other clauses too."""
+    (word,) = parts
+    return str(word.event if isinstance(word, Condition) else getattr(word, "value", word))
 
 
 def name(word: Token) -> str:
@@ -426,6 +436,7 @@ _MEANINGS: tuple[Callable[[Parts], Any], ...] = (
     operator_agent, report, report_items, reported, reported_every, reported_when, after, together_with, now,
     everything, set_value, name_datum,
     number_datum, cannot, task_sentence, control_sentence, data_sentence, operator_sentence, test_sentence,
+    assuming, fault,
 )  # fmt: skip
 
 #: The functions that a grammar may name: one per meaning, and a reader for each token class except STRING.

@@ -26,6 +26,8 @@ from typing import Any
 
 import msgspec
 
+from rtc.protocol.rehearsal import Rehearsal
+
 
 class RtcError(Exception):
     """Base of every exception that this project raises on purpose: the environment failed, not the code."""
@@ -135,6 +137,7 @@ class RefusalReason(StrEnum):
     RESOURCE = "resource"  # a resource is in use, and the sentence has NOW
     STATE = "state"  # the state of the world or of the command does not allow it (e.g. hand not empty)
     SUSPECT = "suspect"  # a fact it needs is suspect; sense it again first
+    STALE = "stale"  # what its test rests on has changed since
     NOT_ALLOWED = "not_allowed"  # this role may not do that
     OVERLOAD = "overload"  # a queue is full
     POISON = "poison"  # the job killed its worker too often
@@ -275,6 +278,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=
     trims: list[str] = []  # the trims used, in order
     steps_done: int = 0
     measured: Measured | None = None  # at the end of the last primitive, as far as REPORT requested it
+    rehearsal: Rehearsal | None = None  # of a TEST sentence
 
     def __repr__(self) -> str:
         return f"<Outcome {self.kind.value}{': ' if self.message else ''}{self.message}>"

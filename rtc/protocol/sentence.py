@@ -101,6 +101,7 @@ class ParsedCommand(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="
     kind: Kind
     verb: str  # GRASP MOVE ... HALT PAUSE ... SHOW SET ... GIVE DONE ...
     test: bool = False  # TEST before the sentence: hypothesis only, without motion
+    assuming: str | None = None  # TEST ... ASSUMING: a stop reason, SLIP or ARM-CONTACT; FAULTS: each one
     hand: str | None = None  # LEFT-ARM | RIGHT-ARM | BOTH-ARMS | name; None = the RTC chooses
     to_hand: str | None = None  # HANDOFF ... TO hand
     object: str | None = None  # the object, mechanism, seat, command or table the verb is about

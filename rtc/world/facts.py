@@ -32,8 +32,8 @@ class Facts:
     @property
     def taught_places(self) -> list[parts.Place]:
         """Those that the cell does not have: see `rtc.model.cells.taught`."""
-        values = ((key, fact.value) for key, fact in self.world.facts.items())
-        return taught.as_places(self.cell, taught.postures(values))
+        keys = [key for key in self.world.facts if taught.arm_of(key.rpartition(".")[2])]
+        return taught.as_places(self.cell, taught.postures((key, self.world.value(key)) for key in keys))
 
     @property
     def places(self) -> list[parts.Place]:

@@ -21,6 +21,8 @@ from rtc.protocol.messages import (
     BoundStep,
     EndReport,
     EvaluationContext,
+    Paper,
+    Rehearsed,
     Script,
     ScriptContext,
     Step,
@@ -28,6 +30,7 @@ from rtc.protocol.messages import (
 )
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Box, GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove
+from rtc.protocol.rehearsal import Rehearsal
 from rtc.protocol.sentence import ParsedCommand
 from tests.broker.flat_events import made
 
@@ -48,7 +51,7 @@ def brief(effect: do.Effect) -> str:
         case do.DispatchJob():
             lease = f" lease {'+'.join(effect.locations)}" if effect.locations is not None else ""
             lease += " doubt" if effect.doubt else ""
-            return f"job {effect.job} {effect.kind.value} #{effect.attempt}{lease}"
+            return f"job {effect.job} {effect.queue} #{effect.attempt}{lease}"
         case do.CancelJob():
             return f"cancel {effect.job}"
         case do.SendPrimitive():
@@ -184,6 +187,14 @@ class Harness:
 
     # --- shortcuts to a phase ---
 
+    def tested(self, text: str = "TEST X", after: str = "", parsed: Any = None, **about: Any) -> str:
+        """A TEST sentence to its end; returns the digest. `parsed`: the record of the sentence without TEST."""
+        self.says(text, after_test=after)
+        command = f"C-{self.state.accepted}"
+        self.answers(command, msgspec.structs.replace(parsed or record(), test=True))
+        self.answers(command, rehearsed(parsed or record(), **about))
+        return str(self.outcome(command).rehearsal.digest)
+
     def parsed(self, text: str = "X", **head: Any) -> str:
         """A new command, parsed; returns its number."""
         self.says(text)
@@ -275,6 +286,12 @@ def report(primitive: str, reason: StopReason = StopReason.GOAL, performer: str 
         hand_width_m=0.08,
         hand_force_n=0.0,
     )
+
+
+def rehearsed(parsed: ParsedCommand, refusal: Refusal | None = None, **about: Any) -> Rehearsed:
+    """The product of a rehearser; `about`: fields of the rehearsal."""
+    rehearsal = Rehearsal(predicted_s=2.0, resources=["RIGHT-ARM"], **about)
+    return Rehearsed(rehearsal=rehearsal, parsed=parsed, after=Paper(at_s=2.0), refusal=refusal)
 
 
 def go_on(reason: StopReason = StopReason.GOAL) -> Assessment:

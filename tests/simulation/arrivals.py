@@ -14,7 +14,7 @@ from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, WorkerKind
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
 from tests.broker.flat_events import made
-from tests.broker.harness import bound, give_up, go_on, in_the_way, mend, record, report, script, trim
+from tests.broker.harness import bound, give_up, go_on, in_the_way, mend, record, rehearsed, report, script, trim
 from tests.simulation.mcm_model import called
 from tests.simulation.model import CLIENTS, Model, Move, Scenario, Sentence, sentence_of
 
@@ -54,7 +54,10 @@ def _work(model: Model, scenario: Scenario, command: str, product: str) -> event
         about = {"job": live.job.id, "attempt": live.job.attempt, "node": "w"}
         return events.JobDeclined(at_s=model.now, refusal=in_the_way(arm), **about)
     step = live.actions.step if live.actions else None
-    body = _product(sentence_of(command, scenario), live.job.kind, command, live.primitives + 1, step, product)
+    if live.job.rehearses:
+        body = wire.raw(rehearsed(record()))
+    else:
+        body = _product(sentence_of(command, scenario), live.job.kind, command, live.primitives + 1, step, product)
     return events.JobFinished(at_s=model.now, job=live.job.id, attempt=live.job.attempt, node="w", product=body)
 
 

@@ -40,6 +40,8 @@ FAULTS_S = 1.2  # duration of sentences and faults; then everything may end
 LIMIT_S = 150.0  # of simulated time until everything must have ended
 KEY = bytes(32)
 
+REHEARSES = 1 + (1 << 10)  # node of the rehearser
+
 
 class Wrong(AssertionError):
     """Something that must always hold does not."""
@@ -47,6 +49,7 @@ class Wrong(AssertionError):
 
 class Cluster:
     LIFE = ""  # of the first journal
+    TESTS = True  # there is a rehearser, and clients give TEST sentences
 
     def __init__(self, seed: int, log_line: Callable[[str], None] | None = None) -> None:
         self.seed = seed
@@ -73,6 +76,8 @@ class Cluster:
         self.supervisor = Supervisor(self)
         for node in range(4 * self.random.choice((1, 1, 2))):
             self._start_worker(node)
+        if self.TESTS:
+            self._start_worker(REHEARSES)
         self.mcm: Mcm | None = Mcm(self, next(self._pids))
         self.clients = [Client(self, f"client-{n}") for n in range(self.random.choice((1, 2)))]
         self.callers: list[Caller] = []
@@ -153,7 +158,8 @@ class Cluster:
         odd = random.random()
         if odd < 0.12:
             other = f"C-{random.randint(1, 4)}"
-            return random.choice(("HALT", f"HALT {other}", "HALT RIGHT-ARM", f"ABORT {other}", "NO", "STUCK", "POISON"))
+            controls = ("HALT", f"HALT {other}", "HALT RIGHT-ARM", f"ABORT {other}")
+            return random.choice((*controls, "NO", "STUCK", "POISON", *(("TEST DO LEFT swing",) if self.TESTS else ())))
         words = ["DO", random.choice(("LEFT", "RIGHT")), *random.choices(skills.STEPS[:3], k=random.randint(1, 3))]
         if odd < 0.4:
             words.append(random.choice(skills.STEPS[3:]))
@@ -197,7 +203,7 @@ class Cluster:
 
     def _start_worker(self, node: int) -> None:
         kind = list(m.WorkerKind)[node % 4]
-        name = f"{kind.value}@{node}"
+        name = f"{kind.value}@{node}" if node != REHEARSES else f"{m.REHEARSER}@0"
         self.workers[name] = Worker(self, name, node, kind, next(self._pids))
         self.supervisor.send_table()
 

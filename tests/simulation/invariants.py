@@ -16,7 +16,14 @@ from rtc.protocol.primitive import apart
 from rtc.protocol.primitive_id import command_of
 
 MOVING = (Phase.EXECUTING, Phase.HALTING)
-BY_JOB = (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phase.CLOSING)  # a worker has its job
+BY_JOB = (
+    Phase.PARSING,
+    Phase.REHEARSING,
+    Phase.ELABORATING,
+    Phase.BINDING,
+    Phase.ANALYZING,
+    Phase.CLOSING,
+)  # a worker has its job
 
 
 def violations(state: State) -> list[str]:

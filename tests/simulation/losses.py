@@ -34,6 +34,7 @@ server.MOVED |= {"done"}  # the attribute of the simulated arms
 
 class LossyCluster(Cluster):
     LIFE = "first"
+    TESTS = False
 
     def __init__(self, seed: int, log_line: Callable[[str], None] | None = None) -> None:
         super().__init__(seed, log_line)

@@ -68,7 +68,12 @@ class Worker:
 
     def _send_hello(self) -> None:
         self._hello_sent_s = self.cluster.clock.now_s
-        self._send(m.WorkerHello(protocol=VERSION, name=self.name, node=self.node, kind=self.kind, pid=self.pid))
+        rehearses = self.name.startswith(m.REHEARSER)
+        self._send(
+            m.WorkerHello(
+                protocol=VERSION, name=self.name, node=self.node, kind=self.kind, pid=self.pid, rehearses=rehearses
+            )
+        )
 
     def _beat(self) -> None:
         if not self.alive or self.cluster.over:
@@ -118,7 +123,7 @@ class Worker:
         product: Any = None
         try:
             if not job.doubt:
-                product = skills.FUNCTIONS[self.kind.value](job.input)
+                product = skills.FUNCTIONS[self.name.partition("@")[0]](job.input)
         except skills.Kill:
             self.cluster.kill(self, f"by {job.id}")
             return

@@ -24,6 +24,7 @@ SCENARIOS = (
     Scenario(name="different arms", sentences=(ONE, Sentence(arms=LEFT))),
     Scenario(name="both arms, then one", sentences=(Sentence(arms=BOTH, steps=2), Sentence(arms=LEFT, empty_steps=1))),
     Scenario(name="arms in each other's way", sentences=(_moving(RIGHT, LEFT), _moving(LEFT, RIGHT)), faults=1),
+    Scenario(name="a test beside a command", sentences=(ONE, Sentence(parsed=(("test", True),)))),
     Scenario(name="facts stated", sentences=(ONE, Sentence(stated=True, trims=1))),
     Scenario(name="after", sentences=(ONE, Sentence(parsed=(("after", "C-1"),)))),
     Scenario(name="together with", sentences=(ONE, Sentence(arms=LEFT, parsed=(("together_with", "C-1"),)))),

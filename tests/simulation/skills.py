@@ -1,6 +1,7 @@
 """Worker functions for the simulated cluster: plain, deterministic, and quick. A sentence is its own program.
 
 DO ARM STEP STEP ... [AFTER C-n] [TOGETHER-WITH C-n] [NOW]      a STEP is one of STEPS
+TEST DO ... on paper
 NO          refused by the parser          STUCK     refused by the elaborator
 POISON      kills every parser that reads it
 HALT, HALT ARM, HALT C-n, ABORT C-n        as in the language
@@ -11,6 +12,8 @@ from __future__ import annotations
 from functools import cache
 from itertools import pairwise
 
+import msgspec
+
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     AnalyzerInput,
@@ -19,7 +22,10 @@ from rtc.protocol.messages import (
     BoundStep,
     ElaboratorInput,
     EvaluationContext,
+    Paper,
     ParserInput,
+    RehearsalInput,
+    Rehearsed,
     Script,
     ScriptContext,
     Step,
@@ -39,6 +45,7 @@ from rtc.protocol.primitive import (
     Trajectory,
 )
 from rtc.protocol.primitive_id import command_of
+from rtc.protocol.rehearsal import Rehearsal
 from rtc.protocol.sentence import ParsedCommand
 
 ARMS = {"LEFT": "LEFT-ARM", "RIGHT": "RIGHT-ARM"}
@@ -67,6 +74,7 @@ read_parsed = wire.decoder(ElaboratorInput)
 read_step = wire.decoder(BinderInput)
 read_report = wire.decoder(AnalyzerInput)
 read_text = wire.decoder(ParserInput)
+read_rehearsal = wire.decoder(RehearsalInput)
 
 
 class Kill(Exception):
@@ -79,6 +87,8 @@ def no(reason: RefusalReason, message: str) -> Refusal:
 
 def parse(data: bytes) -> ParsedCommand | Refusal:
     words = read_text(data).text.split()
+    test = words[0] == "TEST"
+    words = words[test:]
     named = dict(pairwise(words))
     match words[0]:
         case "POISON":
@@ -90,6 +100,7 @@ def parse(data: bytes) -> ParsedCommand | Refusal:
     return ParsedCommand(
         kind="task",
         verb=words[0],
+        test=test,
         hand=ARMS.get(words[1]) if len(words) > 1 else None,
         after=named.get("AFTER"),
         together_with=named.get("TOGETHER-WITH"),
@@ -155,7 +166,19 @@ def analyze(data: bytes) -> Assessment:
     return Assessment(verdict="abort", reason=report.reason, message=report.message, changes=changed)
 
 
-FUNCTIONS = {"parser": parse, "elaborator": elaborate, "binder": bind, "analyzer": analyze}
+def rehearse(data: bytes) -> Rehearsed:
+    asked = read_rehearsal(data)
+    parsed = msgspec.structs.replace(asked.parsed, test=False)
+    return Rehearsed(rehearsal=Rehearsal(resources=["LEFT-ARM"]), parsed=parsed, after=Paper())
+
+
+FUNCTIONS = {
+    "parser": parse,
+    "elaborator": elaborate,
+    "binder": bind,
+    "analyzer": analyze,
+    "rehearser": rehearse,
+}
 
 
 def primitives_of(text: str) -> int:

@@ -16,10 +16,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from broker.decisions import action_stack
 from rtc.drawing.scene import SceneView
 from rtc.model.cells.cell import Cell
-from rtc.programs import loader
+from rtc.programs import action_stack, loader
 from rtc.protocol.messages import (
     AnalyzerInput,
     Assessment,

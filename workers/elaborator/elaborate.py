@@ -24,6 +24,7 @@ from workers.conditions import reflexes
 from workers.elaborator import (
     answers,
     arm_candidates,
+    as_tested,
     command_fields,
     look,
     make_way,
@@ -68,6 +69,7 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     assert cell is not None
     assert world is not None
     try:
+        as_tested.refuse_stale(data.rests_on, world)
         query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
         return _elaborated(compiled, query, data.parsed, data.owners)
     except Refused as refused:

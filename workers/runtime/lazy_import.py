@@ -18,6 +18,7 @@ FUNCTIONS = {
     "elaborator": "workers.elaborator.elaborate",
     "binder": "workers.binder.bind",
     "analyzer": "workers.analyzer.analyze",
+    "rehearser": "workers.rehearsal.rehearse",
 }
 
 

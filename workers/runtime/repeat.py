@@ -15,7 +15,7 @@ import msgspec
 
 from rtc.model.cells.cell import Cell
 from rtc.protocol import wire
-from rtc.protocol.messages import JobDone, JobRefused, RecordedJob, RecordedJobs, Repetition
+from rtc.protocol.messages import REHEARSER, JobDone, JobRefused, RecordedJob, RecordedJobs, Repetition, WorkerKind
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.world.store import world_at
 from workers.runtime import lazy_import
@@ -37,9 +37,12 @@ class Repeater:
         return Repetition(job=recorded.job.id, kind=recorded.kind, difference=found)
 
     def _answer(self, recorded: RecordedJob) -> msgspec.Raw | Refusal:
-        function: Any = lazy_import.load(recorded.kind)
         job = recorded.job
-        program = self._program(recorded.kind, job.program)
+        function: Any = lazy_import.load(REHEARSER if job.programs else recorded.kind)
+        if job.programs:
+            program = {kind: self._program(kind, job.programs[kind]) for kind in WorkerKind}
+        else:
+            program = self._program(recorded.kind, job.program)
         cell = self._cell(job.cell) if function.NEEDS_CELL and job.cell else None
         world = world_at(self._world_db, recorded.answer.world) if function.NEEDS_WORLD else None
         try:

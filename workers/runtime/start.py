@@ -12,7 +12,7 @@ from typing import Any
 
 from rtc.model.cells.cell import Cell
 from rtc.model.robot import compiled
-from rtc.protocol.messages import WorkerHello, WorkerKind
+from rtc.protocol.messages import REHEARSER, WorkerHello, WorkerKind
 from rtc.protocol.outcomes import ClusterError
 from rtc.protocol.versions import BOXES, VERSION
 from rtc.runtime import process
@@ -27,6 +27,7 @@ from workers.runtime.preload import Preloaded, preload
 from workers.runtime.worker_loop import WorkerLoop
 
 NICENESS = 5  # lower priority than the broker and the MCM
+IDLE_NICENESS = 19  # of a rehearser: it takes the time that live commands leave
 
 
 def work(settings: Settings, kind: WorkerKind, node: int, prepared: Preloaded) -> None:
@@ -35,6 +36,23 @@ def work(settings: Settings, kind: WorkerKind, node: int, prepared: Preloaded) -
     process.show_name(name)
     with process.start(name, ".") as me:
         hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid(), protocol=VERSION, abilities=_abilities())
+        run(me, settings, hello, prepared)
+
+
+def rehearse(settings: Settings, number: int, prepared: Preloaded) -> None:
+    """Run a rehearser until it is ordered to stop. It is no node of the cube."""
+    name = f"{REHEARSER}@{number}"
+    process.show_name(name)
+    with process.start(name, ".") as me:
+        hello = WorkerHello(
+            name=name,
+            node=number,
+            kind=WorkerKind.ELABORATOR,
+            pid=os.getpid(),
+            protocol=VERSION,
+            abilities=_abilities(),
+            rehearses=True,
+        )
         run(me, settings, hello, prepared)
 
 
@@ -69,16 +87,18 @@ def run(
     me: Process, endpoints: Endpoints, hello: WorkerHello, prepared: Preloaded, contact: BrokerContact | None = None
 ) -> str:
     """Run the loop of one worker. Returns the reason if it ended by itself; empty after an order to stop."""
-    process.nice(NICENESS)
-    function: Any = lazy_import.load(hello.kind)
+    process.nice(IDLE_NICENESS if hello.rehearses else NICENESS)
+    function: Any = lazy_import.load(REHEARSER if hello.rehearses else hello.kind)
     if function.NEEDS_CELL:
         lazy_import.load("workers.planning.robot_models")
     # Over tcp the hello carries the name.
     identity, secure = ("", endpoints.secure) if endpoints.far else (hello.name, None)
     link = Link.connect(me, endpoints.endpoint("workers"), identity, secure)
     world = WorldClient(endpoints.endpoint("world"), me.context, secure=secure)
-    programs = prepared.programs.get(hello.kind, {})
-    loop = WorkerLoop(me, hello, function, link, world, _models_of, programs, prepared.cells, contact)
+    kinds = WorkerKind if hello.rehearses else (hello.kind,)
+    programs = {name: program for kind in kinds for name, program in prepared.programs.get(kind, {}).items()}
+    compilers = function.COMPILERS if hello.rehearses else {}
+    loop = WorkerLoop(me, hello, function, link, world, _models_of, programs, prepared.cells, contact, compilers)
     process.freeze_heap()
     gc.set_threshold(50_000, 20, 20)  # jobs leave little garbage; a collection would delay a job
     if contact is None:

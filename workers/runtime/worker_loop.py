@@ -64,7 +64,7 @@ class StopRequested(Exception):
 class WorkerLoop:
     """One worker. `link` is its connection to the broker; `build_cell` builds the models of a cell; `programs` and
     `cells` are preloaded, keyed by digest. A remote worker has a `contact`: nothing else ends it if its broker is
-    lost."""
+    lost. A rehearser has `compilers` of the programs of all kinds; any other worker that of its function."""
 
     def __init__(
         self,
@@ -77,6 +77,7 @@ class WorkerLoop:
         programs: Mapping[str, Any] = MappingProxyType({}),
         cells: Mapping[str, Any] = MappingProxyType({}),
         contact: BrokerContact | None = None,
+        compilers: Mapping[m.WorkerKind, Callable[[bytes], Any]] = MappingProxyType({}),
     ) -> None:
         self._me, self._hello, self._function = me, hello, function
         self._link, self._socket = link, link.socket
@@ -88,7 +89,8 @@ class WorkerLoop:
         self._slow_s = 1.0  # slowly decaying maximum of recent job durations
         self._wanted = ""  # the digest being fetched; `_bodies` collects its bodies
         self._bodies: list[bytes | None] = []
-        self._programs = CompiledCache(function.compile, programs)
+        compilers = compilers or {hello.kind: function.compile}
+        self._programs = {kind: CompiledCache(compile, programs) for kind, compile in compilers.items()}
         self._cells = CompiledCache(lambda body: build_cell(Cell.from_bytes(body)), cells)
         self._view = WorldView(world)
         self._contact = contact
@@ -274,7 +276,7 @@ class WorkerLoop:
                 self._view.make_suspect(job.lease, job.doubt)
             return wire.raw(None)  # the broker does not read it
         function = self._function
-        program = self._made(self._programs, job.program)
+        program = self._program_of(job)
         cell = self._made(self._cells, job.cell) if function.NEEDS_CELL and job.cell else None
         world = self._view.at(came_s) if function.NEEDS_WORLD else None
         data = self._input_of(job)
@@ -288,6 +290,12 @@ class WorkerLoop:
                 raise Refused.because(RefusalReason.PROGRAM, message)
             refuse_if(self._view.commit(job.lease, product, source=job.id))
         return wire.raw(product)
+
+    def _program_of(self, job: m.Job) -> Any:
+        """The compiled program of the job; of a rehearsal those of all kinds. Raises Refused."""
+        if job.programs:
+            return {kind: self._made(cache, job.programs[kind]) for kind, cache in self._programs.items()}
+        return self._made(self._programs[self._hello.kind], job.program)
 
     def _input_of(self, job: m.Job) -> Any:
         """Raises Refused for an input with a key that this version does not know: it may restrict a motion."""

@@ -81,5 +81,7 @@ def start_elaboration(context: DecisionContext, command: Command) -> None:
     data: dict[str, Any] = {"command": command.id, "parsed": command.parsed, "at_s": context.now}
     if command.head is not None and command.head.kind == "data":
         data["owners"] = {name: ", ".join(users) for name, users in context.state.resources.holders.items()}
+    if command.rests_on:
+        data["rests_on"] = command.rests_on
     context.create_job(command, WorkerKind.ELABORATOR, data)
     context.enter(command, Phase.ELABORATING)

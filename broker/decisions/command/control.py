@@ -93,6 +93,8 @@ def _will_pause(context: DecisionContext, command: Command) -> Answer:
         return False, "is paused already" + (f": it {path_words(command.paused_done)}" if command.stands else "")
     if command.phase in (Phase.HALTING, Phase.CLOSING):
         return False, "is ending"
+    if command.phase is Phase.REHEARSING:
+        return False, "is a test, which moves nothing"
     if command.phase is Phase.WAITING and command.actions is not None:
         return True, f"pauses before step {command.step_words}"
     if command.actions is None or command.actions.step is None:
@@ -120,6 +122,8 @@ def _instead(context: DecisionContext, scope: str, targets: list[str]) -> str:
 def _will_resume(context: DecisionContext, command: Command) -> Answer:
     if command.phase in (Phase.HALTING, Phase.CLOSING):
         return False, "is ending"
+    if command.phase is Phase.REHEARSING:
+        return False, "is a test, which moves nothing"
     going = command.phase is not Phase.PAUSED and not command.pause_wanted and not command.single_step
     return (False, "was not paused") if going else (True, "goes on")
 

@@ -10,6 +10,7 @@ from broker.decisions.command import loading
 from broker.decisions.command.claims import claim_and_elaborate
 from broker.decisions.command.control import concerns_earlier, control
 from broker.decisions.command.dependencies import wait_for_another
+from broker.decisions.command.rehearsal import rehearse, why_not_as_tested
 from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import Command, ParsedHead
@@ -26,10 +27,10 @@ def on_parsed(context: DecisionContext, command: Command, product: msgspec.Raw) 
     command.parsed = product
     command.head = head = _with_last(read_parsed(product), command.previous)
     if head.test:  # checked first: TEST HALT must not halt
-        message = "hypothesis tests (TEST ...) are not in this release"
-        clears = "`rtc parse` shows how the sentence is read; without TEST it moves"
-        refuse(context, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
-    elif refusal := _broker_refusal(command, head):
+        rehearse(context, command, head)
+    elif refusal := _broker_refusal(command, head) or (
+        why_not_as_tested(context, command) if command.if_tested else None
+    ):
         refuse(context, command, refusal)
     elif context.is_next(command) or (head.kind == "control" and not concerns_earlier(head)):
         take_up(context, command)
@@ -47,7 +48,13 @@ def _with_last(head: ParsedHead, previous: str) -> ParsedHead:
 
 
 def _broker_refusal(command: Command, head: ParsedHead) -> Refusal | None:
-    """Refuse what only the broker can check: LAST without a previous command, REPORT EVERY without a reader."""
+    """Refuse what only the broker can check: LAST without a previous command, REPORT EVERY without a reader, a test
+    that does not cover the sentence."""
+    if command.after_test:
+        message = "only a TEST sentence can be done in the world after a test"
+        return Refusal(
+            reason=RefusalReason.STATE, message=message, where=command.after_test, clears="put TEST before it"
+        )
     if LAST in (head.after, head.together_with):
         word = "AFTER" if head.after else "TOGETHER-WITH"
         own = "each `rtc do` is a client of its own"

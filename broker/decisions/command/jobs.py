@@ -44,8 +44,7 @@ def schedule_analysis_retry(context: DecisionContext, command: Command, refusal:
 
 
 def retry_analysis(context: DecisionContext, command: Command, _: Any) -> None:
-    assert command.job is not None
-    context.dispatch(command.job, command.client)
+    context.dispatch_again(command)
 
 
 def retry_job(context: DecisionContext, command: Command, loss: JobLost) -> None:
@@ -92,7 +91,7 @@ def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) ->
         context.note(
             command, f"{loss.node} lost ({loss.evidence.splitlines()[-1] if loss.evidence else 'gone'}); job again"
         )
-        context.dispatch(job, command.client)
+        context.dispatch_again(command)
         return None
     return Refusal(
         reason=RefusalReason.POISON,

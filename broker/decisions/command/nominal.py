@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import msgspec
 
-from broker.decisions import action_stack
-from broker.decisions.action_stack import NOMINAL
 from broker.decisions.command.claims import claim_or_wait
 from broker.decisions.command.closing import close, read_assessment
 from broker.decisions.command.limits import await_report
@@ -29,6 +27,8 @@ from broker.decisions.state import (
     Subsystem,
     queues_of,
 )
+from rtc.programs import action_stack
+from rtc.programs.action_stack import NOMINAL
 from rtc.protocol import wire
 from rtc.protocol.messages import Breakpoint, EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason

@@ -16,6 +16,7 @@ from broker.decisions.command import (
     jobs,
     nominal,
     pacing,
+    rehearsal,
     space,
     stopping,
     termination,
@@ -32,7 +33,7 @@ FROM_ELABORATION = (P.ELABORATING, P.HELD, P.ENDED)  # the resources are granted
 
 _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
     P.PARSING: {
-        S.PRODUCT: cell(intake.on_parsed, P.PARSING, *FROM_ELABORATION, P.HALTING),
+        S.PRODUCT: cell(intake.on_parsed, P.PARSING, P.REHEARSING, *FROM_ELABORATION, P.HALTING),
         S.RELEASE: cell(intake.take_up, *FROM_ELABORATION),
         S.REFUSAL: cell(termination.refuse, P.ENDED),
         S.UNAVAILABLE: cell(jobs.fail_unavailable, P.ENDED),
@@ -40,6 +41,13 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
         S.STOP: cell(termination.stop, P.ENDED),
         S.PAUSE: cell(control.request_pause, P.PARSING),
         S.RESUME: cell(control.withdraw_pause, P.PARSING),
+    },
+    P.REHEARSING: {
+        S.PRODUCT: cell(rehearsal.on_rehearsed, P.ENDED),
+        S.REFUSAL: cell(termination.refuse, P.ENDED),
+        S.UNAVAILABLE: cell(jobs.fail_unavailable, P.ENDED),
+        S.WORKER_LOST: cell(jobs.retry_job, P.REHEARSING, P.ENDED),
+        S.STOP: cell(termination.stop, P.ENDED),
     },
     P.ELABORATING: {
         S.PRODUCT: cell(nominal.on_elaborated, P.HELD, *STEP),
@@ -127,11 +135,12 @@ _IGNORED: list[Ignored[Phase, Stimulus]] = [
     Ignored([p for p in P if p not in (P.HALTING, P.ENDED)], [S.REST], "no halt of it is open"),
     Ignored([p for p in P if p not in (P.HALTING, P.ENDED)], [S.HALT_SETTLED], "it is not a HALT sentence"),
     Ignored(
-        [P.PARSING, P.ELABORATING, P.HELD, P.WAITING, P.BINDING, P.PAUSED],
+        [P.PARSING, P.REHEARSING, P.ELABORATING, P.HELD, P.WAITING, P.BINDING, P.PAUSED],
         [S.TIMEOUT],
         "no timer runs: it was stopped as it fired",
     ),
     Ignored([P.PARSING, P.ELABORATING, P.HELD], [S.SUBSYSTEM_LOST], "it has not used a subsystem yet"),
+    Ignored([P.REHEARSING], [S.SUBSYSTEM_LOST, S.PAUSE, S.RESUME], "it moves nothing"),
     Ignored([P.HALTING, P.CLOSING], [S.STOP, S.PAUSE, S.RESUME], "it is ending already"),
     Ignored([P.CLOSING], [S.SUBSYSTEM_LOST], "it is ending already"),
     Ignored([P.PAUSED], [S.PAUSE], "it is paused already"),

@@ -47,6 +47,7 @@ def end(
         trims=command.actions.trim_labels if command.actions else [],
         steps_done=command.steps_done,
         measured=command.measured,
+        rehearsal=ending.rehearsal,
     )
     if defer_analysis:
         deferred_analysis.defer(context, command)

@@ -34,7 +34,7 @@ from rtc.apps.cli.output import (
 )
 from rtc.client.client import Client
 from rtc.model.robot import collision_checks
-from rtc.protocol.messages import WorkerKind
+from rtc.protocol.messages import REHEARSER, WorkerKind
 from rtc.protocol.outcomes import NoCluster, TimedOut
 from rtc.protocol.versions import BOXES
 from rtc.runtime import process_table
@@ -265,6 +265,10 @@ def folded(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [*(row for row in rows if row not in templates), one]
 
 
+def _in_cube(process: str) -> bool:
+    return "@" in process and not process.startswith(f"{REHEARSER}@")
+
+
 def _workers_and_processes(report: dict[str, Any]) -> None:
     workers = {worker["name"]: worker for worker in report.get("workers", [])}
     rows = folded(report.get("processes") or [])
@@ -273,14 +277,15 @@ def _workers_and_processes(report: dict[str, Any]) -> None:
     rows = [*rows, *({**worker, **elsewhere} for name, worker in workers.items() if name not in here)]
     if not rows:
         return
-    bits = max((int(w["node"]).bit_length() for w in workers.values()), default=2) or 1
+    cube = [int(w["node"]) for w in workers.values() if _in_cube(w["name"])]
+    bits = max((address.bit_length() for address in cube), default=2) or 1
     out = table("process", "address", "pid>", "state", "restarts>", "done>", "waiting>", "busy with")
     for row in rows:
         worker = workers.get(row["name"], {})
         node = worker.get("node", row.get("node"))
         out.add_row(
             row["name"],
-            "" if node is None or "@" not in row["name"] else format(int(node), f"0{max(bits, 2)}b"),
+            format(int(node), f"0{max(bits, 2)}b") if node is not None and _in_cube(row["name"]) else "",
             str(row.get("pid", "")),
             str(row.get("state", "")),
             str(row.get("restarts", "")),

@@ -29,6 +29,7 @@ COMMANDS = {
     "status": "cluster",
     "doctor": "doctor",
     "do": "sentences",
+    "test": "rehearsal",
     "halt": "halt",
     "look": "look",
     "picture": "picture",

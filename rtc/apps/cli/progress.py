@@ -17,12 +17,13 @@ from rich.text import Text
 
 from rtc.apps.cli.measured import duration, in_words
 from rtc.apps.cli.output import COLOUR, console, quoted, refusal_lines, seconds, table
+from rtc.apps.cli.rehearsal_lines import in_lines
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind
 
 WAITS = (m.Phase.HELD, m.Phase.WAITING)  # the note names what the command waits for
 #: phases that are too short for their own line (`rtc trace` shows them); ENDED has the result line
-PASSING = {m.Phase.PARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}
+PASSING = {m.Phase.PARSING, m.Phase.REHEARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}
 
 
 REPORTS_KEPT = 1000  # maximum number of reports of EVERY and WHEN per command in the JSON result
@@ -175,7 +176,8 @@ def explain(ended: m.CommandEnded, text: str) -> list[str]:
         lines += [line for line in refusal_lines(refusal, text) if line != refusal.message]
     if outcome.trims:
         lines.append(mended(outcome) + ", ".join(outcome.trims))
-    return lines + (in_words(outcome.measured) if outcome.measured else [])
+    lines += in_words(outcome.measured) if outcome.measured else []
+    return [*lines, *in_lines(outcome.rehearsal, full=True)] if outcome.rehearsal else lines
 
 
 def mended(outcome: Outcome) -> str:

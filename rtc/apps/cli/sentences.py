@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import sys
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ import msgspec
 import typer
 from rich.text import Text
 
+from rtc.apps.cli import sentence_files
 from rtc.apps.cli.halt import print_halt
 from rtc.apps.cli.long_steps import LongSteps
 from rtc.apps.cli.output import (
@@ -34,11 +34,10 @@ from rtc.apps.cli.progress import Board
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.client.client import Client, Source, as_text
 from rtc.client.halt import HaltResult
+from rtc.client.rehearsing import AboutTest, is_test
 from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
-
-LABEL = re.compile(r"[A-Z]+\d+:\s+")  # such as "C12: GRASP ..." in lists of sentences
 
 
 class LeftRunning(Exception):
@@ -59,6 +58,9 @@ def do(
     parallel: Annotated[bool, typer.Option("--parallel", help="Send all at once.")] = False,
     keep_going: Annotated[bool, typer.Option("--keep-going", "-k", help="Go on after one that fails.")] = False,
     no_wait: Annotated[bool, typer.Option("--no-wait", help="Return once they are accepted.")] = False,
+    if_tested: Annotated[
+        str, typer.Option(metavar="DIGEST", help="Only as `rtc test` found it: refuse what is stale.")
+    ] = "",
     source: Annotated[str, typer.Option("--as", help="operator, or aip (differs in records only).")] = "operator",
     json: AsJson = False,
     run_dir: RunDir = None,
@@ -74,7 +76,10 @@ def do(
 
     Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
     """
-    texts = [as_text(text) for text in (*(sentences or []), *(_lines(file) if file else []))]
+    texts = [
+        as_text(text)
+        for text in (*(sentences or []), *(line.text for line in (sentence_files.read(file) if file else [])))
+    ]
     if not all(text.strip() for text in texts) or not texts:
         raise cli_error("no sentence; give one in quotes; rtc dictionary VERB shows examples", 2)
     if source not in ("operator", "aip"):
@@ -83,9 +88,9 @@ def do(
     need_broker = not all(halts)
     with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=show_silence, key=key) as rtc:
         if no_wait:
-            code, results = _hand_in(rtc, texts)
+            code, results = _hand_in(rtc, texts, if_tested)
         else:
-            code, results = _see_through(rtc, texts, parallel and not any(halts), keep_going, json)
+            code, results = _see_through(rtc, texts, parallel and not any(halts), keep_going, json, if_tested)
     if hint := quotes_forgotten(texts, results):
         errors.print(Text(hint))
     if json:
@@ -103,7 +108,7 @@ def quotes_forgotten(texts: list[str], results: list[dict[str, Any]]) -> str:
 
 
 def _see_through(
-    rtc: Client, texts: list[str], parallel: bool, keep_going: bool, json: bool
+    rtc: Client, texts: list[str], parallel: bool, keep_going: bool, json: bool, if_tested: str
 ) -> tuple[int, list[dict[str, Any]]]:
     """Run all sentences; the exit status and a result for each."""
     kinds: list[OutcomeKind] = []
@@ -117,12 +122,13 @@ def _see_through(
                     on_accept=board.accepted,
                     on_progress=board.progress,
                     on_end=board.ended,
+                    about=AboutTest(if_tested=if_tested),
                 )
                 kinds = [one.outcome.kind for one in ended]
                 results = [_result(one, text, board) for one, text in zip(ended, texts, strict=True)]
             else:
                 for n, text in enumerate(texts):
-                    kind, result = _one(rtc, board, n, text)
+                    kind, result = _one(rtc, board, n, text, if_tested)
                     kinds.append(kind)
                     results.append(result)
                     if kind != OutcomeKind.SUCCEEDED and not keep_going:
@@ -157,7 +163,7 @@ def gone_away(why: OutputClosed | Signalled, board: Board, sentences: int) -> in
     return exit_code(board.kinds) or int(others > 0)
 
 
-def _one(rtc: Client, board: Board, n: int, text: str) -> tuple[OutcomeKind, dict[str, Any]]:
+def _one(rtc: Client, board: Board, n: int, text: str, if_tested: str) -> tuple[OutcomeKind, dict[str, Any]]:
     if scope := halt_scope(text):
         halted = rtc.halt(scope)
         print_halt(halted, errors if board.quiet else console)
@@ -168,11 +174,12 @@ def _one(rtc: Client, board: Board, n: int, text: str) -> tuple[OutcomeKind, dic
         on_accept=lambda _, command: board.accepted(n, command),
         on_progress=board.progress,
         on_end=lambda _, one: board.ended(n, one),
+        about=AboutTest(if_tested="" if is_test(text) else if_tested),
     )[0]
     return ended.outcome.kind, _result(ended, text, board)
 
 
-def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
+def _hand_in(rtc: Client, texts: list[str], if_tested: str) -> tuple[int, list[dict[str, Any]]]:
     """Submit without waiting for outcomes."""
     results: list[dict[str, Any]] = []
     out = console
@@ -183,7 +190,7 @@ def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
             results.append({"text": text, "kind": "halted", "halt": msgspec.to_builtins(halted)})
             continue
         try:
-            command = rtc.submit(text, progress=False).number
+            command = rtc.submit(text, progress=False, if_tested=if_tested).number
         except RequestDeclined as declined:
             for line in refusal_lines(declined.refusal, text):
                 errors.print(Text(line))
@@ -266,16 +273,6 @@ def _ask() -> str:
         return "h"
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _lines(file: Path) -> list[str]:
-    """Sentences of a file, without blank lines, # comments and labels such as C12:."""
-    try:
-        text = sys.stdin.read() if str(file) == "-" else file.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise cli_error(f"cannot read {file}: {error}", 2) from None
-    lines = (line.strip() for line in text.splitlines())
-    return [LABEL.sub("", line, count=1) for line in lines if line and not line.startswith(("#", "--"))]
 
 
 def _result(ended: m.CommandEnded, text: str, board: Board) -> dict[str, Any]:

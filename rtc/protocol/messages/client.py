@@ -27,6 +27,9 @@ class CommandText(Message, frozen=True, kw_only=True):
     sent_at_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
     cluster: Name = ""  # the run it is for, as in Welcome; another run declines it; empty = any
     known_as: Name = ""  # C-n, if it is sent again after it was accepted
+    after_test: Name = ""  # of a TEST: digest of the test after which it is rehearsed; empty: in the world as it is
+    label: Name = ""  # of a TEST: its number in a list of sentences, C-5, which later ones may name
+    if_tested: Name = ""  # digest of a test that covers it; it is refused if what that rests on has changed
 
 
 class StatusQuery(Message, frozen=True, kw_only=True):
@@ -113,6 +116,7 @@ class Phase(StrEnum):
     """Phase of a command. ENDED is final; HALTING and CLOSING lead only to ENDED."""
 
     PARSING = "parsing"
+    REHEARSING = "rehearsing"  # a TEST sentence is performed on paper
     ELABORATING = "elaborating"
     HELD = "held"  # waits for its resources
     WAITING = "waiting"  # waits until another arm leaves the space that it needs

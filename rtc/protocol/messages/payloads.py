@@ -9,9 +9,10 @@ import msgspec
 from rtc.protocol.messages.shared import Message
 from rtc.protocol.messages.step import Step
 from rtc.protocol.messages.subsystem import EndReport
-from rtc.protocol.messages.world import WorldChange
-from rtc.protocol.outcomes import Compared, StopReason
+from rtc.protocol.messages.world import Fact, WorldChange
+from rtc.protocol.outcomes import Compared, Refusal, StopReason
 from rtc.protocol.primitive import Primitive
+from rtc.protocol.rehearsal import Rehearsal
 from rtc.protocol.sentence import ParsedCommand, ReflexItem, Report
 from rtc.protocol.strict import Strict
 
@@ -111,6 +112,15 @@ class ParserInput(Strict, frozen=True, kw_only=True):
     text: str
 
 
+class RestsOn(Strict, frozen=True, kw_only=True, omit_defaults=True):
+    """What a tested sentence rests on: it is refused if that has changed, except by commands of the same test."""
+
+    test: str  # digest
+    relies_on: dict[str, int] = {}  # fact -> version; 0: it did not exist
+    foreseen: list[str] = []  # facts that commands of the same test must have written last
+    given: list[str] = []  # those commands
+
+
 class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """`at_s`: when the broker asks; what a hand holds is less certain with the age of its facts. 0 = unknown."""
 
@@ -119,6 +129,7 @@ class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     at_s: float = 0.0
     moving: list[Primitive] = []  # of other arms: executing, or ended and not in the world database yet
     owners: dict[str, str] = {}  # of a sentence that states or asks facts: name -> the commands that use it
+    rests_on: RestsOn | None = None
 
 
 class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
@@ -143,6 +154,38 @@ class AnalyzerInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     report: EndReport
     trims_used: list[int] = []  # for this step
     closing: bool = False
+
+
+class Paper(Strict, frozen=True, kw_only=True, omit_defaults=True):
+    """The world after a rehearsal: the predicted facts, and what the next sentence may refer to."""
+
+    facts: list[Fact] = []
+    at_s: float = 0.0  # predicted time, on the broker's clock
+    begun: list[str] = []  # labels of the sentences before, in order: C-5, C-12
+    lasting: dict[str, list[str]] = {}  # label of a sentence that lasts until it is stopped -> what it alone may use
+
+
+class RehearsalInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
+    """A TEST sentence. `at_s`, `moving`: as in `ElaboratorInput`; the motions count as ended at their goals."""
+
+    command: str
+    text: str  # the sentence with its TEST, for repairs
+    parsed: ParsedCommand
+    label: str = ""  # number of the sentence in its list: C-5
+    live: list[str] = []  # those of the commands that it names that are in progress
+    at_s: float = 0.0
+    moving: list[Primitive] = []
+    before: Paper | None = None  # the world after the rehearsals before; None: as it is
+
+
+class Rehearsed(Message, frozen=True, kw_only=True):
+    """Product of a rehearsal."""
+
+    rehearsal: Rehearsal
+    parsed: ParsedCommand  # without TEST: the record of the sentence that may be given now
+    after: Paper  # also of an infeasible sentence, which changes nothing
+    refusal: Refusal | None = None  # why the sentence is not feasible
+    step: str = ""  # in which step, as in `Outcome.step`; empty: before the first
 
 
 class BoundStep(Message, frozen=True, kw_only=True):

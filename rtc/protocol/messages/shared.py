@@ -40,6 +40,9 @@ class WorkerKind(StrEnum):
     ANALYZER = "analyzer"
 
 
+REHEARSER = "rehearser"  # in the place of a kind: a worker that performs TEST sentences on paper, with all programs
+
+
 class Heartbeat(Message, frozen=True, kw_only=True):
     """Sign of life. From a worker, a subsystem, or a client with `halt_if_lost`.
 

@@ -104,6 +104,7 @@ class AllEnded(Message, frozen=True, kw_only=True):
 
 class SpawnWorker(Message, frozen=True, kw_only=True):
     kind: WorkerKind
+    rehearses: bool = False  # a rehearser instead of a worker of this kind
 
 
 class RetireWorker(Message, frozen=True, kw_only=True):

@@ -25,8 +25,9 @@ class Job(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=Fals
     id: str  # "C-7/12": command and a number
     attempt: int  # from 1; an answer to an older attempt is stale
     program: str  # digest
+    programs: dict[str, str] = {}  # of a rehearsal, instead of `program`: kind -> digest
     cell: str = ""  # digest of the cell; empty = not needed by this kind
-    input: msgspec.Raw  # ParserInput | ElaboratorInput | BinderInput | AnalyzerInput
+    input: msgspec.Raw  # ParserInput | ElaboratorInput | BinderInput | AnalyzerInput | RehearsalInput
     lease: Lease | None = None  # analyzers only
     doubt: str = ""  # not empty: only make the leased facts suspect, for this reason
 
@@ -57,6 +58,7 @@ class WorkerHello(Hello, frozen=True, kw_only=True):
     kind: WorkerKind
     pid: int
     instance: Name = ""  # random name of this process, the same in every hello
+    rehearses: bool = False  # it takes rehearsals only, "rehearser@0"; `node` is then a number outside of the cube
 
 
 class WorkerAddress(Message, frozen=True, kw_only=True):
@@ -69,7 +71,7 @@ class WorkerAddress(Message, frozen=True, kw_only=True):
 class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="done", gc=False):
     id: str
     attempt: int
-    product: msgspec.Raw  # ParsedCommand | Script | BoundStep | Assessment
+    product: msgspec.Raw  # ParsedCommand | Script | BoundStep | Assessment | Rehearsed
     took_s: float = 0.0
     world: int = 0  # version of the world that the job read; 0 if it read none
 

@@ -9,8 +9,8 @@ import textwrap
 
 import pytest
 
-from broker.decisions.action_stack import ActionStack
 from broker.decisions.state import Command, DeferredAnalysis, HaltSentence, PendingJob, Rollout, State, Subsystem
+from rtc.programs.action_stack import ActionStack
 
 
 @pytest.mark.parametrize(

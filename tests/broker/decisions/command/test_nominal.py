@@ -166,12 +166,6 @@ def test_a_product_that_is_none_is_a_refusal_and_no_crash():
     assert s.outcome("C-1").refusal.reason is RefusalReason.PROGRAM
 
 
-def test_a_hypothesis_test_reaches_no_subsystem():
-    s = Harness()
-    s.says("TEST X")
-    assert s.answers("C-1", record(test=True)) == ["note C-1 ended", "end C-1 refused"]
-
-
 def test_both_arms_of_a_control_are_all():
     s = Harness()
     s.executing()
@@ -179,15 +173,6 @@ def test_both_arms_of_a_control_are_all():
     assert "halt C-1 to MCM" in s.answers("C-2", record(kind="control", verb="ABORT", hand="BOTH-ARMS"))
     s.says("HALT BOTH-ARMS")
     assert s.phase("C-1") == "halting"
-
-
-@pytest.mark.parametrize("verb", ["HALT", "PAUSE", "ABORT"])
-def test_the_test_of_a_control_stops_nothing(verb):
-    s = Harness()
-    s.executing()
-    s.says(f"TEST {verb}")
-    assert s.answers("C-2", record(test=True, kind="control", verb=verb)) == ["note C-2 ended", "end C-2 refused"]
-    assert s.phase("C-1") == "executing"
 
 
 def test_the_remark_of_the_last_step_is_in_the_outcome():

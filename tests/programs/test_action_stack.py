@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from broker.decisions import action_stack
-from broker.decisions.action_stack import MAX_TRIMS, ActionStack
+from rtc.programs import action_stack
+from rtc.programs.action_stack import MAX_TRIMS, ActionStack
 from rtc.protocol.messages import Binding
 from tests.broker.harness import script, trim
 

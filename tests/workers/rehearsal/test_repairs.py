@@ -1,0 +1,80 @@
+"""Repairs: sentences that were rehearsed in the place of one that is not feasible."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc.protocol.rehearsal import Repair
+from tests.workers.rehearsal.on_paper import OnPaper
+from workers.rehearsal import repairs
+
+GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
+
+
+def offered(paper: OnPaper, sentence: str) -> list[Repair]:
+    found = paper.test(sentence)
+    assert found.refusal is not None, "it is feasible"
+    return found.rehearsal.repairs
+
+
+def sentences(found: list[Repair]) -> list[list[str]]:
+    return [one.sentences for one in found]
+
+
+def test_another_seat():
+    paper = OnPaper()
+    paper.test(GRASP)
+    paper.test("LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM")
+    assert ["PLACE MACS-NEW ON RACK-1 WITH RIGHT-ARM"] in sentences(
+        offered(paper, "PLACE MACS-NEW ON RACK-2 WITH RIGHT-ARM")
+    )
+
+
+def test_another_hand():
+    found = offered(OnPaper(), "GRASP LEFT-END-EFF MACS-NEW HANDLE-A")
+    assert sentences(found)[0] == [GRASP]
+    assert found[0].changes == "RIGHT-END-EFF instead of LEFT-END-EFF"
+
+
+def test_another_grasp_point():
+    found = offered(OnPaper(), "GRASP RIGHT-END-EFF MACS-NEW HANDLE-C")
+    assert sentences(found)[0] == [GRASP]
+
+
+def test_a_sentence_before_it_that_the_advice_contains():
+    found = offered(OnPaper(), "LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM")
+    assert ["GRASP MACS-NEW", "LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM"] in sentences(found)
+
+
+def test_an_arm_in_the_way_is_stowed_first():
+    paper = OnPaper()
+    for sentence in ("MOVE LEFT-ARM TO BAY-2-FRONT", "MOVE LEFT-ARM BY 15 CM ALONG RIGHT"):
+        paper.test(sentence)
+    assert ["STOW LEFT-ARM", "MOVE RIGHT-ARM TO BAY-2-FRONT"] in sentences(
+        offered(paper, "MOVE RIGHT-ARM TO BAY-2-FRONT")
+    )
+
+
+def test_every_repair_that_is_offered_is_feasible_when_it_is_rehearsed_again():
+    for sentence in ("GRASP LEFT-END-EFF MACS-NEW HANDLE-A", "MOVE LEFT-ARM TO RACK-1-FRONT"):
+        for repair in offered(OnPaper(), sentence):
+            paper = OnPaper()
+            found = [paper.test(text) for text in repair.sentences]
+            assert [one.refusal for one in found] == [None] * len(found)
+            assert sum(one.rehearsal.predicted_s for one in found) == pytest.approx(repair.predicted_s)
+
+
+def test_facts_are_never_stated_and_the_number_of_repairs_is_limited(monkeypatch):
+    monkeypatch.setattr(repairs, "OFFERED", 2)
+    found = offered(OnPaper(), "MOVE LEFT-ARM TO RACK-1-FRONT")
+    assert len(found) == 2
+    assert not any(text.startswith("SET") for one in found for text in one.sentences)
+
+
+def test_the_number_of_trials_is_limited(monkeypatch):
+    monkeypatch.setattr(repairs, "TRIED", 0)
+    assert offered(OnPaper(), "MOVE LEFT-ARM TO RACK-1-FRONT") == []
+
+
+def test_a_verb_without_a_script_is_not_repaired():
+    assert offered(OnPaper(), "GIVE RIGHT-ARM TO OPERATOR") == []

@@ -1,0 +1,3 @@
+"""Rehearsals: sentences performed on paper, with predicted reports instead of a subsystem and an overlay instead of the
+world (R142). Pure.
+"""

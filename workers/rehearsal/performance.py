@@ -1,0 +1,225 @@
+"""One sentence performed on paper: the loop of the Decision Unit with predicted reports and an overlay of the world.
+
+Pure. It calls the functions of elaborator, binder and analyzer in turn, and knows no skill.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import msgspec
+
+from rtc.programs import action_stack
+from rtc.programs.action_stack import ActionStack
+from rtc.protocol.messages import (
+    AnalyzerInput,
+    Assessment,
+    BinderInput,
+    BoundStep,
+    ElaboratorInput,
+    EndReport,
+    Script,
+    WorkerKind,
+)
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason
+from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Look, Primitive
+from rtc.protocol.rehearsal import RehearsedStep
+from rtc.protocol.sentence import ParsedCommand
+from workers.analyzer import analyze
+from workers.binder import bind
+from workers.elaborator import elaborate
+from workers.planning.robot_models import CellModel
+from workers.planning.world_query import WorldQuery
+from workers.rehearsal.paper_world import PaperWorld
+from workers.rehearsal.predicted_report import end_report
+
+UNTIL_STOPPED_S = 600.0  # a rest or a look of this length without FOR lasts until a person ends it
+MAX_STEPS = 200  # of one sentence: a limit of the loop, which trims make longer
+
+Programs = Mapping[WorkerKind, Any]
+
+
+class Moment(NamedTuple):
+    """A primitive was bound, and has not begun."""
+
+    actions: ActionStack[Script, Any]
+    world: PaperWorld
+    now_s: float
+    bound: BoundStep
+
+
+@dataclass
+class Performance:
+    """A sentence on paper. `world` and `now_s` (the broker's clock) are those after the steps so far."""
+
+    programs: Programs
+    model: CellModel
+    world: PaperWorld
+    now_s: float
+    command: str
+    script: Script | None = None
+    actions: ActionStack[Script, Any] | None = None
+    steps: list[RehearsedStep] = field(default_factory=list)
+    moments: list[Moment] = field(default_factory=list)
+    assumes: list[str] = field(default_factory=list)
+    refusal: Refusal | None = None
+    given_up: Refusal | None = None
+
+    @property
+    def predicted_s(self) -> float:
+        return sum(step.predicted_s for step in self.steps)
+
+    @property
+    def step(self) -> str:
+        """The current step in words, as in `Outcome.step`; empty before the first."""
+        if self.actions is None or self.actions.step is None:
+            return ""
+        trim, index = self.actions.step
+        label = self.actions.step_body.label
+        if trim == action_stack.NOMINAL:
+            return f"{index + 1} of {len(self.actions.script.steps)}: {label}"
+        return f"trim {trim}, {index + 1} of {len(self.actions.trim(trim).steps)}: {label}"
+
+    def run(self, parsed: ParsedCommand) -> Performance:
+        """Elaborate the sentence and perform its steps until the last, or until one is refused."""
+        data = ElaboratorInput(command=self.command, parsed=parsed, at_s=self.now_s)
+        try:
+            self.script = self._call(elaborate, WorkerKind.ELABORATOR, data)
+            self.actions = action_stack.begin(self.script)
+            self.go_on()
+        except Refused as refused:
+            self.refusal = refused.refusal
+        return self
+
+    def go_on(self, left: int = 0) -> None:
+        """Perform the steps that are on the stack, until this number is left. Raises Refused."""
+        assert self.actions is not None
+        while len(self.actions.refs) > left:
+            if len(self.steps) > MAX_STEPS:
+                raise Refused.because(RefusalReason.PROGRAM, f"the script does not end within {MAX_STEPS} steps")
+            self.actions.pop()
+            self._perform_step()
+        if self.given_up is not None:
+            raise Refused(self.given_up)
+
+    def bind(self) -> BoundStep:
+        """The current step, bound in the world on paper. Raises Refused."""
+        assert self.actions is not None
+        name = f"{self.command}.{len(self.steps) + 1}"
+        bound: BoundStep = self._call(
+            bind, WorkerKind.BINDER, BinderInput(**self.actions.binder_input(name), at_s=self.now_s)
+        )
+        self.actions.assign(bound.bindings)
+        return bound
+
+    def judge(self, bound: BoundStep, report: EndReport) -> Assessment:
+        """The analyzer's verdict on a report; its changes are in the world on paper from now on. Raises Refused."""
+        assert self.actions is not None
+        self.now_s += report.duration_s
+        self.actions.moved_s += report.duration_s
+        data = AnalyzerInput(**self.actions.analyzer_input(bound.evaluation, report))
+        judged: Assessment = self._call(analyze, WorkerKind.ANALYZER, data)
+        self.world = self.world.overlay(judged.changes, f"{self.command}/{len(self.steps)}", self.now_s)
+        self.actions.assign(judged.keep)
+        return judged
+
+    def follow(self, judged: Assessment) -> str:
+        """Push the trim that the verdict asks for; what follows it. Raises Refused without one, with the failure."""
+        assert self.actions is not None
+        failure = Refusal(reason=RefusalReason.STATE, message=judged.message, clears=judged.clears)
+        trim = self.actions.push_trim(judged.trim) if judged.verdict == "trim" else None
+        if trim is None:
+            raise Refused(self.given_up or failure)
+        if trim.then == "give_up":
+            self.given_up = failure
+        return trim.then
+
+    def query(self) -> WorldQuery:
+        return WorldQuery(self.model, self.world, self.now_s)
+
+    def _perform_step(self) -> None:
+        assert self.actions is not None
+        bound = self.bind()
+        report = bound.report
+        if bound.primitive is not None:
+            query = self.query()
+            report = end_report(query, bound, self.now_s)
+            if lasts_until_stopped(bound):
+                report = msgspec.structs.replace(report, duration_s=0.0, at_s=self.now_s)
+            self.assumes += assumptions(bound, report)
+            self.steps.append(rehearsed(query, bound, report, self.actions.step[0] if self.actions.step else 0))
+            self.moments.append(Moment(copied(self.actions), self.world, self.now_s, bound))
+        if report is None:
+            return
+        judged = self.judge(bound, report)
+        if judged.verdict != "continue":
+            self.follow(judged)
+
+    def _call(self, function: Any, kind: WorkerKind, data: Any) -> Any:
+        product = function.run(self.programs[kind], self.model, self.world, data)
+        if isinstance(product, Refusal):
+            raise Refused(product)
+        return product
+
+
+def copied(actions: ActionStack[Script, Any]) -> ActionStack[Script, Any]:
+    """The stack as it is now; performing either does not change the other."""
+    return msgspec.structs.replace(
+        actions,
+        refs=list(actions.refs),
+        trims_used={step: list(used) for step, used in actions.trims_used.items()},
+        trim_labels=list(actions.trim_labels),
+    )
+
+
+def lasts_until_stopped(bound: BoundStep) -> bool:
+    """Whether only a halt or an ABORT ends the step in practice: it rests or looks without FOR."""
+    made = bound.primitive
+    assert made is not None
+    trajectory = made.trajectory
+    duration_s = trajectory.duration_s if isinstance(trajectory, HoldStill | Look) else 0.0
+    return (duration_s is None and isinstance(trajectory, HoldStill)) or (duration_s or 0.0) >= UNTIL_STOPPED_S
+
+
+def rehearsed(query: WorldQuery, bound: BoundStep, report: EndReport, trim: int) -> RehearsedStep:
+    """What the answer states of a step."""
+    made, evaluation = bound.primitive, bound.evaluation
+    assert made is not None
+    assert evaluation is not None
+    moves = isinstance(made.trajectory, JointTrajectory)
+    load = query.load(made.performer) if moves else None
+    return RehearsedStep(
+        label=evaluation.step.label,
+        performer=made.performer,
+        reason=report.reason.value,
+        predicted_s=report.duration_s,
+        until_stopped=lasts_until_stopped(bound),
+        tcp_pose=report.tcp_pose,
+        carried_kg=load.mass_kg if load else None,
+        grip_n=made.trajectory.force_n if isinstance(made.trajectory, HandMotion) and report.hand_force_n else None,
+        press_n=pressed_n(made),
+        stops_at_n=min(
+            (one.when.limit_n for one in made.stop_functions if isinstance(one.when, ForceAbove)), default=None
+        ),
+        note=bound.note,
+        trim=trim,
+    )
+
+
+def pressed_n(made: Primitive) -> float | None:
+    """The greatest force set-point of a compliant motion."""
+    compliance = made.control_law.compliance
+    return max((abs(force) for force in (compliance.wrench if compliance else [])[:3] if force), default=None)
+
+
+def assumptions(bound: BoundStep, report: EndReport) -> list[str]:
+    """What the step takes for granted, because only sensing can tell."""
+    assert bound.evaluation is not None
+    label = bound.evaluation.step.label
+    if report.sighting is not None:
+        return [f"{label}: {bound.evaluation.body} is seen where it is believed to be"]
+    if report.reason is StopReason.CONTACT:
+        return [f"{label}: the touch is felt where it is expected"]
+    return []

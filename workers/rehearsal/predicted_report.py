@@ -1,0 +1,291 @@
+"""The end report that a primitive is expected to get: the reason its step expects, at the place where it expects it.
+
+Pure. An arm follows its path exactly. A touch is felt where the step looks for it, a hand closes on the object of its
+step, and a camera sees the body where it is believed to be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rtc.model.robot.quintic import Hermite
+from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext
+from rtc.protocol.outcomes import Sighting, StopReason
+from rtc.protocol.primitive import (
+    ForceAbove,
+    HandMotion,
+    HoldStill,
+    JointTrajectory,
+    Look,
+    Primitive,
+    SpindleMotion,
+    TimeAbove,
+    TorqueAbove,
+)
+from rtc.sensing import optics
+from rtc.sensing.locate import corners
+from rtc.sensing.pose_fit import TagObservation, fit
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
+from workers.planning import sight
+from workers.planning.world_query import WorldQuery
+
+HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
+CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
+NO_FORCE = [0.0] * 6
+BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
+
+
+def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopReason | None = None) -> EndReport:
+    """The report on a bound step that begins at `now_s`. `reason`: that it ends with, instead of the expected one."""
+    made, evaluation = bound.primitive, bound.evaluation
+    assert made is not None
+    assert evaluation is not None
+    expected = evaluation.step.expect
+    ends = reason or (StopReason.GOAL if StopReason.GOAL in expected else expected[0])
+    report = REPORTS[type(made.trajectory)](query, made, evaluation, ends)
+    measured, limit = tripped(made, ends)
+    return _replaced(
+        report,
+        at_s=now_s + report.duration_s,
+        measured=measured,
+        limit=limit,
+        peak_force_n=measured or 0.0 if isinstance(_stop(made, ends), ForceAbove) else 0.0,
+        peak_torque_nm=measured or 0.0 if isinstance(_stop(made, ends), TorqueAbove) else 0.0,
+    )
+
+
+def _replaced(report: EndReport, **fields: Any) -> EndReport:
+    return EndReport(**{**{name: getattr(report, name) for name in report.__struct_fields__}, **fields})
+
+
+def _stop(made: Primitive, reason: StopReason) -> object:
+    """The predicate that would end the primitive with this reason; None if it has none, such as a refusal."""
+    return next((stop.when for stop in made.stop_functions if stop.reason is reason), None)
+
+
+def tripped(made: Primitive, reason: StopReason) -> tuple[float | None, float | None]:
+    """(measured value, limit) of the stop function with this reason; None without a limit."""
+    when = _stop(made, reason)
+    for name in getattr(when, "__struct_fields__", ()):
+        if name.startswith(("limit_", "margin_")):
+            limit = float(getattr(when, name))
+            return BEYOND * limit, limit
+    return None, None
+
+
+# --- arms --------------------------------------------------------------------------------------------------
+
+
+def _of_path(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
+    """At the end of the path, or where a touch is expected: `beyond_m` before it. Another end: on half of the way."""
+    path = made.trajectory
+    assert isinstance(path, JointTrajectory)
+    if reason in (StopReason.GOAL, StopReason.NO_CONTACT):
+        at_s = path.duration_s
+    elif reason is StopReason.CONTACT and reason in evaluation.step.expect:
+        at_s = _touch_s(query, made.performer, path, evaluation)
+    elif reason in (StopReason.REFUSED, StopReason.BLOCKED):
+        at_s = 0.0
+    else:
+        at_s = 0.5 * path.duration_s
+    report = _at_rest(query, made.performer, made.id, reason, _posture(path, at_s), at_s)
+    if made.partner is None:
+        return report
+    second = made.partner
+    posture = _posture(second.trajectory, min(at_s, second.trajectory.duration_s))
+    return _replaced(report, partner=_at_rest(query, second.performer, made.id, reason, posture, at_s))
+
+
+def _posture(path: JointTrajectory, at_s: float) -> list[float]:
+    if at_s >= path.duration_s:
+        return path.positions[-1]
+    found: list[float] = _curve(path).at(np.array([at_s]))[0, 0].tolist()
+    return found
+
+
+def _curve(path: JointTrajectory) -> Hermite:
+    return Hermite(path.time_s, path.positions, path.velocities, path.accelerations)
+
+
+def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: EvaluationContext) -> float:
+    """When an expected touch is felt: of a held object where it is in its seat, of a finger at the grasp point. A step
+    that touches anything else states how far before its end (`beyond_m`)."""
+    curve, fk, context = _curve(path), query.model.arms[arm].fk, evaluation.context
+
+    def tcp(at_s: float) -> Array:
+        return fk(curve.at(np.array([at_s]))[0, 0])
+
+    if evaluation.held and context.target:
+        return _nearest_s(query, evaluation.held, query.seated_pose(context.target), path.duration_s, tcp)
+    if context.object and context.grasp_point and not evaluation.held:
+        point = query.cell.object(context.object).grasp_point(context.grasp_point)
+        bar = geometry.compose(query.frame(context.object), point.frame.pose)
+        touches = _by_finger(tcp, bar, 0.5 * (query.hand_width(arm) - point.width_m), path.duration_s)
+        if touches(path.duration_s) and not touches(0.0):
+            return _first_s(path.duration_s, touches)
+    beyond_m, end = evaluation.step.figures.beyond_m or 0.0, fk(path.positions[-1])
+    return _first_s(path.duration_s, lambda at_s: geometry.distance(tcp(at_s), end) <= beyond_m)
+
+
+def _by_finger(tcp: Callable[[float], Array], bar: Array, play_m: float, duration_s: float) -> Callable[[float], bool]:
+    """Whether the finger towards which the hand moves touches the bar at a time. `play_m`: its way from the middle."""
+
+    def aside_m(at_s: float) -> float:
+        return float(geometry.relative(tcp(at_s), bar)[CLOSING])
+
+    side = math.copysign(1.0, aside_m(duration_s))
+    return lambda at_s: side * aside_m(at_s) > play_m
+
+
+def _first_s(duration_s: float, is_past: Callable[[float], bool]) -> float:
+    """The time at which something becomes true that is true from then on, at the end at the latest."""
+    before_s, after_s = 0.0, duration_s
+    for _ in range(HALVINGS):
+        middle_s = 0.5 * (before_s + after_s)
+        before_s, after_s = (before_s, middle_s) if is_past(middle_s) else (middle_s, after_s)
+    return after_s
+
+
+def _nearest_s(query: WorldQuery, held: str, place: Array, duration_s: float, tcp: Callable[[float], Array]) -> float:
+    """The time at which a held object is nearest to a place, by thirds: it comes, or it leaves."""
+
+    def off_m(at_s: float) -> float:
+        frame = query.in_hand(held, tcp(at_s))
+        return geometry.distance(frame, place) if frame is not None else 0.0
+
+    before_s, after_s = 0.0, duration_s
+    for _ in range(HALVINGS):
+        third_s = (after_s - before_s) / 3.0
+        nearer = off_m(before_s + third_s) <= off_m(after_s - third_s)
+        before_s, after_s = (before_s, after_s - third_s) if nearer else (before_s + third_s, after_s)
+    return before_s
+
+
+def _at_rest(
+    query: WorldQuery, arm: str, primitive: str, reason: StopReason, joints: list[float], duration_s: float
+) -> EndReport:
+    pose = query.model.arms[arm].fk(joints).tolist()
+    return EndReport(
+        primitive=primitive,
+        performer=arm,
+        reason=reason,
+        at_s=0.0,
+        duration_s=duration_s,
+        joints=list(joints),
+        slides=[n for n, slides in enumerate(query.model.arms[arm].slides) if slides],
+        tcp_pose=pose,
+        wrench=NO_FORCE,
+        trip_pose=pose,
+        trip_wrench=NO_FORCE,
+        hand_width_m=query.hand_width(arm),
+    )
+
+
+def _of_rest(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
+    rests_s = evaluation.predicted_s
+    if isinstance(made.trajectory, HoldStill) and made.trajectory.duration_s is None:
+        rests_s = next(stop.when.limit_s for stop in made.stop_functions if isinstance(stop.when, TimeAbove))
+    return _at_rest(query, made.performer, made.id, reason, query.joints(made.performer), rests_s)
+
+
+def _of_hand(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
+    motion, arm = made.trajectory, made.performer
+    assert isinstance(motion, HandMotion)
+    report = _at_rest(query, arm, made.id, reason, query.joints(arm), evaluation.predicted_s)
+    if reason is not StopReason.GOAL:
+        return report
+    between_m = _between_m(query, evaluation) if motion.width_m < query.hand_width(arm) else 0.0
+    presses = between_m > motion.width_m
+    width_m = max(motion.width_m, between_m)
+    return _replaced(
+        report,
+        duration_s=abs(query.hand_width(arm) - width_m) / motion.speed_m_s,
+        hand_width_m=width_m,
+        hand_force_n=motion.force_n if presses else 0.0,
+    )
+
+
+def _between_m(query: WorldQuery, evaluation: EvaluationContext) -> float:
+    """Width of what the fingers close on: what the hand holds, else the grasp point of the step; 0 if there is none."""
+    context = evaluation.context
+    if evaluation.held:
+        return query.hand_width(evaluation.arm)
+    if context.object and context.grasp_point:
+        return query.cell.object(context.object).grasp_point(context.grasp_point).width_m
+    return 0.0
+
+
+def _of_spindle(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
+    turn = made.trajectory
+    assert isinstance(turn, SpindleMotion)
+    takes_s = abs(turn.turn_rad) / turn.speed_rad_s
+    report = _at_rest(query, made.performer, made.id, reason, query.joints(made.performer), takes_s)
+    return _replaced(report, turned_rad=turn.turn_rad)
+
+
+# --- cameras -----------------------------------------------------------------------------------------------
+
+
+def _of_look(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
+    seen = sighting(query, made, evaluation.body) if reason in (StopReason.GOAL, StopReason.FOUND) else None
+    return EndReport(
+        primitive=made.id,
+        performer=made.performer,
+        reason=reason,
+        at_s=0.0,
+        duration_s=evaluation.predicted_s,
+        sighting=seen,
+    )
+
+
+def sighting(query: WorldQuery, made: Primitive, body: str) -> Sighting | None:
+    """What the cameras of a look see of a body that is where it is believed to be, with the accuracy of its tags in
+    their pictures. None: they cannot see it there."""
+    pose = query.pose(body)
+    views = [
+        optics.view(camera, query.tcp(camera.arm) if camera.arm else None)
+        for camera in map(query.cell.camera, made.performers)
+    ]
+    seen = [one for view in views for one in _observations(query, view, body, pose)]
+    found = fit(seen, geometry.to_matrix(pose))
+    if found is None:
+        return None
+    look = made.trajectory
+    assert isinstance(look, Look)
+    follows = look.duration_s is not None
+    return Sighting(
+        pose=pose.tolist(),
+        covariance=found.covariance.ravel().tolist(),
+        tags=sorted({one.tag for one in found.used}),
+        error_px=0.0,
+        age_s=0.0,
+        pictures=look.pictures,
+        ambiguous=found.ambiguous,
+        velocity=NO_FORCE if follows else None,
+        cameras=sorted({one.view.camera for one in found.used}) if len(views) > 1 else [],
+    )
+
+
+def _observations(query: WorldQuery, view: optics.View, body: str, pose: Array) -> list[TagObservation]:
+    matrix = geometry.to_matrix(pose)
+    found = []
+    for tag in sight.tags(query.cell, body):
+        own = corners(tag)
+        world = own @ matrix[:3, :3].T + matrix[:3, 3]
+        if optics.visible(view, world, np.cross(world[1] - world[0], world[3] - world[0])):
+            found.append(TagObservation(tag.id, view, view.pixels(world), own))
+    return found
+
+
+REPORTS: dict[type, Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]] = {
+    JointTrajectory: _of_path,
+    HandMotion: _of_hand,
+    HoldStill: _of_rest,
+    SpindleMotion: _of_spindle,
+    Look: _of_look,
+}

@@ -1,0 +1,117 @@
+"""Repairs of a sentence that is not feasible: sentences that were rehearsed in its place, and are feasible. Pure.
+
+First sentences one name away: another hand or grasp point. Then the sentence after another one: those that the advice
+of the refusal contains, and those that the elaborator's program lists. Last another seat or place.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
+
+from rtc.language.hands import ARM_OF_WORD, OWN_WORDS, hand_in_words
+from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.rehearsal import Repair
+from rtc.protocol.sentence import ParsedCommand
+from workers.planning.world_query import WorldQuery
+
+TRIED = 12  # maximum number of lists of sentences that are rehearsed
+OFFERED = 3  # maximum number of them that are offered
+#: reasons of refusals that another sentence may avoid
+REPAIRABLE = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.SUSPECT, RefusalReason.NAME)
+NAMES = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:[-_][A-Za-z0-9]+)*")
+#: words in capitals and figures: a sentence in the midst of advice
+SENTENCE = re.compile(r"[A-Z][A-Z0-9-]+(?: (?:[A-Z][A-Z0-9-]*|-?\d[\d.]*))+")
+
+Rehearse = Callable[[list[str]], float | None]  # sentences -> predicted duration of all (s); None: not feasible
+
+
+class Infeasible(NamedTuple):
+    """A sentence that was refused: without TEST, and with the world before it."""
+
+    text: str
+    parsed: ParsedCommand
+    refusal: Refusal
+    query: WorldQuery
+
+
+def tested(sentence: Infeasible, program: ElaboratorProgram, rehearse: Rehearse) -> list[Repair]:
+    """The repairs whose rehearsal is feasible, the smallest changes first; none for refusals of other kinds."""
+    if sentence.refusal.reason not in REPAIRABLE or sentence.parsed.kind != "task":
+        return []
+    found: list[Repair] = []
+    options = {tuple(one): changes for one, changes in _options(sentence, program)}
+    for sentences, changes in list(options.items())[:TRIED]:
+        predicted_s = rehearse([*sentences])
+        if predicted_s is not None:
+            found.append(Repair(sentences=[*sentences], changes=changes, predicted_s=predicted_s))
+        if len(found) == OFFERED:
+            break
+    return found
+
+
+Option = tuple[list[str], str]
+
+
+def _options(sentence: Infeasible, program: ElaboratorProgram) -> Iterator[Option]:
+    """First those that keep what the sentence is to achieve; another seat or place is last."""
+    yield from _one_name_away(sentence, _same_goal)
+    yield from _one_sentence_before(sentence, program)
+    yield from _one_name_away(sentence, _elsewhere)
+
+
+def _one_name_away(sentence: Infeasible, others: Callable[[Infeasible, str], Iterable[str]]) -> Iterator[Option]:
+    for found in NAMES.finditer(sentence.text):
+        word = found[0].upper().replace("_", "-")
+        for other in others(sentence, word):
+            text = f"{sentence.text[: found.start()]}{other}{sentence.text[found.end() :]}"
+            yield [text], f"{other} instead of {word}"
+
+
+def _same_goal(sentence: Infeasible, word: str) -> Iterable[str]:
+    """Other hands and grasp points in the place of this word, and known names in that of an unknown one."""
+    cell = sentence.query.cell
+    arms = [arm.name for arm in cell.arms]
+    if word in ARM_OF_WORD:
+        same_form = [other for other, arm in ARM_OF_WORD.items() if arm in arms and (other == arm) == (word in arms)]
+        further = [hand_in_words(arm) for arm in arms if arm not in OWN_WORDS]
+        return [other for other in (*same_form, *further) if ARM_OF_WORD.get(other) != ARM_OF_WORD[word]]
+    if sentence.refusal.reason is RefusalReason.NAME and word in sentence.refusal.message.split():
+        return sentence.refusal.nearest or sentence.refusal.expected
+    things = [thing for thing in cell.objects if thing.name == sentence.parsed.object]
+    points = [point.name for thing in things for point in thing.grasp_points]
+    return [name for name in points if name != word] if word in points else []
+
+
+def _elsewhere(sentence: Infeasible, word: str) -> Iterable[str]:
+    """Other seats or places in the place of this word."""
+    for names in ([seat.name for seat in sentence.query.cell.seats], [place.name for place in sentence.query.places]):
+        if word in names:
+            return [name for name in names if name != word]
+    return []
+
+
+def _one_sentence_before(sentence: Infeasible, program: ElaboratorProgram) -> Iterator[Option]:
+    for before in (*SENTENCE.findall(sentence.refusal.clears), *_listed(sentence, program)):
+        yield [before, sentence.text], f"{before} first"
+
+
+def _listed(sentence: Infeasible, program: ElaboratorProgram) -> Iterator[str]:
+    """The lines of the program, with the names of this sentence and of its refusal."""
+    query, parsed = sentence.query, sentence.parsed
+    own = [arm.name for arm in query.cell.arms if parsed.hand in (arm.name, None)]
+    about = " ".join((sentence.refusal.message, sentence.refusal.where, *map(str, sentence.refusal.detail.values())))
+    mentioned = {word.partition(".")[0] for word in re.split(r"[\s,;:()]+", about)}
+    bodies = [part.name for group in (query.cell.objects, query.cell.seats) for part in group]
+    names = {
+        "other": [hand_in_words(arm.name) for arm in query.cell.arms if arm.name != parsed.hand],
+        "arm": [hand_in_words(arm) for arm in own],
+        "held": [held for arm in own if (held := query.holding(arm))],
+        "object": [parsed.object] if parsed.object else [],
+        "named": [name for name in bodies if name in mentioned],
+    }
+    for line in program.repairs:
+        role = next((role for role in names if f"{{{role}}}" in line), "")
+        yield from (line.replace(f"{{{role}}}", name) for name in names.get(role, []))
