@@ -51,7 +51,7 @@ PURE = (
     "rtc/protocol/", "rtc/language/", "rtc/spatial/", "rtc/model/robot/", "rtc/model/cells/cell.py",
     "rtc/model/cells/parts.py",
     "workers/parser/", "workers/elaborator/", "workers/binder/", "workers/analyzer/", "workers/planning/",
-    "workers/conditions/",
+    "workers/conditions/", "workers/rehearsal/", "rtc/programs/action_stack.py",
     "rtc/programs/schema.py", "rtc/programs/checks.py", "rtc/programs/expressions.py", "rtc/programs/compatibility.py",
     "rtc/programs/loader.py", "rtc/world/facts.py", "rtc/world/model.py", "rtc/world/spread.py",
     "broker/decisions/", "broker/dispatch/", "rtc/subsystems/motion/",
@@ -63,7 +63,14 @@ PURE = (
 ROOMS = ("rtc", "workers", "rtc.model", "rtc.subsystems", "rtc.apps")
 IMPURE = {"time", "random", "socket", "zmq", "sqlite3", "subprocess", "threading", "multiprocessing", "uuid", "logging"}
 #: what knows phases and outcomes, never skills
-SKILLESS = ("broker/", "workers/runtime/", "workers/binder/", "workers/elaborator/", "workers/analyzer/")
+SKILLESS = (
+    "broker/",
+    "workers/runtime/",
+    "workers/binder/",
+    "workers/elaborator/",
+    "workers/analyzer/",
+    "workers/rehearsal/",
+)
 
 
 def sources(*folders: str) -> list[Path]:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rtc.model.cells.cell import Cell
 
 REFUSED = 2  # exit status
-CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT", "LOAD"}  # performed by the broker, without a script
+BY_THE_BROKER = {"HALT", "PAUSE", "RESUME", "ABORT", "LOAD", "TEST"}  # verbs that need no script of their own
 
 
 def parse(
@@ -95,7 +95,7 @@ def dictionary(
 
 def _unscripted(verb: str) -> bool:
     """True if no default program performs this verb yet."""
-    return verb not in CONTROLS and all(row.verb != verb or not row.enabled for row in _elaborator().decision_tree)
+    return verb not in BY_THE_BROKER and all(row.verb != verb or not row.enabled for row in _elaborator().decision_tree)
 
 
 @lru_cache(maxsize=1)
