@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rtc.model.robot.collision_scene import in_hands
-from rtc.model.robot.quintic import Hermite, fine_times
+from rtc.model.robot.quintic import Hermite, control_points, fine_times
 from rtc.model.robot.separation import SeparationCheck
 from rtc.model.robot.swept import Boxes, Swept
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
@@ -26,10 +26,12 @@ from rtc.protocol.primitive import MAX_S, Box, JointTrajectory, Primitive, Start
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial.geometry import Array
 from workers.planning.motion.request import PlanningRequest
+from workers.planning.motion.rest_to_rest import PIECES
 
 SPACE_M = 0.01  # minimum distance of two moving arms from each other's path
 STEP_M = 0.02  # smallest interval of a path: no point of the arm moves farther in it
 FINE_S = 0.03  # distance of the times at which a path is evaluated; a hand at 5 m/s^2 is 0.6 mm off the line
+SAME_RAD = 1e-9  # tolerance of a line in joint space
 MAX_BLOCKS = 48  # of a course, each with its own boxes
 SHORT_BLOCKS = 6  # boxes sort out intervals of at least so many blocks
 MAX_CHECKS = 3000  # beyond it what is not decided counts as meeting; some 60 ms
@@ -98,14 +100,25 @@ def space_of(request: PlanningRequest, motion: Primitive) -> list[Box]:
     """
     found: list[Box] = []
     for arm, path in motion.paths.items():
-        rows = Hermite(path.time_s, path.positions, path.velocities, path.accelerations)
-        boxes = request.world.space(arm, rows.at(fine_times(path.time_s, FINE_S))[:, 0], request.scene)
+        boxes = request.world.space(arm, _rows(path), request.scene)
         if boxes is None:
             return []
         room_m = 0.5 * SPACE_M + _off_m(request, arm) + _softness_m(motion)
         low, high = np.floor(1e3 * (boxes[:, :3] - room_m)), np.ceil(1e3 * (boxes[:, 3:] + room_m))
         found += map(tuple, np.hstack((low, high)).astype(int).tolist())
     return found
+
+
+def _rows(path: JointTrajectory) -> Array:
+    """Joint values (rad) with lines between them that hold the path: of a line in joint space, its ends."""
+    knots = path.time_s, path.positions, path.velocities, path.accelerations
+    if len(path.time_s) <= PIECES + 1:
+        points = control_points(*knots).positions.reshape(-1, len(path.positions[0]))  # the path is in their hull
+        way = points[-1] - points[0]
+        share = (points - points[0]) @ way / max(float(way @ way), 1e-12)
+        if np.abs(points - points[0] - share[:, None] * way).max() < SAME_RAD:
+            return points[0] + np.array((share.min(), share.max()))[:, None] * way
+    return Hermite(*knots).at(fine_times(path.time_s, FINE_S))[:, 0]
 
 
 def _off_m(request: PlanningRequest, arm: str) -> float:
