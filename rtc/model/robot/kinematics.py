@@ -166,8 +166,9 @@ class ArmModel:
     def tcp_speeds(self, joints: Array, velocities: Array) -> Array:
         """Speed of the tcp (m/s) at each row of joint values (rad) and joint velocities (rad/s)."""
         model, data, tcp = self.model, self._data, self._tcp
-        linear = np.array([pin.computeFrameJacobian(model, data, q, tcp, pin.LOCAL)[:3] for q in joints])
-        speeds: Array = np.sqrt((np.einsum("nij,nj->ni", linear, velocities) ** 2).sum(axis=1))
+        jacobians = np.array([pin.computeFrameJacobian(model, data, q, tcp, pin.LOCAL) for q in joints])
+        linear = (jacobians[:, :3] @ velocities[:, :, None])[:, :, 0]
+        speeds: Array = np.sqrt((linear * linear).sum(axis=1))
         return speeds
 
     def effective_mass_kg(self, joints: Floats, direction: Floats) -> float:

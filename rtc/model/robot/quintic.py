@@ -91,18 +91,18 @@ def control_points(
 ) -> ControlPoints:
     """Control points of the quintic Hermite polynomials between knots. [knots][joints], rad, rad/s, rad/s^2."""
     q, v, a = (np.asarray(rows, dtype=float) for rows in (positions, velocities, accelerations))
-    t = np.diff(np.asarray(time_s, dtype=float))[:, None]
+    knots_s = np.asarray(time_s, dtype=float)
+    t = (knots_s[1:] - knots_s[:-1])[:, None]
+    points = np.empty((len(t), 6, q.shape[1]))
     with np.errstate(all="ignore"):  # values near 1e300 give inf or nan, which count as outside
-        fifth_v, tenth_a = t * v[:-1] / 5.0, t * t * a[:-1] / 20.0
-        fifth_w, tenth_b = t * v[1:] / 5.0, t * t * a[1:] / 20.0
-        begin, end = q[:-1], q[1:]
-        points = np.stack(
-            (begin, begin + fifth_v, begin + 2 * fifth_v + tenth_a, end - 2 * fifth_w + tenth_b, end - fifth_w, end),
-            axis=1,
-        )
-        per_s = t[:, None]
-        speeds = 5.0 * (points[:, 1:] - points[:, :-1]) / per_s
-        changes = 4.0 * (speeds[:, 1:] - speeds[:, :-1]) / per_s
+        fifth, twentieth = 0.2 * t, 0.05 * t * t
+        points[:, 0], points[:, 5] = q[:-1], q[1:]
+        points[:, 1], points[:, 4] = q[:-1] + fifth * v[:-1], q[1:] - fifth * v[1:]
+        points[:, 2] = points[:, 1] + fifth * v[:-1] + twentieth * a[:-1]
+        points[:, 3] = points[:, 4] - fifth * v[1:] + twentieth * a[1:]
+        per_s = 1.0 / t[:, None]
+        speeds = (points[:, 1:] - points[:, :-1]) * (5.0 * per_s)
+        changes = (speeds[:, 1:] - speeds[:, :-1]) * (4.0 * per_s)
         # The ends are set exactly; differences of positions would round them.
         speeds[:, 0], speeds[:, -1] = v[:-1], v[1:]
         changes[:, 0], changes[:, -1] = a[:-1], a[1:]

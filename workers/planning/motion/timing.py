@@ -43,7 +43,8 @@ ON_PATH = 2000  # points of the path with which a timing of an installed package
 END_RAD = 1e-6  # tolerance of its ends, also rad/s and rad/s^2
 TOLERANCE = 1.03  # of the tcp's speed limit on a curve
 BETWEEN = 0.98  # of the tcp's speed limit at the points of the grid; the rest is a reserve between them
-SAMPLES = 33  # path samples at which limits are evaluated
+SAMPLES = 33  # path samples at which limits are evaluated, at most for a line in joint space
+SAMPLE_RAD, LEAST_SAMPLES = 0.1, 3  # spacing of those of a line in joint space; their number for a short one
 SAMPLED = 100  # intervals of a motion at whose ends its torques are evaluated
 
 # toppra looks for further solvers on the disk for each path.
@@ -113,12 +114,12 @@ def time_path(arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, lo
         excess = torques.excess(added.sampled)
         return slower(added, math.sqrt(max(1.0, excess)))
     curved = isinstance(path.curve, Blended) or (path.space == "joint" and path.curve is not None)
-    timed = _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
+    timed = _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace)
     excess = torques.excess(timed.sampled)
     if excess <= 1.0:
         return timed
     # Too heavy for this acceleration: plan it within the torques; what remains between the samples slows all of it.
-    timed = _slowed(arm, _time_curve(arm, path, pace, torques) if curved else _time_line(arm, path, pace, 1 / excess))
+    timed = _time_curve(arm, path, pace, torques) if curved else _time_line(arm, path, pace, 1 / excess)
     excess = torques.excess(timed.sampled)
     return slower(timed, math.sqrt(max(1.0, excess)))
 
@@ -155,8 +156,7 @@ def _midway(timed: Timed) -> Array:
 
 def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0) -> Timed:
     """`share`: of the acceleration that the other limits allow."""
-    samples = SAMPLES if len(path.s) <= SAMPLES else 2 * len(path.s)  # a search pattern bends at every knot
-    q, slope, bend = path.at(even(0.0, path.length, samples - 1))
+    q, slope, bend = path.at(even(0.0, path.length, _samples(path) - 1))
     rate = 1.0 if path.space == "task" else float(arm.tcp_speeds(q, slope).max())
     velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
     slope, bend = np.abs(slope) + 1e-12, np.abs(bend) + 1e-12
@@ -170,7 +170,8 @@ def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0)
         pace.acceleration_m_s2 / max(rate, 1e-9), float(((acceleration - bend * pace_limit**2) / slope).min())
     )
     profile = rest_to_rest(path.length, pace_limit, change_limit, change_limit / RAMP_S)
-    if path.space == "joint":
+    exact = path.space == "joint"  # the polynomials are the profile, which is within the limits everywhere
+    if exact:
         time_s = profile.knots_s
     else:
         step_s = KNOT_M / pace.speed_m_s if len(path.s) <= SAMPLES else path.length / len(path.s) / pace_limit
@@ -178,7 +179,15 @@ def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0)
     along, along_v, along_a = profile.at(time_s)
     q, slope, bend = path.at(along)
     accelerations = bend * along_v[:, None] ** 2 + slope * along_a[:, None]
-    return _at_rest(Timed(path.space, time_s, q, slope * along_v[:, None], accelerations), path)
+    timed = _at_rest(Timed(path.space, time_s, q, slope * along_v[:, None], accelerations), path)
+    return timed if exact else _slowed(arm, timed)
+
+
+def _samples(path: Path) -> int:
+    """The number of points of a line at which limits are evaluated."""
+    if path.curve is None:
+        return min(SAMPLES, math.ceil(float(np.abs(path.knots[-1] - path.knots[0]).max()) / SAMPLE_RAD) + LEAST_SAMPLES)
+    return SAMPLES if len(path.s) <= SAMPLES else 2 * len(path.s)  # a search pattern bends at every knot
 
 
 def _time_curve(arm: ArmModel, path: Path, pace: SpeedLimits, torques: Torques | None = None) -> Timed:
@@ -204,7 +213,7 @@ def _time_curve(arm: ArmModel, path: Path, pace: SpeedLimits, torques: Torques |
     timed = _at_rest(Timed(path.space, time_s, q, slope * speed, bend * speed**2 + slope * change), path)
     # In a narrow corner the tcp may be faster than at the points of the grid.
     fastest_m_s = float(arm.tcp_speeds(q[::2], timed.velocities[::2]).max())
-    return slower(timed, max(1.0, fastest_m_s / (TOLERANCE * pace.speed_m_s)))
+    return _slowed(arm, slower(timed, max(1.0, fastest_m_s / (TOLERANCE * pace.speed_m_s))))
 
 
 def _fastest_within(torques: Torques, path: Path, grid: Array, most: Array, acceleration: Array) -> Array:
