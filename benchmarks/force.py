@@ -122,7 +122,7 @@ def straight(model: ArmModel, start: list[float], goal: Array, speed_m_s: float,
     share = np.linspace(0.0, 1.0, knots + 1)
     joints = [np.asarray(start, dtype=float)]
     for s in (share**3 * (10 + share * (6 * share - 15)))[1:]:
-        joints.append(model.ik(geometry.interpolate(begin, goal, float(s)), near=joints[-1])[0])
+        joints.append(model.ik(geometry.interpolate_all(begin, goal, np.array([s]))[0], near=joints[-1])[0])
     rates = 30.0 * (share * (share - 1.0)) ** 2 / duration_s
     twist = np.concatenate((np.asarray(goal[:3]) - begin[:3], geometry.rotation_vector(begin, goal)))
     speeds = np.array([np.linalg.solve(model.jacobian(q), twist * r) for q, r in zip(joints, rates, strict=True)])

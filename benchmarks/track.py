@@ -23,6 +23,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.report import finish, percentile, question
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
@@ -80,7 +82,7 @@ def at(truths: list[Truth], at_s: float) -> Array:
     """The true pose at this time, between two readings."""
     n = min(max(1, bisect_right(truths, at_s, key=lambda one: one[0])), len(truths) - 1)
     (before_s, before), (after_s, after) = truths[n - 1 : n + 1]
-    return geometry.interpolate(before, after, (at_s - before_s) / (after_s - before_s))
+    return geometry.interpolate_all(before, after, np.array([(at_s - before_s) / (after_s - before_s)]))[0]
 
 
 def processor_s(status: dict[str, Any]) -> float:

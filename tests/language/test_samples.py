@@ -110,7 +110,7 @@ MOVES, GRASPS = "MOVE RIGHT-ARM BY 5 CM ALONG BACK", "GRASP MACS-NEW WITH RIGHT-
 BROKER: dict[str, Sample] = {
     "S37": Sample(before=earlier(12, "HOLD LEFT-ARM FOR 1 SEC")),
     "S38": Sample("BOLT-2 has no tags", earlier(9, MOVES)),
-    "S40": Sample("TEST"),
+    "S40": Sample("is not held"),
     "S41": Sample(before=(MOVES,)),
     "S42": Sample(before=(MOVES,)),
     "S43": Sample(before=("HOLD LEFT-ARM FOR 9 SEC",)),

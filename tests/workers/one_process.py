@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+from functools import cache
 from typing import Any
 
 import msgspec
@@ -38,6 +39,7 @@ from workers.analyzer import analyze as analyzer
 from workers.binder import bind as binder
 from workers.elaborator import elaborate as elaborator
 from workers.planning.robot_models import CellModel
+from workers.rehearsal import rehearse
 
 FUNCTIONS: dict[WorkerKind, Any] = {
     WorkerKind.ELABORATOR: elaborator,
@@ -52,6 +54,12 @@ def compiled(kind: WorkerKind) -> Any:
     if kind not in COMPILED:
         COMPILED[kind] = FUNCTIONS[kind].compile(loader.default(kind))
     return COMPILED[kind]
+
+
+@cache
+def all_compiled() -> dict[WorkerKind, Any]:
+    """The programs of a rehearsal."""
+    return {kind: compile(loader.default(kind)) for kind, compile in rehearse.COMPILERS.items()}
 
 
 class OneProcess:
@@ -202,8 +210,11 @@ class OneProcess:
 
     def _worked(self, job: do.DispatchJob) -> events.Event:
         at_s = self.now_s + TICKS[job.kind] * TICK_S
-        if job.kind is WorkerKind.PARSER:
-            product: Any = record(msgspec.msgpack.decode(job.input)["text"])
+        if job.rehearses:
+            data = wire.decoder(rehearse.INPUT)(job.input)
+            product: Any = rehearse.run(all_compiled(), self.model, self.world, data)
+        elif job.kind is WorkerKind.PARSER:
+            product = record(msgspec.msgpack.decode(job.input)["text"])
         else:
             function = FUNCTIONS[job.kind]
             data = wire.decoder(function.INPUT)(job.input)

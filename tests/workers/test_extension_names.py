@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import pytest
 
+from rtc.language.quantities import AMOUNTS, STEP
 from rtc.programs import extension_names, loader
 from rtc.protocol.messages import AnalyzerInput
 from rtc.protocol.outcomes import StopReason
+from rtc.protocol.units import SUFFIXES
 from workers.analyzer import analyze, world_changes
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_words import fill_in
 from workers.binder import bind
 from workers.conditions import stop_conditions
-from workers.elaborator import anchors, preconditions, task_candidate
+from workers.elaborator import anchors, preconditions
 from workers.planning import axes, segments
 from workers.planning.world_query import WorldQuery
 
@@ -36,8 +38,8 @@ def test_every_registered_name_has_its_code(registered, there):
 
 
 def test_what_a_sentence_can_say_is_a_figure():
-    for suffix in task_candidate.SUFFIX.values():
-        assert {f"amount{suffix}", f"by{suffix}"} <= {*extension_names.FIGURES}
+    for unit in {unit for rule in (*AMOUNTS.values(), STEP) for unit in rule.units}:
+        assert {f"amount_{SUFFIXES[unit]}", f"by_{SUFFIXES[unit]}"} <= {*extension_names.FIGURES}
 
 
 def test_every_placeholder_of_a_label_is_filled_in(bench):

@@ -183,6 +183,7 @@ def _at_rest(
         trip_pose=pose,
         trip_wrench=NO_FORCE,
         hand_width_m=query.hand_width(arm),
+        hand_force_n=query.hand_force(arm),
     )
 
 

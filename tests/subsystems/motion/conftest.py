@@ -120,7 +120,8 @@ def line_path(model: ArmModel, start: Array, goal: Array, speed_m_s: float, knot
     times = np.linspace(0.0, duration_s, knots + 1)
     joints = [np.asarray(start, dtype=float)]
     for t in times[1:] / duration_s:
-        found = model.ik(geometry.interpolate(begin, goal, t**3 * (10 + t * (6 * t - 15))), near=joints[-1])
+        there = geometry.interpolate_all(begin, goal, np.array([t**3 * (10 + t * (6 * t - 15))]))[0]
+        found = model.ik(there, near=joints[-1])
         assert found, "the test's line cannot be reached"
         joints.append(found[0])
     positions = np.array(joints)

@@ -35,7 +35,7 @@ def test_a_task_line_is_straight_and_turns_evenly(right, home, start, goal, yaw)
     line = task_line(right, begin, end_pose)
     s = np.linspace(0, line.length, 211)  # between the knots too
     for fraction, joints in zip(s / line.length, line.at(s)[0], strict=True):
-        ideal = geometry.interpolate(right.fk(begin), end_pose, fraction)
+        ideal = geometry.interpolate_all(right.fk(begin), end_pose, np.array([fraction]))[0]
         pose = right.fk(joints)
         assert geometry.distance(pose, ideal) < 1e-4  # 0.1 mm, the most that is allowed; it is a few micrometres
         assert geometry.angle(pose, ideal) < 1e-4
