@@ -429,11 +429,11 @@ def test_after_last_of_a_client_without_one_before_is_refused(rtc: Run) -> None:
     assert "this client has given no command before this one" in done.stdout
 
 
-CARRY = """script: carry
+CARRY = """script: my-carry
 case: 2
 uses: [hand, object, target]
 steps: [{do: hold, stop: hold, label: "carry {object} to {target}", args: {duration_s: 1.0}}]
-decision_tree: [{verb: CARRY, script: carry}]
+decision_tree: [{verb: CARRY, script: my-carry}]
 command_object_table: [{verb: CARRY, kind: module, values: {}}]
 """
 
@@ -445,18 +445,18 @@ def test_a_script_is_checked_loaded_listed_and_taken_away(rtc: Run, run_dir: Pat
     assert (wrong.returncode, "line 4: " in wrong.stderr, "no placeholder goal" in wrong.stderr) == (2, True, True)
     mine.write_text(CARRY)
     checked = last_json(rtc("load", str(mine), "INTO", "elaborator", "--check", "--json"))
-    assert "scripts: carry is new" in checked["changes"]
+    assert "scripts: my-carry is new" in checked["changes"]
     assert str(run_dir) in checked["against"]
     assert last_json(rtc("load", "--list", "--json"))["programs"]["elaborator"]["changes"] == []
 
     assert rtc("load", str(mine), "INTO", "elaborator").returncode == 0
     assert last_json(rtc("load", "--list", "--json"))["programs"]["elaborator"]["changes"] == checked["changes"]
-    assert "carry the object to the target" in rtc("outcomes", "carry").stdout
+    assert "carry the object to the target" in rtc("outcomes", "my-carry").stdout
 
     reset = rtc("load", "--reset", "elaborator")
-    assert "scripts: carry is removed" in reset.stdout
-    assert rtc("outcomes", "carry").returncode == 2
-    assert rtc("outcomes", "carry", "--file", str(mine)).returncode == 0
+    assert "scripts: my-carry is removed" in reset.stdout
+    assert rtc("outcomes", "my-carry").returncode == 2
+    assert rtc("outcomes", "my-carry", "--file", str(mine)).returncode == 0
 
 
 def test_a_directory_is_not_a_program(rtc: Run, tmp_path: Path) -> None:
