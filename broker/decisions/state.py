@@ -103,6 +103,7 @@ class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"
     reason: StopReason
     message: str = ""
     trim: int = 0
+    further: list[int] = []
     keep: dict[str, msgspec.Raw] = {}
     clears: str = ""
     remark: str = ""

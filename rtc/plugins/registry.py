@@ -41,6 +41,11 @@ def loaded(group: str) -> Loaded:
     return Loaded(found, failed)
 
 
+def names(group: str) -> set[str]:
+    """The names of the group, without an import of their packages."""
+    return {entry.name for entry in entry_points(group=group)}
+
+
 def installed(group: str) -> Mapping[str, Any]:
     """What the group offers, by name."""
     return loaded(group).found

@@ -97,26 +97,32 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
         """The trim with this number. Raises StopIteration if the script has none."""
         return next(trim for trim in self.script.trims if trim.n == n)
 
-    def push_trim(self, n: int) -> TrimLike | None:
-        """Push the steps of a trim for the current step; the trim (paper, trimming stack; A16, A17).
+    def push_trim(self, n: int, further: Sequence[int] = ()) -> TrimLike | None:
+        """Push the steps of a trim for the current step, and those of `further` trims after it; the first trim
+        (paper, trimming stack; A16, A17). What follows is that of the last one.
 
-        None: the trim is not in the script, was used for this step before, or MAX_TRIMS are used. Then the command has
+        None: a trim is not in the script, was used for this step before, or MAX_TRIMS are used. Then the command has
         failed. After a trim that gives up, the command fails when the stack is empty."""
         assert self.step is not None
-        trim = next((t for t in self.script.trims if t.n == n), None)
+        numbers = [n, *further]
+        known = {trim.n: trim for trim in self.script.trims}
         used = self.trims_used.setdefault(self._step_key, [])
-        if trim is None or n in used or (len(self.trim_labels) >= MAX_TRIMS and trim.then != "give_up"):
+        if not {*numbers} <= known.keys() - {*used} or len({*numbers}) < len(numbers):
             return None
-        used.append(n)
-        self.trim_labels.append(trim.label)
-        if trim.then == "retry_step":
+        trims, then = [known[number] for number in numbers], known[numbers[-1]].then
+        if len(self.trim_labels) + len(trims) > MAX_TRIMS and then != "give_up":
+            return None
+        used += numbers
+        self.trim_labels += [trim.label for trim in trims]
+        if then == "retry_step":
             self.refs.append(self.step)
-        elif trim.then == "restart_script":
+        elif then == "restart_script":
             self.restart()
-        elif trim.then in ("replace_rest", "give_up"):
+        elif then in ("replace_rest", "give_up"):
             self.refs = []
-        self.refs += [(n, index) for index in reversed(range(len(trim.steps)))]
-        return trim
+        steps = [(trim.n, index) for trim in trims for index in range(len(trim.steps))]
+        self.refs += reversed(steps)
+        return trims[0]
 
     def binder_input(self, primitive_id: str) -> dict[str, Any]:
         """The fields of a `BinderInput` for the current step."""

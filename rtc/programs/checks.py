@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from rtc.language.alike import unknown
 from rtc.model.cells.parts import Numbers
-from rtc.programs import attributes, expressions, extension_names
+from rtc.plugins import registry
+from rtc.programs import attributes, expressions, extension_names, recovery
 from rtc.programs.schema import (
     AnalyzerProgram,
     BinderProgram,
@@ -81,6 +82,8 @@ def _elaborator(program: ElaboratorProgram) -> Problems:
         yield from known("figure of the hand", most, extension_names.HAND_LIMITS, f"by_hand.{figure}")
     for attribute, skill in program.senses.items():
         yield from known("piece", skill, {piece.skill for piece in program.pieces}, f"senses.{attribute}")
+    for n, entry in enumerate(program.reserve):
+        yield from known("piece", entry.skill, {piece.skill for piece in program.pieces}, f"reserve[{n}].skill")
     for n, script in enumerate(program.scripts):
         yield from _script(script, f"scripts[{n}]", figures)
     for placed in steps_of(program):
@@ -210,6 +213,7 @@ def _stop_row(stop: StopRow, where: str) -> Problems:
 
 
 def _analyzer(program: AnalyzerProgram) -> Problems:
+    yield from _trimmers(program)
     for name, failure in program.classes.items():
         fields = (("message", ()), ("clears", ()), ("again", ("target_cure",)), ("pressing", ("away", "leave")))
         for field, more in fields:
@@ -222,6 +226,37 @@ def _analyzer(program: AnalyzerProgram) -> Problems:
             yield f"outcomes.{row}", f"no cell for {', '.join(missing)}"
         for reason, name in cells.items():
             yield from known("class", name, program.classes, f"outcomes.{row}.{reason}")
+
+
+def _trimmers(program: AnalyzerProgram) -> Problems:
+    """Trimmers that nothing provides, and tables that no trimmer reads."""
+    for n, name in enumerate(program.trimmers):
+        if name not in recovery.BUILT_IN:
+            yield from known(
+                "trimmer", name, {*recovery.BUILT_IN, *registry.names(registry.TRIMMERS)}, f"trimmers[{n}]"
+            )
+    if recovery.RULES in program.trimmers and not program.rules:
+        yield "trimmers", "rules choose nothing without a section `rules`"
+    if recovery.SEARCH in program.trimmers and program.search is None:
+        yield "trimmers", "a search finds nothing without a section `search`"
+    figures = {*extension_names.FAILURE_FIGURES, *program.values}
+    for n, rule in enumerate(program.rules):
+        place = f"rules[{n}]"
+        for name in rule.steps:
+            yield from known("row of the outcomes", name, program.outcomes, f"{place}.steps")
+        for name in rule.classes:
+            yield from known("class", name, program.classes, f"{place}.classes")
+        for m, one in enumerate(rule.when):
+            for field in ("of", "at_least", "at_most"):
+                yield from _expression(getattr(one, field), f"{place}.when[{m}].{field}", figures)
+    if program.search is not None:
+        made = {name for piece in program.search.pieces.values() for name in piece.makes}
+        for reason, broken in program.search.breaks.items():
+            for name in broken:
+                yield from known("condition that a piece makes", name, made, f"search.breaks.{reason}")
+        for skill, piece in program.search.pieces.items():
+            for name in (*piece.needs, *piece.breaks):
+                yield from known("condition that a piece makes", name, made, f"search.pieces.{skill}")
 
 
 def unknown_verbs(program: ElaboratorProgram, grammar: str) -> Problems:

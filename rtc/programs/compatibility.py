@@ -25,6 +25,11 @@ def misfits(elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: Anal
         *binder.values,
         *classes,
     }  # that the args of a step may set
+    pieces = {piece.skill for piece in elaborator.pieces}
+    for n, rule in enumerate(analyzer.rules):
+        yield from known("piece", rule.trim, pieces, f"rules[{n}].trim of the analyzer")
+    for skill in analyzer.search.pieces if analyzer.search else ():
+        yield from known("piece", skill, pieces, f"search.pieces.{skill} of the analyzer")
     for placed in steps_of(elaborator):
         yield from _step(placed, figures, binder, analyzer)
 

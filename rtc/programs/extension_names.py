@@ -99,4 +99,6 @@ EFFECTS = (
     *("taken", "let_go", "let_drift", "still_held", "verified", "felt", "tilted", "pinched", "passed", "landed"),
     *("sighted", "unseen"),
 )
+#: analyzer: figures of a failed step in the conditions of `rules`, besides `values`
+FAILURE_FIGURES = (*("measured", "limit", "tried", "force_n", "torque_nm", "took_s", "hand_width_m", "hand_force_n"),)
 KEPT = ("report.trip_pose", "report.pose", "report.hand_width")

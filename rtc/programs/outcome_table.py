@@ -12,8 +12,22 @@ from typing import NamedTuple
 from rtc.language.alike import unknown
 from rtc.programs.compatibility import misfits, row_of
 from rtc.programs.loader import decode
-from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptFile, ScriptStep, TrimEntry
+from rtc.programs.recovery import RESERVE, RULES, SEARCH, STACK, Failure, matching, searched
+from rtc.programs.schema import (
+    AnalyzerProgram,
+    BinderProgram,
+    Bounds,
+    ElaboratorProgram,
+    ReserveEntry,
+    ScriptFile,
+    ScriptStep,
+    TrimEntry,
+)
+from rtc.protocol.messages import TrimOffer
 from rtc.protocol.outcomes import ProgramError, StopReason
+
+FIRST_SKILL = 3  # cases 1 and 2 are actions, which cannot be trimmed
+Entries = dict[int, TrimEntry | ReserveEntry]  # of the trimming stack and of `reserve`, by number
 
 
 class OutcomeRow(NamedTuple):
@@ -54,13 +68,14 @@ def _rows(
 ) -> Iterator[OutcomeRow]:
     pieces = {piece.skill: piece for piece in elaborator.pieces}
     done = [entry for entry in script.trimming_stack if entry.skill in pieces]
+    reserve: Entries = dict(enumerate(elaborator.reserve if script.case >= FIRST_SKILL else (), RESERVE + 1))
     for n, step in enumerate(script.steps, 1):
         index, count = step.trim
-        trims = [entry for entry in done if index <= entry.n < index + count]
-        yield from _step(f"{n} {_label(step)}", step, trims, binder, analyzer)
-    for entry in done:
+        trims: Entries = {entry.n: entry for entry in done if index <= entry.n < index + count}
+        yield from _step(f"{n} {_label(step)}", step, trims | reserve, binder, analyzer)
+    for number, entry in {**{entry.n: entry for entry in done}, **reserve}.items():
         for n, step in enumerate(pieces[entry.skill].steps, 1):
-            yield from _step(f"trim {entry.n} ({entry.skill}), {n} {_label(step)}", step, [], binder, analyzer)
+            yield from _step(f"trim {number} ({entry.skill}), {n} {_label(step)}", step, {}, binder, analyzer)
 
 
 def _label(step: ScriptStep) -> str:
@@ -69,7 +84,7 @@ def _label(step: ScriptStep) -> str:
 
 
 def _step(
-    label: str, step: ScriptStep, trims: list[TrimEntry], binder: BinderProgram, analyzer: AnalyzerProgram
+    label: str, step: ScriptStep, trims: Entries, binder: BinderProgram, analyzer: AnalyzerProgram
 ) -> Iterator[OutcomeRow]:
     if binder.actions[step.do] in binder.computes or binder.procedures.get(step.name) in binder.computes:
         yield OutcomeRow(label, StopReason.GOAL, "continue: nothing moves")
@@ -83,7 +98,7 @@ def _step(
 def _response(
     step: ScriptStep,
     reason: StopReason,
-    trims: list[TrimEntry],
+    trims: Entries,
     cells: dict[StopReason, str],
     analyzer: AnalyzerProgram,
 ) -> str:
@@ -95,7 +110,29 @@ def _response(
         return f"counts as {derived['nothing_felt'].value}"
     name = cells[reason]
     failure = analyzer.classes[name]
-    fitting = [t for t in trims if failure.retriable and (not t.fits or reason in t.fits)]
-    if not fitting:
-        return f"fail: {name}"
-    return " or ".join(f"trim {t.n} ({t.skill}), {t.then}" for t in fitting) + f", else fail: {name}"
+    fitting = {n: t for n, t in trims.items() if failure.retriable and (not t.fits or reason in t.fits)}
+    ways = list(dict.fromkeys(_ways(Failure(row_of(step), reason, name), fitting, analyzer)))
+    return f"{' or '.join(ways)}, else fail: {name}" if ways else f"fail: {name}"
+
+
+def _ways(failed: Failure, fitting: Entries, analyzer: AnalyzerProgram) -> Iterator[str]:
+    """The recoveries that the trimmers of the program may choose, in words."""
+    offers = {n: TrimOffer(skill=entry.skill, then=entry.then) for n, entry in fitting.items()}
+    words = {n: f"trim {n} ({entry.skill}), {entry.then}" for n, entry in fitting.items()}
+    for name in analyzer.trimmers:
+        if name == STACK:
+            yield from (words[n] for n in offers if n <= RESERVE)
+        elif name == RULES:
+            for rule, n in matching(analyzer, failed, offers):
+                yield words[n] + "".join(f" if {_bounds(one)}" for one in rule.when)
+        elif name == SEARCH:
+            found = searched(analyzer.search, failed.reason, offers)
+            first = "".join(f"trim {n} ({offers[n].skill}), then " for n in found[:-1])
+            yield from [first + words[found[-1]]] if found else []
+        else:
+            yield from (f"{words[n]} (by {name})" for n in offers)
+
+
+def _bounds(one: Bounds) -> str:
+    least = [] if one.at_least is None else [f"{one.of} >= {one.at_least}"]
+    return " and ".join(least + ([] if one.at_most is None else [f"{one.of} <= {one.at_most}"]))

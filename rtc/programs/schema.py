@@ -89,6 +89,15 @@ class ScriptStep(ProgramPart, frozen=True, kw_only=True):
     words: dict[str, str] = {}  # passed on unchanged: an axis, the effect of success
 
 
+class ReserveEntry(ProgramPart, frozen=True, kw_only=True):
+    """A corrective piece that no script lists: rules or a search of the analyzer may choose it for a skill."""
+
+    who: str = "active_object"
+    skill: str
+    then: Literal["retry_step", "restart_script", "skip", "replace_rest"] = "retry_step"
+    fits: list[StopReason] = []
+
+
 class TrimEntry(ProgramPart, frozen=True, kw_only=True):
     """`1 "active_object vision"`: a corrective piece of script, and how to go on after it (A11, A16)."""
 
@@ -145,6 +154,7 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
     command_object_table: list[TableRow]
     scripts: list[ScriptFile]
     pieces: list[ScriptPiece] = []
+    reserve: list[ReserveEntry] = []
     by_hand: dict[str, str] = {}  # figure of the table -> figure of the hand that it cannot exceed
     constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit (or "name") -> limit
     acts_on: dict[str, ActsOn] = {}  # MAINTAIN slot -> the steps it acts on; without an entry, all steps
@@ -224,10 +234,48 @@ class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
     retriable: bool = True  # a trim may be tried
 
 
+class Bounds(ProgramPart, frozen=True, kw_only=True):
+    """A condition on a figure of the failed step (`extension_names.FAILURE_FIGURES`) or of `values`."""
+
+    of: Expression
+    at_least: Expression | None = None
+    at_most: Expression | None = None
+
+
+class TrimRule(ProgramPart, frozen=True, kw_only=True):
+    """A rule of an expert: for these failures, this piece of script (R86). An empty list stands for all."""
+
+    steps: list[str] = []  # rows of `outcomes`
+    reasons: list[StopReason] = []
+    classes: list[str] = []
+    when: list[Bounds] = []
+    trim: str  # the skill of an entry of the trimming stack or of `reserve`
+
+
+class SearchPiece(ProgramPart, frozen=True, kw_only=True):
+    """What a piece of script does to the conditions of the world, for the search of a recovery."""
+
+    needs: list[str] = []  # conditions that must not be broken
+    makes: list[str] = []
+    breaks: list[str] = []
+
+
+class SearchModel(ProgramPart, frozen=True, kw_only=True):
+    """The finite graph in which a recovery is searched: events break conditions, pieces of script make them (R59)."""
+
+    most: Annotated[int, Meta(ge=1, le=6)] = 3  # maximum number of pieces in a recovery
+    breaks: dict[StopReason, list[str]]  # a reason without a row has no recovery
+    pieces: dict[str, SearchPiece]  # by skill
+
+
 class AnalyzerProgram(ProgramPart, frozen=True, kw_only=True):
     outcomes: dict[str, dict[StopReason, str]]  # row (see compatibility.row_of) -> stop reason -> failure class
     derived: dict[str, dict[str, StopReason]] = {}  # row -> defect of a nominal end -> stop reason that it counts as
     classes: dict[str, OutcomeClass]
+    trimmers: Annotated[list[str], Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["stack"])
+    """Who chooses a trim, in this order: `stack`, `rules`, `search`, or the name of an installed package."""
+    rules: list[TrimRule] = []
+    search: SearchModel | None = None
     values: dict[str, float] = {}  # tolerances: position_m, angle_rad, width_m
     clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
 

@@ -9,7 +9,8 @@ import pytest
 
 from rtc.model.cells.cell import Cell
 from rtc.plugins import registry
-from rtc.protocol.outcomes import StopReason
+from rtc.programs import loader
+from rtc.protocol.outcomes import ProgramError, StopReason
 from rtc.sensing.detector import TagDetector
 from rtc.subsystems.perception.camera_thread import CameraThread, Photograph, _Order
 from tests.plugins.toy_packages import Install
@@ -25,14 +26,21 @@ def test_an_evaluator_ranks_the_ways_to_do_a_command(install: Install, bench, po
     assert bench.elaborate("GRASP MACS-NEW WITH RIGHT-ARM").context.grasp_point == point
 
 
-@pytest.mark.parametrize(("chosen", "expected"), [(5, 5), (9, 4), (None, 4)])
-def test_a_trimmer_chooses_among_the_trims_of_the_step(install: Install, chosen: int | None, expected: int) -> None:
-    """Trim 3 has been used and trim 9 is not of this step."""
+@pytest.mark.parametrize(("chosen", "expected"), [(3, [3]), (9, [2]), (None, [2])])
+def test_a_named_trimmer_chooses_among_the_trims_of_the_step(install: Install, bench, chosen, expected) -> None:  # noqa: F811
+    """Trim 9 is not of this step, so the stack is asked next."""
     install(registry.TRIMMERS, "picks", "choose", f"def choose(data, entries):\n    return {chosen}\n")
-    task = SimpleNamespace(
-        data=SimpleNamespace(trims_used=[3]), context=SimpleNamespace(fits={}), step=SimpleNamespace(trims=[3, 4, 5])
-    )
-    assert analyze._trim(task, StopReason.TIMEOUT) == expected
+    bench.load("analyzer", "trimmers: [picks, stack]")
+    bench.subsystem.instead["C-1.5"] = StopReason.FORCE_LIMIT
+    assert bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").trims[:1] == expected
+
+
+@pytest.mark.parametrize("code", ["import no_such_library", None])
+def test_a_trimmer_that_cannot_be_loaded_is_refused_with_its_program(install: Install, code: str | None) -> None:
+    if code:
+        install(registry.TRIMMERS, "picks", "choose", code)
+    with pytest.raises(ProgramError):
+        analyze.compile(loader.merge("analyzer", loader.default("analyzer"), "t.yaml", b"trimmers: [picks]"))
 
 
 FINDS = """

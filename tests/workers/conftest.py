@@ -353,11 +353,11 @@ class Bench:
             run.assessments.append(judged)
             self.world = self.world.overlay(judged.changes, f"C-{self.commands}/{len(run.assessments)}", self.now_s)
             actions.assign(judged.keep)
-            trim = actions.push_trim(judged.trim) if judged.verdict == "trim" else None
+            trim = actions.push_trim(judged.trim, judged.further) if judged.verdict == "trim" else None
             if judged.verdict != "continue" and (trim is None or trim.then == "give_up"):
                 run.failure = run.failure or judged
             if trim is not None:
-                run.trims.append(trim.n)
+                run.trims += [trim.n, *judged.further]
             elif judged.verdict != "continue":
                 return run
         return run

@@ -2,7 +2,7 @@
 
 Evaluate, then trim (paper, Figure 3). A step succeeds if it expects the stop reason and its post-conditions hold. Any
 other end is a failure of the class that the program's table names. The first applicable trim that this step has not
-used may correct it. Memoryless: it uses only this report and its context, no other command (R139).
+used may correct it; `trimmers` chooses. Memoryless: it uses only this report and its context, no other command (R139).
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from dataclasses import replace
 import msgspec
 
 from rtc.language.alike import unknown
-from rtc.plugins import registry
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
+from rtc.programs.recovery import STACK
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.world.model import World
-from workers.analyzer import comparison, nearby, reported_facts, sighting
+from workers.analyzer import comparison, nearby, reported_facts, sighting, trimmers
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
@@ -73,6 +73,7 @@ def compile(program: bytes) -> AnalyzerProgram:
             raise ProgramError(f"$.values: no {name}")
     for name in OF_CELL & document.values.keys():
         raise ProgramError(f"$.values.{name}: it is one of the cell's `numbers`; state it there")
+    trimmers.refuse_unknown(document)
     return document
 
 
@@ -168,16 +169,20 @@ def _kept(source: str, report: EndReport) -> Binding:
 
 def _failure(task: AnalyzeTask, reason: StopReason, failure: OutcomeClass) -> Assessment:
     """The step has ended otherwise: what may have changed, a trim that may correct it, and else what clears it."""
-    trim = 0 if task.data.closing or not failure.retriable else _trim(task, reason)
-    pressed = not trim and reason in PRESSED
+    name = task.program.outcomes[row_of(task.step)][reason]
+    may = failure.retriable and not task.data.closing
+    trims, by = trimmers.chosen(task, reason, name) if may else ([], "")
+    pressed = not trims and reason in PRESSED
     changes = moved_in_hand(task, _failure_changes(task, failure), failure, pressed=pressed)
     asked = reflexes.find_requested(task.context.reflexes, task.report)
     clears = what_clears(task, reason, failure, changes, asked=asked is not None, pressed=pressed)
+    chosen = f"; chosen by {by}" if by not in ("", STACK) else ""
     return Assessment(
-        verdict="trim" if trim else "abort",
+        verdict="trim" if trims else "abort",
         reason=reason,
-        message=f"{task.step.label}: {what_happened(task, reason, failure, asked)}",
-        trim=trim,
+        message=f"{task.step.label}: {what_happened(task, reason, failure, asked)}{chosen}",
+        trim=trims[0] if trims else 0,
+        further=trims[1:],
         changes=changes,
         clears=clears,
         compared=comparison.unexpected(task),
@@ -199,13 +204,3 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass) -> Changes:
     if missed in EFFECTS and may_retry:
         changes += EFFECTS[missed](task, Validity.SUSPECT)
     return angles(task.query, with_spread(task, merged(changes)))
-
-
-def _trim(task: AnalyzeTask, reason: StopReason) -> int:
-    """The trim for this failure, of those of the step that fit the stop reason and are not yet used; 0 = none.
-
-    Trimmers of installed packages choose first (`rtc.trimmers`), else the first in the step's order is taken."""
-    used, fits = task.data.trims_used, task.context.fits
-    entries = [entry for entry in task.step.trims if entry not in used and reason in fits.get(entry, [reason])]
-    choices = (choose(task.data, entries) for choose in registry.installed(registry.TRIMMERS).values() if entries)
-    return next((entry for entry in choices if entry in entries), entries[0] if entries else 0)

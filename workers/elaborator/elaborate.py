@@ -14,6 +14,7 @@ import msgspec
 
 from rtc.programs import attributes, expressions
 from rtc.programs.loader import decode
+from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import ElaboratorInput, Script
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
@@ -52,6 +53,8 @@ from workers.elaborator.script_steps import (
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
+
+WRITES_OF_RESERVE = ("active_arm", "active_object", "its_seat")  # what a piece of script may find out
 
 INPUT = ElaboratorInput
 NEEDS_WORLD = True
@@ -233,16 +236,16 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     looking = [*steps, *(step for entry in entries for step in entry.steps)]
     cameras = [name for step in looking for name in step.cameras]
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
+    in_reserve = any(entry.n > RESERVE for entry in entries)
+    writes = [*script.writes, *(WRITES_OF_RESERVE if in_reserve else ())]
     return Script(
-        context=context_for(script, option, candidate, entries),
+        context=context_for(compiled, script, option, candidate, entries),
         case=case,
         steps=steps,
         trims=entries,
         bindings=planned.bindings,
         resources=list(dict.fromkeys([*names_of(script.resources, candidate, held), *others, *cameras])),
-        writes=list(
-            dict.fromkeys([*names_of(script.writes, candidate, held), *others, *with_seats(candidate, doubtful)])
-        ),
+        writes=list(dict.fromkeys([*names_of(writes, candidate, held), *others, *with_seats(candidate, doubtful)])),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
         notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out, *in_words(options)],
     )

@@ -9,8 +9,9 @@ import msgspec
 
 from rtc.programs import expressions
 from rtc.programs.extension_names import CAMERA, PARTNER
+from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
-from rtc.protocol.messages import ScriptContext, Step, StepFigures, StepWords, Trim
+from rtc.protocol.messages import ScriptContext, Step, StepFigures, StepWords, Trim, TrimOffer
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.conditions import reflexes
 from workers.elaborator import look
@@ -116,7 +117,23 @@ def trims_for(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) 
         reason = reflexes.reason_of(reflex.condition)
         steps = _steps_of(piece, candidate)
         entries.append(Trim(n=n, label=f"TRY {name.upper()}", steps=steps, fits=[reason] if reason else []))
+    if script.case >= FIRST_SKILL:
+        _add_reserve(compiled, script, candidate, entries, left_out)
     return entries, left_out
+
+
+def _add_reserve(
+    compiled: Compiled, script: ScriptFile, candidate: TaskCandidate, entries: list[Trim], left_out: list[str]
+) -> None:
+    """The entries of `reserve` whose pieces can be tried in this script; notes about the others."""
+    for n, entry in enumerate(compiled.program.reserve, RESERVE + 1):
+        piece = compiled.pieces[entry.skill]
+        label = f"{entry.skill} {candidate.roles.get(entry.who, entry.who)}"
+        if _fits(piece, script, candidate):
+            steps = _steps_of(piece, candidate)
+            entries.append(Trim(n=n, label=label, steps=steps, then=entry.then, fits=entry.fits))
+        else:
+            left_out.append(f"trim {n} ({label}) is left out: {candidate.parsed.verb} has no use for it")
 
 
 def _steps_of(piece: ScriptPiece, candidate: TaskCandidate) -> list[Step]:
@@ -199,8 +216,15 @@ def _performed_by(arm: str, candidate: TaskCandidate, step: Step) -> Step:
     return step if arm == candidate.arm.name else msgspec.structs.replace(step, arm=arm)
 
 
+def _offers(compiled: Compiled, script: ScriptFile, entries: list[Trim]) -> dict[int, TrimOffer]:
+    """The pieces of the entries of the script and of `reserve`; those of the sentence are for its own events."""
+    skills = {entry.n: entry.skill for entry in script.trimming_stack}
+    skills |= {n: entry.skill for n, entry in enumerate(compiled.program.reserve, RESERVE + 1)}
+    return {entry.n: TrimOffer(skill=skills[entry.n], then=entry.then) for entry in entries if entry.n in skills}
+
+
 def context_for(
-    script: ScriptFile, option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]
+    compiled: Compiled, script: ScriptFile, option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]
 ) -> ScriptContext:
     known = {entry.n for entry in entries}
     return ScriptContext(
@@ -217,6 +241,7 @@ def context_for(
         report=candidate.parsed.report,
         fits={entry.n: entry.fits for entry in entries if entry.fits},
         if_drifting=next((entry.n for entry in script.trimming_stack if entry.drift and entry.n in known), 0),
+        offers=_offers(compiled, script, entries),
     )
 
 

@@ -252,13 +252,14 @@ def failure(assessment: AssessmentHead) -> PendingOutcome:
 def push_trim(context: DecisionContext, command: Command, assessment: AssessmentHead) -> bool:
     """Continue with the steps of the trim that the analyzer proposes. False: the trim is not allowed."""
     assert command.actions is not None
-    trim = command.actions.push_trim(assessment.trim)
+    trim = command.actions.push_trim(assessment.trim, assessment.further)
     if trim is None:
         return False
     context.count("trims")
     if trim.then == "give_up":
         command.given_up = failure(assessment)
-    words = f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}"
+    then = "".join(f"; then {command.actions.trim(n).label}" for n in assessment.further)
+    words = f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}{then}"
     _note_judged(context, command, assessment, words, trim.n)
     return True
 

@@ -38,6 +38,13 @@ class Trim(Strict, frozen=True, kw_only=True, omit_defaults=True):
     fits: list[StopReason] = []  # the failures it may correct; empty = any
 
 
+class TrimOffer(Strict, frozen=True, kw_only=True, omit_defaults=True):
+    """An entry of the trimming stack, as an analyzer chooses it."""
+
+    skill: str  # of its piece of script
+    then: str = "retry_step"
+
+
 class Limits(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """MAINTAIN, as numbers. None = the program's default."""
 
@@ -70,6 +77,7 @@ class ScriptContext(Strict, frozen=True, kw_only=True, omit_defaults=True):
     report: Report | None = None  # the REPORT clause
     fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
     if_drifting: int = 0  # entry that corrects a grip which weakens, before a step fails of it; 0: none
+    offers: dict[int, TrimOffer] = {}  # entry of the trimming stack -> its piece
     # Facts stated by the sentence itself, by key, SI.
     stated: dict[str, Any] = msgspec.field(default_factory=dict)
 
@@ -212,6 +220,7 @@ class Assessment(Message, frozen=True, kw_only=True):
     reason: StopReason  # after derivation: NO_CONTACT where goal was reached and a touch expected
     message: str = ""
     trim: int = 0  # entry of the trimming stack to push
+    further: list[int] = []  # entries whose steps follow it; what follows then is that of the last one
     keep: dict[str, Binding] = {}  # measured values for later steps
     changes: list[WorldChange] = []
     clears: str = ""  # what would clear the failure
