@@ -98,8 +98,8 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
         return next(trim for trim in self.script.trims if trim.n == n)
 
     def push_trim(self, n: int, further: Sequence[int] = ()) -> TrimLike | None:
-        """Push the steps of a trim for the current step, and those of `further` trims after it; the first trim
-        (paper, trimming stack; A16, A17). What follows is that of the last one.
+        """Push the steps of a trim for the current step, and those of `further` trims after it; the last trim,
+        which decides what follows (paper, trimming stack; A16, A17).
 
         None: a trim is not in the script, was used for this step before, or MAX_TRIMS are used. Then the command has
         failed. After a trim that gives up, the command fails when the stack is empty."""
@@ -122,7 +122,7 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
             self.refs = []
         steps = [(trim.n, index) for trim in trims for index in range(len(trim.steps))]
         self.refs += reversed(steps)
-        return trims[0]
+        return trims[-1]
 
     def binder_input(self, primitive_id: str) -> dict[str, Any]:
         """The fields of a `BinderInput` for the current step."""

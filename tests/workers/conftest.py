@@ -357,7 +357,7 @@ class Bench:
             if judged.verdict != "continue" and (trim is None or trim.then == "give_up"):
                 run.failure = run.failure or judged
             if trim is not None:
-                run.trims += [trim.n, *judged.further]
+                run.trims += [judged.trim, *judged.further]
             elif judged.verdict != "continue":
                 return run
         return run

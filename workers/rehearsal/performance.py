@@ -129,7 +129,7 @@ class Performance:
         """Push the trim that the verdict asks for; what follows it. Raises Refused without one, with the failure."""
         assert self.actions is not None
         failure = Refusal(reason=RefusalReason.STATE, message=judged.message, clears=judged.clears)
-        trim = self.actions.push_trim(judged.trim) if judged.verdict == "trim" else None
+        trim = self.actions.push_trim(judged.trim, judged.further) if judged.verdict == "trim" else None
         if trim is None:
             raise Refused(self.given_up or failure)
         if trim.then == "give_up":

@@ -258,9 +258,9 @@ def push_trim(context: DecisionContext, command: Command, assessment: Assessment
     context.count("trims")
     if trim.then == "give_up":
         command.given_up = failure(assessment)
-    then = "".join(f"; then {command.actions.trim(n).label}" for n in assessment.further)
-    words = f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}{then}"
-    _note_judged(context, command, assessment, words, trim.n)
+    pieces = "; then ".join(command.actions.trim(n).label for n in (assessment.trim, *assessment.further))
+    words = f"{assessment.message or assessment.reason.value}: trim {assessment.trim}, {pieces}"
+    _note_judged(context, command, assessment, words, assessment.trim)
     return True
 
 
