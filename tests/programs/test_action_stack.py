@@ -40,6 +40,16 @@ def test_a_trim_comes_first_and_what_follows_is_its_own_choice(then, left):
     assert labels(actions) == left
 
 
+def test_several_trims_follow_one_another_and_the_last_decides_what_comes_then():
+    actions = action_stack.begin(script(steps=2, trims=[trim(1, "replace_rest"), trim(2, "skip", steps=2)]))
+    actions.pop()
+    assert actions.push_trim(1, [9]) is None
+    assert actions.push_trim(1, [1]) is None
+    assert actions.push_trim(1, [2]).n == 2
+    assert labels(actions) == ["mend", "mend", "mend", "step 2"]
+    assert actions.trim_labels == ["trim 1", "trim 2"]
+
+
 def test_a_restart_of_the_script_restores_its_values():
     actions = action_stack.begin(script(trims=[trim(1, "restart_script")]))
     actions.pop()
