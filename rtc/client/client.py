@@ -218,7 +218,7 @@ class Client:
 
     def run_many(
         self,
-        texts: Sequence[str],
+        texts: Sequence[str | Callable[[], str]],
         parallel: bool = True,
         *,
         on_accept: OnAccept | None = None,
@@ -232,8 +232,8 @@ class Client:
 
         `parallel`: submit all at once; the cluster runs those that need different resources at the same time. Otherwise
         each sentence is submitted when the one before has ended. `on_accept(i, "C-7")` and `on_end(i, ended)` are
-        called for sentence i. `timeout_s` is for all together. `about`: what `run` states of
-        a test.
+        called for sentence i. `timeout_s` is for all together. A function among `texts` is called when its sentence is
+        to be sent, and returns it: it may name a command that was accepted before. `about`: what `run` states of a test.
         """
         limit_s = None if timeout_s is None else time.monotonic() + timeout_s
         ended: dict[int, m.CommandEnded] = {}
@@ -242,7 +242,10 @@ class Client:
         while todo or waiting:
             while todo and len(waiting) < (WINDOW if parallel else 1):
                 n, text = todo.popleft()
-                request = self._submit(text, on_progress, on_accept and partial(on_accept, n), traceparent, about=about)
+                sentence = text if isinstance(text, str) else text()
+                request = self._submit(
+                    sentence, on_progress, on_accept and partial(on_accept, n), traceparent, about=about
+                )
                 waiting[request] = n
             self.receive_until(
                 lambda: not waiting.keys().isdisjoint(self._requests.ended),

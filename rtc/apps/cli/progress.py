@@ -32,6 +32,7 @@ REPORTS_KEPT = 1000  # maximum number of reports of EVERY and WHEN per command i
 @dataclass
 class BoardRow:
     text: str
+    label: str = ""  # of its line in a program
     command: str = ""
     phase: str = "waiting"
     step: str = ""  # as displayed
@@ -41,10 +42,12 @@ class BoardRow:
 
 
 class Board:
-    """Context manager. `quiet`: show nothing (for --json); `out`: the output."""
+    """Context manager. `labels`: one for each text; `quiet`: show nothing (for --json); `out`: the output."""
 
-    def __init__(self, texts: list[str], *, quiet: bool = False, out: Console = console) -> None:
-        self._rows = [BoardRow(text) for text in texts]
+    def __init__(
+        self, texts: list[str], labels: list[str] | None = None, *, quiet: bool = False, out: Console = console
+    ) -> None:
+        self._rows = [BoardRow(*row) for row in zip(texts, labels or [""] * len(texts), strict=True)]
         self._row_of: dict[str, BoardRow] = {}
         self.reports: dict[str, deque[m.ProgressNote]] = {}  # command -> its latest reports of EVERY and WHEN
         self.reports_older: Counter[str] = Counter()  # command -> number of those before them
@@ -83,6 +86,10 @@ class Board:
     def running(self) -> list[str]:
         """Numbers of the commands without a known end."""
         return list(self._row_of)
+
+    def sent_as(self, n: int, text: str) -> None:
+        """The sentence as it is sent: with numbers of commands in place of labels."""
+        self._rows[n].text = text
 
     def accepted(self, n: int, command: str) -> None:
         row = self._rows[n]
@@ -131,7 +138,7 @@ class Board:
         if self._live:
             self._live.refresh()  # without the row, before the result is printed above the board
         if not self.quiet:
-            print_result(ended, row.text, self._out)
+            print_result(ended, row.text, self._out, label=row.label)
 
     def _line(self, line: str) -> None:
         if self._live or self.quiet:
@@ -150,12 +157,13 @@ class Board:
         return out
 
 
-def print_result(ended: m.CommandEnded, text: str, out: Console = console) -> None:
+def print_result(ended: m.CommandEnded, text: str, out: Console = console, *, label: str = "") -> None:
     """One line with the outcome of a command; below it, without success, the cause and what would clear it."""
     kind = ended.outcome.kind
     head = Text(f"{ended.command or '(not taken)'} ", style="bold")
     head.append(kind.value.upper().replace("_", " "), style=COLOUR[kind])
-    head.append(f"  {quoted(text)}  ").append(f"({_figures(ended)})", style="dim")
+    about = f"{label}, {_figures(ended)}" if label else _figures(ended)
+    head.append(f"  {quoted(text)}  ").append(f"({about})", style="dim")
     out.print(head)
     for line in explain(ended, text):
         out.print(Text("    " + line))

@@ -31,10 +31,11 @@ from rtc.apps.cli.output import (
     refusal_lines,
 )
 from rtc.apps.cli.progress import Board
+from rtc.apps.cli.sentence_files import Labels, Line
+from rtc.apps.cli.sentence_program import SentenceProgram
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.client.client import Client, Source, as_text
 from rtc.client.halt import HaltResult
-from rtc.client.rehearsing import AboutTest, is_test
 from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
@@ -69,17 +70,18 @@ def do(
     """Submit sentences, show their progress and one result for each.
 
     They run one after the other, until one does not succeed (-k continues). With --parallel all are sent at once, and
-    the cluster decides which can run at the same time. Exit status: 0 all succeeded, 1 a failure, 2 a refusal,
-    3 halted, 4 no cluster, 130 left running. Ctrl-C asks: leave them running, or halt. If stdout is closed (`| head`)
-    or full, or this process gets SIGTERM (exit status 143) or SIGHUP (129), they are left running, and stderr names
-    them.
+    the cluster decides which can run at the same time. A file has one sentence a line, comments (# or --), and labels:
+    after `C3: LOCATE DOOR-2`, AFTER C3 in a later line names its command.
+
+    Exit status: 0 all succeeded, 1 a failure, 2 a refusal, 3 halted, 4 no cluster, 130 left running. Ctrl-C asks: leave
+    them running, or halt. If stdout is closed (`| head`) or full, or this process gets SIGTERM (exit status 143) or
+    SIGHUP (129), they are left running, and stderr names them.
 
     Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
+    Example:  rtc do --file plan.txt --parallel
     """
-    texts = [
-        as_text(text)
-        for text in (*(sentences or []), *(line.text for line in (sentence_files.read(file) if file else [])))
-    ]
+    lines = _program(sentences or [], file)
+    texts = [line.text for line in lines]
     if not all(text.strip() for text in texts) or not texts:
         raise cli_error("no sentence; give one in quotes; rtc dictionary VERB shows examples", 2)
     if source not in ("operator", "aip"):
@@ -88,9 +90,9 @@ def do(
     need_broker = not all(halts)
     with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=show_silence, key=key) as rtc:
         if no_wait:
-            code, results = _hand_in(rtc, texts, if_tested)
+            code, results = _hand_in(rtc, lines, if_tested)
         else:
-            code, results = _see_through(rtc, texts, parallel and not any(halts), keep_going, json, if_tested)
+            code, results = _see_through(rtc, lines, parallel and not any(halts), keep_going, json, if_tested)
     if hint := quotes_forgotten(texts, results):
         errors.print(Text(hint))
     if json:
@@ -108,27 +110,22 @@ def quotes_forgotten(texts: list[str], results: list[dict[str, Any]]) -> str:
 
 
 def _see_through(
-    rtc: Client, texts: list[str], parallel: bool, keep_going: bool, json: bool, if_tested: str
+    rtc: Client, lines: list[Line], parallel: bool, keep_going: bool, json: bool, if_tested: str
 ) -> tuple[int, list[dict[str, Any]]]:
     """Run all sentences; the exit status and a result for each."""
     kinds: list[OutcomeKind] = []
     results: list[dict[str, Any]] = []
-    board = Board(texts, quiet=json)
+    board = Board([line.text for line in lines], [line.label for line in lines], quiet=json)
+    program = SentenceProgram(rtc, board, lines, if_tested)
     try:
         with board, asked_on_interrupt(rtc, board):
             if parallel:
-                ended = rtc.run_many(
-                    texts,
-                    on_accept=board.accepted,
-                    on_progress=board.progress,
-                    on_end=board.ended,
-                    about=AboutTest(if_tested=if_tested),
-                )
+                ended = program.run(range(len(lines)))
                 kinds = [one.outcome.kind for one in ended]
-                results = [_result(one, text, board) for one, text in zip(ended, texts, strict=True)]
+                results = [_result(one, line, board) for one, line in zip(ended, lines, strict=True)]
             else:
-                for n, text in enumerate(texts):
-                    kind, result = _one(rtc, board, n, text, if_tested)
+                for n in range(len(lines)):
+                    kind, result = _one(rtc, program, n)
                     kinds.append(kind)
                     results.append(result)
                     if kind != OutcomeKind.SUCCEEDED and not keep_going:
@@ -137,13 +134,12 @@ def _see_through(
         console.print("left running; `rtc status` shows them, `rtc halt` stops them")
         return LEFT_RUNNING, results
     except (OutputClosed, Signalled) as gone:
-        return gone_away(gone, board, len(texts)), results
-    for text in texts[len(results) :]:
-        results.append({"text": text, "kind": "not_sent"})
+        return gone_away(gone, board, len(lines)), results
+    for line in lines[len(results) :]:
+        results.append({"text": line.text, **_label(line), "kind": "not_sent"})
         if not json:
-            console.print(
-                Text("NOT SENT", style="bold") + Text(f"  {quoted(text)}  ") + Text("(use -k to go on)", style="dim")
-            )
+            words = Text(f"  {quoted(line.text)}  ") + Text("(use -k to go on)", style="dim")
+            console.print(Text("NOT SENT", style="bold") + words)
     return exit_code(kinds), results
 
 
@@ -163,46 +159,46 @@ def gone_away(why: OutputClosed | Signalled, board: Board, sentences: int) -> in
     return exit_code(board.kinds) or int(others > 0)
 
 
-def _one(rtc: Client, board: Board, n: int, text: str, if_tested: str) -> tuple[OutcomeKind, dict[str, Any]]:
-    if scope := halt_scope(text):
+def _one(rtc: Client, program: SentenceProgram, n: int) -> tuple[OutcomeKind, dict[str, Any]]:
+    line, board = program.lines[n], program.board
+    if scope := halt_scope(text := program.text(n)):
+        program.name(n, "")
         halted = rtc.halt(scope)
         print_halt(halted, errors if board.quiet else console)
         kind = OutcomeKind.SUCCEEDED if halted.confirmed else OutcomeKind.HALT_NOT_CONFIRMED
-        return kind, {"text": text, "kind": kind.value, "halt": msgspec.to_builtins(halted)}
-    ended = rtc.run_many(
-        [text],
-        on_accept=lambda _, command: board.accepted(n, command),
-        on_progress=board.progress,
-        on_end=lambda _, one: board.ended(n, one),
-        about=AboutTest(if_tested="" if is_test(text) else if_tested),
-    )[0]
-    return ended.outcome.kind, _result(ended, text, board)
+        return kind, {"text": text, **_label(line), "kind": kind.value, "halt": msgspec.to_builtins(halted)}
+    (ended,) = program.run([n])
+    return ended.outcome.kind, _result(ended, line, board)
 
 
-def _hand_in(rtc: Client, texts: list[str], if_tested: str) -> tuple[int, list[dict[str, Any]]]:
+def _hand_in(rtc: Client, lines: list[Line], if_tested: str) -> tuple[int, list[dict[str, Any]]]:
     """Submit without waiting for outcomes."""
     results: list[dict[str, Any]] = []
-    out = console
-    for text in texts:
+    out, labels = console, Labels(lines)
+    for line in lines:
+        text = labels.sent_as(line.text)
         if scope := halt_scope(text):
             halted: HaltResult = rtc.halt(scope)
             print_halt(halted)
-            results.append({"text": text, "kind": "halted", "halt": msgspec.to_builtins(halted)})
+            labels.numbers[line.label] = ""
+            results.append({"text": text, **_label(line), "kind": "halted", "halt": msgspec.to_builtins(halted)})
             continue
         try:
             command = rtc.submit(text, progress=False, if_tested=if_tested).number
         except RequestDeclined as declined:
-            for line in refusal_lines(declined.refusal, text):
-                errors.print(Text(line))
-            results.append({"text": text, "kind": "refused", "refusal": msgspec.to_builtins(declined.refusal)})
+            for words in refusal_lines(declined.refusal, text):
+                errors.print(Text(words))
+            refusal = msgspec.to_builtins(declined.refusal)
+            results.append({"text": text, **_label(line), "kind": "refused", "refusal": refusal})
             return 2, results
+        labels.numbers[line.label] = command
         accepted = Text(f"{command} accepted  {quoted(text)}")
         try:
             out.print(accepted)
         except OutputClosed:
             out = errors  # the number must not be lost
             out.print(accepted)
-        results.append({"text": text, "kind": "accepted", "command": command})
+        results.append({"text": text, **_label(line), "kind": "accepted", "command": command})
     return 0, results
 
 
@@ -275,10 +271,22 @@ def _ask() -> str:
         signal.signal(signal.SIGINT, before)
 
 
-def _result(ended: m.CommandEnded, text: str, board: Board) -> dict[str, Any]:
+def _program(sentences: list[str], file: Path | None) -> list[Line]:
+    """The sentences of the arguments, then those of the file. Raises typer.Exit, with the reason printed."""
+    given = [sentence_files.line_of(text) or Line("", text) for text in map(as_text, sentences)]
+    read = sentence_files.read(file) if file else []
+    return [*sentence_files.checked(given), *(line._replace(text=as_text(line.text)) for line in read)]
+
+
+def _label(line: Line) -> dict[str, str]:
+    return {"label": line.label} if line.label else {}
+
+
+def _result(ended: m.CommandEnded, line: Line, board: Board) -> dict[str, Any]:
     """One result of --json. `reports`: those of EVERY and WHEN, the latest if they are many."""
     outcome = msgspec.to_builtins(ended.outcome)
-    result = {"command": ended.command, "text": text, **outcome, "took_s": round(ended.took_s, 6)}
+    text = ended.text or line.text
+    result = {"command": ended.command, "text": text, **_label(line), **outcome, "took_s": round(ended.took_s, 6)}
     if reports := board.reports.get(ended.command):
         result["reports"] = [_report(note) for note in reports]
         if older := board.reports_older[ended.command]:

@@ -300,6 +300,29 @@ def test_a_version_of_the_world_that_is_still_to_come_is_2(rtc: Run) -> None:
     assert f"no version 99999999 of the world yet; the newest is {newest}" in done.stderr
 
 
+@pytest.mark.parametrize("mode", [[], ["--parallel"], ["--no-wait"]])
+def test_a_program_names_its_commands_by_labels(rtc: Run, tmp_path: Path, mode: list[str]) -> None:
+    plan = tmp_path / "plan.txt"
+    plan.write_text("# both at once\nC3: STOW LEFT-ARM\nC4: STOW RIGHT-ARM AFTER C3 -- then\nSTOW LEFT-ARM AFTER C-4\n")
+    done = rtc("do", "--file", str(plan), *mode, "--json")
+    first, second, third = last_json(done)["results"]
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [first["label"], second["label"]] == ["C-3", "C-4"]
+    assert f"AFTER {first['command']} --" in second["text"]
+    assert third["text"].endswith(f"AFTER {second['command']}")
+    assert rtc("do", f"STOW RIGHT-ARM AFTER {third['command']}").returncode == 0  # the last one has succeeded
+
+
+def test_a_label_whose_sentence_became_no_command_is_refused_by_the_cluster(rtc: Run, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.txt"
+    plan.write_text("C3: HALT\nSTOW LEFT-ARM AFTER C-3\nABORT C-3\n")
+    done = rtc("do", "-k", "--file", str(plan), "--json")
+
+    assert done.returncode == 2
+    assert [one["kind"] for one in last_json(done)["results"]] == ["succeeded", "refused", "refused"]
+
+
 @pytest.mark.parametrize("word", ["exit", "QUIT", ":q"])
 def test_the_shell_is_left_by_the_words_people_try(
     run_dir: Path, word: str, capsys: pytest.CaptureFixture[str]

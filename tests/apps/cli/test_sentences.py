@@ -1,4 +1,4 @@
-"""What `rtc do` reads from a file."""
+"""What `rtc do` says about its sentences."""
 
 from __future__ import annotations
 
