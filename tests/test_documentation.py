@@ -95,7 +95,8 @@ def shown_commands() -> list[tuple[str, ...]]:
     """The words of each `rtc` command line in a code block of a page, without comments and `&`."""
     blocks = [b for p in PAGES for b in re.findall(r"^```\n(.*?)^```", p.read_text(), re.MULTILINE | re.DOTALL)]
     lines = [line for block in blocks for line in block.splitlines() if line.startswith("rtc ")]
-    words = [shlex.split(line.partition(" & ")[0], comments=True)[1:] for line in lines]
+    typed = [re.sub(r"\$\(.*?\)", "docs", line).partition(" & ")[0].partition(" < ")[0] for line in lines]
+    words = [shlex.split(line, comments=True)[1:] for line in typed]
     return sorted({tuple(each) for each in words})
 
 

@@ -233,7 +233,8 @@ class Client:
         `parallel`: submit all at once; the cluster runs those that need different resources at the same time. Otherwise
         each sentence is submitted when the one before has ended. `on_accept(i, "C-7")` and `on_end(i, ended)` are
         called for sentence i. `timeout_s` is for all together. A function among `texts` is called when its sentence is
-        to be sent, and returns it: it may name a command that was accepted before. `about`: what `run` states of a test.
+        to be sent, and returns it: it may name a command that was accepted before. `about`: what `run` states of a
+        test.
         """
         limit_s = None if timeout_s is None else time.monotonic() + timeout_s
         ended: dict[int, m.CommandEnded] = {}

@@ -13,6 +13,7 @@ from prompt_toolkit import PromptSession
 from prompt_toolkit.auto_suggest import AutoSuggestFromHistory
 from prompt_toolkit.completion import CompleteEvent, Completer, Completion
 from prompt_toolkit.document import Document
+from prompt_toolkit.formatted_text import FormattedText
 from prompt_toolkit.history import FileHistory
 from prompt_toolkit.patch_stdout import patch_stdout
 from rich.text import Text
@@ -21,18 +22,22 @@ from rtc.apps.cli import log, names, trace, world
 from rtc.apps.cli.background import Background
 from rtc.apps.cli.cluster import show_status
 from rtc.apps.cli.halt import print_halt
+from rtc.apps.cli.language import in_one_line
+from rtc.apps.cli.live_state import ASK_S, LiveState, in_words
 from rtc.apps.cli.offers import CellNames
 from rtc.apps.cli.output import console, errors
 from rtc.apps.cli.progress import Board, print_result
+from rtc.apps.cli.sentence_files import LABEL, Labels, Line, line_of, unknown_label
 from rtc.apps.cli.sentences import LeftRunning, Signalled, asked_on_interrupt, gone_away, show_silence
 from rtc.apps.cli.teach import with_taught
 from rtc.client.client import Client
 from rtc.language.completion import Names, complete
 from rtc.language.fastpath import halt_scope
-from rtc.language.parse import default_grammar
+from rtc.language.parse import Grammar, default_grammar, parse
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import NoCluster, RequestDeclined, RtcError
+from rtc.protocol.outcomes import NoCluster, RequestDeclined, RtcError, TimedOut
+from rtc.protocol.sentence import ParsedCommand
 
 LOGGED = 20  # commands that :log shows
 LEAVE = (":quit", ":q", "quit", "exit")  # these are not verbs of the language
@@ -42,34 +47,37 @@ HELP = """Type a sentence (rtc dictionary lists the verbs); with & at its end yo
   :names [KIND]      names for sentences :log          the last commands
   :help              this                :quit, exit   leave (Ctrl-D); commands continue
 The colon may be omitted. HALT and STOP pass every queue. Ctrl-C while a command runs asks; twice halts.
-Tab completes; Ctrl-R searches earlier lines."""
+A line `C3: STOW LEFT-ARM` has a label: AFTER C3 in a later line names its command. Tab completes; Ctrl-R searches
+earlier lines."""
 
 
 def interpret(run_dir: Path | None, key: Path | None = None) -> None:
     """Read and execute lines until the operator leaves. Raises NoCluster."""
     with Client(run_dir, on_silence=show_silence, key=key) as rtc:
         history = FileHistory(str(key.with_suffix(".history") if key else Path(rtc.run_dir) / "history"))
-        session: PromptSession[str] = PromptSession(
-            history=history,
-            completer=Sentences(_names(rtc, far=key is not None)),
-            auto_suggest=AutoSuggestFromHistory(),
-            search_ignore_case=True,
-        )
         console.print(f"cluster in {rtc.where}; help for help, Ctrl-D leaves")
-        with _background(run_dir, key) as background:
+        with _background(run_dir, key) as background, LiveState(run_dir, key) as live:
+            shell = Shell(rtc, background)
+            session: PromptSession[str] = PromptSession(
+                history=history,
+                completer=Sentences(_names(rtc, shell, live), shell.grammar),
+                auto_suggest=AutoSuggestFromHistory(),
+                search_ignore_case=True,
+                bottom_toolbar=lambda: FormattedText(in_words(live.now)),
+                refresh_interval=ASK_S,
+            )
             while (line := _read(session)) is not None and line.lower() not in LEAVE:
-                if line:
-                    _obey(rtc, background, line)
+                shell.obey(line)
 
 
 def obey_lines(lines: Iterable[str], run_dir: Path | None, key: Path | None = None) -> None:
-    """Execute lines from a file (`rtc shell < file`), without a prompt; comments begin with #. Raises NoCluster."""
+    """Execute a program of sentences (`rtc shell < file`), without a prompt. Raises NoCluster."""
     with Client(run_dir, on_silence=show_silence, key=key) as rtc, _background(run_dir, key) as background:
-        for line in map(str.strip, lines):
+        shell = Shell(rtc, background)
+        for n, line in enumerate(map(str.strip, lines), 1):
             if line.lower() in LEAVE:
                 break
-            if line and not line.startswith(("#", "--")):
-                _obey(rtc, background, line)
+            shell.obey(line, f"line {n}")
 
 
 @contextmanager
@@ -101,8 +109,8 @@ def _print_end(record: m.CommandRecord) -> None:
 class Sentences(Completer):
     """Words that may come next: words of the grammar, and names in the world."""
 
-    def __init__(self, names: Names) -> None:
-        self._names = names
+    def __init__(self, names: Names, grammar: Callable[[], Grammar]) -> None:
+        self._names, self._grammar = names, grammar
 
     def get_completions(self, document: Document, complete_event: CompleteEvent) -> Iterator[Completion]:
         text = document.text_before_cursor
@@ -110,7 +118,8 @@ class Sentences(Completer):
             words: Iterable[str] = (word for word in (*WORDS, *LEAVE) if word.startswith(text))
             begun = len(text)
         else:
-            words = complete(default_grammar(), text, self._names)
+            text = text[labelled.end() :] if (labelled := LABEL.match(text)) else text
+            words = complete(self._grammar(), text, self._names)
             begun = len(text) - len(text.rstrip("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_%/"))
         yield from (Completion(word, start_position=-begun) for word in words)
 
@@ -126,30 +135,76 @@ def _read(session: PromptSession[str]) -> str | None:
         return None
 
 
-def _obey(rtc: Client, background: Background, line: str) -> None:
-    """One line of the operator. Errors are printed, and the shell continues."""
-    try:
-        if (word := _own_word(line)) is not None:
-            _, *rest = shlex.split(line)
-            word(rtc, rest)
-        elif scope := halt_scope(line):
-            print_halt(rtc.halt(scope))
-        elif line.endswith("&"):
-            command = rtc.submit(line[:-1].strip(), progress=False).number
+class Shell:
+    """Obeys one line after the other. Errors are printed, and the next line is read."""
+
+    def __init__(self, rtc: Client, background: Background) -> None:
+        self._rtc, self._background = rtc, background
+        self._labels = Labels()
+        self._grammar: tuple[str, Grammar] = ("", default_grammar())  # with the digest of the cluster's
+
+    def obey(self, written: str, place: str = "") -> None:
+        """A line of the operator, or of a program, whose `place` is printed with errors. Raises NoCluster."""
+        if (line := line_of(written, place)) is None:
+            return
+        try:
+            if not line.label and (word := _own_word(line.text)) is not None:
+                word(self._rtc, shlex.split(line.text)[1:])
+            else:
+                self._sentence(line)
+        except LeftRunning:
+            console.print("left running; :status shows it")
+        except RequestDeclined as declined:
+            errors.print(Text(declined.refusal.message))
+        except NoCluster:
+            raise
+        except typer.Exit:
+            pass  # the reason has been printed
+        except (RtcError, ValueError) as error:
+            errors.print(Text(": ".join(filter(None, [place, str(error)]))))
+
+    def grammar(self) -> Grammar:
+        """The grammar that was the cluster's at the last sentence."""
+        return self._grammar[1]
+
+    def labels(self) -> list[str]:
+        return list(self._labels.numbers)
+
+    def _sentence(self, line: Line) -> None:
+        """Raises ValueError for a label that no earlier line has, in a program with labels."""
+        if problem := line.place and unknown_label(line.text, self.labels(), strict=bool(self.labels())):
+            raise ValueError(problem)
+        text = self._labels.sent_as(line.text)
+        command = ""
+        if scope := halt_scope(text):
+            print_halt(self._rtc.halt(scope))
+        elif text.endswith("&"):
+            text = text[:-1].strip()
+            self._echo(text)
+            command = self._rtc.submit(text, progress=False).number
             console.print(Text(f"{command} accepted"))
-            background.watch(command)
+            self._background.watch(command)
         else:
-            _run(rtc, line)
-    except LeftRunning:
-        console.print("left running; :status shows it")
-    except RequestDeclined as declined:
-        errors.print(Text(declined.refusal.message))
-    except NoCluster:
-        raise
-    except typer.Exit:
-        pass  # the reason has been printed
-    except (RtcError, ValueError) as error:
-        errors.print(Text(str(error)))
+            self._echo(text)
+            command = _run(self._rtc, text, line.label)
+        if line.label:
+            self._labels.numbers[line.label] = command
+
+    def _echo(self, text: str) -> None:
+        """One line: how the cluster understands a sentence. It explains itself what it does not understand."""
+        record = parse(self._of_cluster(), text)
+        if isinstance(record, ParsedCommand):
+            console.print(Text(f"  {in_one_line(record)}", style="dim"))
+
+    def _of_cluster(self) -> Grammar:
+        """The grammar of the cluster; the default one if it does not tell its own."""
+        try:
+            program = self._rtc.program(m.WorkerKind.PARSER)
+            if program.digest != self._grammar[0]:
+                self._grammar = (program.digest, Grammar(program.body.decode()))
+        except (TimedOut, RequestDeclined):
+            pass
+        return self._grammar[1]
 
 
 def _own_word(line: str) -> Callable[[Client, list[str]], None] | None:
@@ -160,13 +215,15 @@ def _own_word(line: str) -> Callable[[Client, list[str]], None] | None:
     return WORDS.get(f":{first}") or (_help if first == "?" else None)
 
 
-def _run(rtc: Client, text: str) -> None:
-    board = Board([text])
+def _run(rtc: Client, text: str, label: str) -> str:
+    """The number of the command; empty if it became none."""
+    board = Board([text], [label])
     try:
         with board, asked_on_interrupt(rtc, board):
-            rtc.run_many([text], on_accept=board.accepted, on_progress=board.progress, on_end=board.ended)
+            (ended,) = rtc.run_many([text], on_accept=board.accepted, on_progress=board.progress, on_end=board.ended)
     except Signalled as gone:
         sys.exit(gone_away(gone, board, 1))
+    return ended.command
 
 
 def _status(rtc: Client, _: list[str]) -> None:
@@ -218,14 +275,15 @@ def _cell(rtc: Client) -> str:
     return rtc.settings.cell
 
 
-def _names(rtc: Client, far: bool) -> Names:
-    """The names of the cell; over tcp, those in the world. None if it does not answer: the shell starts anyway."""
-    try:
-        if not far:
-            return CellNames(with_taught(Cell.load(_cell(rtc)), rtc.run_dir))
-        return sorted({fact.key.partition(".")[0] for fact in rtc.world.view().facts})
-    except RtcError:
-        return []
+def _names(rtc: Client, shell: Shell, live: LiveState) -> Names:
+    """The names of the cell, as it is now; over tcp, those in the world."""
+
+    def commands() -> list[str]:
+        return [*live.now.commands, *shell.labels()]
+
+    if not rtc.far:
+        return CellNames(Cell.load(_cell(rtc)), places=lambda: live.now.places, commands=commands)
+    return lambda _: sorted({key.partition(".")[0] for key in live.now.facts}) + commands()
 
 
 WORDS: dict[str, Callable[[Client, list[str]], None]] = {

@@ -174,6 +174,12 @@ def understood(record: ParsedCommand) -> str:
     return "\n".join(lines)
 
 
+def in_one_line(record: ParsedCommand) -> str:
+    """The record in one line: `GRASP (task): hand RIGHT-ARM; object MACS-NEW`."""
+    head, *fields = (" ".join(line.split()) for line in understood(record).splitlines())
+    return ": ".join(filter(None, [head, "; ".join(fields)]))
+
+
 def _in_words(value: object) -> str:
     if isinstance(value, dict):
         if set(value) == {"value", "unit"}:

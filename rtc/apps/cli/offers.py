@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from rtc.model.cells.cell import Cell
 from rtc.spatial.axis_names import AXES
+
+Listing = Callable[[], list[str]]
 
 #: verbs of a hand: the name of a graspable object follows the verb or the hand
 HANDLING = {
@@ -25,8 +29,12 @@ NAME_KIND_AFTER = {
     "TO-NEIGHBORHOOD-OF": "objects",
     "TO-GRASP-POINT-OF": "graspable",
     "ARM": "arms",
-    "AFTER": "none",
-    "TOGETHER-WITH": "none",
+    "AFTER": "commands",
+    "TOGETHER-WITH": "commands",
+    "PAUSE": "commands",
+    "RESUME": "commands",
+    "ABORT": "commands",
+    "HALT": "commands",
     "TRY": "none",
     "VIA": "cameras",
     "LOAD": "none",
@@ -34,9 +42,13 @@ NAME_KIND_AFTER = {
 
 
 class CellNames:
-    """Call it with the words so far (in capitals); it returns the names that may come next."""
+    """Call it with the words so far (in capitals); it returns the names that may come next.
 
-    def __init__(self, cell: Cell) -> None:
+    `places` and `commands` return those of the running cluster: taught places, numbers and labels of commands.
+    """
+
+    def __init__(self, cell: Cell, places: Listing = list, commands: Listing = list) -> None:
+        self._places, self._commands = places, commands
         self._points = {thing.name: [point.name for point in thing.grasp_points] for thing in cell.objects}
         self._hands = {arm.end_effector for arm in cell.arms}
         self._kinds = {
@@ -51,26 +63,36 @@ class CellNames:
             "cameras": [camera.name for camera in cell.cameras],
             "tagged": list(dict.fromkeys(tag.body for tag in cell.tags)),
             "none": [],
+            "commands": [],
             "all": sorted({*cell.names(), *(p for points in self._points.values() for p in points)}),
         }
 
     def __call__(self, words: list[str]) -> list[str]:
+        """The names of the cell that may come next, and those of the running cluster."""
+        kind = self._kind(words)
+        if isinstance(kind, list):
+            return kind
+        live = {"commands": self._commands, "places": self._places, "all": self._places}.get(kind, list)
+        return [*self._kinds[kind], *live()]
+
+    def _kind(self, words: list[str]) -> str | list[str]:
+        """The kind of the names, or the names."""
         given = [word for word in words if word != "TEST"]
         if len(given) < 1:
-            return self._kinds["all"]
+            return "all"
         verb, last = given[0], given[-1]
         if last == "VIA" and verb not in LOOKING:
             return []
         if last in NAME_KIND_AFTER:
-            return self._kinds[NAME_KIND_AFTER[last]]
+            return NAME_KIND_AFTER[last]
         if last == "TO":
-            return self._kinds["seats" if verb == "ALIGN" else "places"]
+            return "seats" if verb == "ALIGN" else "places"
         if last in self._points:  # an object: one of its grasp points may follow
             return self._points[last]
         if last == "AT":
             return self._points.get(given[-2], []) if verb != "VERIFY" else self._kinds["arms"] + self._kinds["seats"]
         if verb in HANDLING and (len(given) == 1 or last in self._hands):
-            return self._kinds["graspable"]
+            return "graspable"
         if len(given) == 1 and verb in LOOKING:
-            return self._kinds["objects" if verb == "VERIFY" else "tagged"]
-        return self._kinds["all"]
+            return "objects" if verb == "VERIFY" else "tagged"
+        return "all"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,8 @@ from prompt_toolkit.output import DummyOutput
 import rtc as rtc_package
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
-from rtc.apps.cli.interpreter import interpret
+from rtc.apps.cli.interpreter import interpret, obey_lines
+from rtc.apps.cli.live_state import LiveState, in_words
 from rtc.client.client import Client
 from rtc.protocol import messages as m
 from rtc.protocol.faults import JammedSeat, SlowLoop
@@ -351,11 +354,64 @@ def test_the_shell_obeys_a_pipe_and_reports_what_was_sent_with_an_ampersand(run_
     rest, errors = shell.communicate(timeout=60)
 
     assert errors == ""
+    assert sum("STOW (task): hand LEFT-ARM" in line for line in lines) == 1  # how it is understood
     assert "left running" not in rest
     assert all(line.strip() for line in lines)
     assert sum("Type a sentence" in line for line in lines) == 1
     assert sum(line.rstrip().endswith("accepted") for line in lines) == 2
     assert len(last_json(rtc("log", "-n", "1000", "--json"))["commands"]) == before + 2  # `help` is none
+
+
+def test_the_shell_takes_a_program_with_labels(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    obey_lines(["C1: STOW LEFT-ARM -- first", "STOW RIGHT-ARM AFTER C-1", "ABORT C9", "STOW LEFT-LEG"], run_dir)
+    printed, errors = capsys.readouterr()
+    results = re.findall(r"(C-\d+) (SUCCEEDED|REFUSED)", printed)
+
+    assert [how for _, how in results] == ["SUCCEEDED", "SUCCEEDED", "REFUSED"]
+    assert f"STOW RIGHT-ARM AFTER {results[0][0]}" in printed
+    assert f"after {results[0][0]}" in printed  # in the understood record
+    assert "line 3: " in errors
+
+
+def test_the_shell_explains_a_sentence_by_the_grammar_of_the_cluster(
+    run_dir: Path, rtc: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grammar = (Path(rtc_package.__file__).parent / "language/command.lark").read_text()
+    mine = tmp_path / "mine.lark"
+    mine.write_text(grammar.replace('STOW: "STOW" | "PARK"', 'STOW: "STOW" | "PARK" | "TUCK"'))
+    assert rtc("load", str(mine), "INTO", "parser").returncode == 0
+    obey_lines(["TUCK LEFT-ARM"], run_dir)
+    assert rtc("load", "--reset", "parser").returncode == 0
+
+    assert "STOW (task): hand LEFT-ARM" in capsys.readouterr().out
+
+
+def test_the_shell_knows_the_state_of_the_cluster(run_dir: Path, rtc: Run) -> None:
+    assert rtc("teach", "P1", "RIGHT-ARM").returncode == 0
+    with Client(run_dir) as client, LiveState(run_dir, None) as live:
+        hold = client.submit("HOLD RIGHT-ARM")
+        until(lambda: hold.number in live.now.commands and "P1" in live.now.places)
+        client.inject(JammedSeat(seat="RACK-2"))
+        until(lambda: "injected" in words(live))
+        assert f"in use by {hold.number}" in words(live)
+        client.undo_fault()
+        hold.halt()
+        until(lambda: "no command in progress" in words(live) and "halt" in words(live))
+        assert "injected" not in words(live)
+    assert rtc("teach", "P1", "--forget").returncode == 0
+
+
+def until(done: Callable[[], bool]) -> None:
+    """Wait with a limit; the live state is asked for every 0.5 s."""
+    limit_s = time.monotonic() + LIMIT_S
+    while not done():
+        assert time.monotonic() < limit_s
+        time.sleep(0.02)
+
+
+def words(live: LiveState) -> str:
+    """The toolbar of the shell."""
+    return "".join(text for _, text in in_words(live.now))
 
 
 def test_a_status_that_the_broker_does_not_give_the_supervisor_gives(run_dir: Path, rtc: Run) -> None:

@@ -42,3 +42,20 @@ def test_names_that_fit(text: str, names: list[str] | None, cell: Cell) -> None:
         assert offered == names
     elif text:
         assert set(MODULES) < set(offered)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("STOW LEFT-ARM AFTER ", ["C-7", "LAST"]),
+        ("PAUSE ", ["C-7"]),
+        ("MOVE RIGHT-ARM TO P", ["P1"]),
+        ("MOVE RIGHT-ARM TO POSITION 1 2 3 CM THROUGH P", ["P1"]),
+        ("PLACE MACS-NEW ON P", []),
+    ],
+)
+def test_names_of_the_running_cluster(text: str, names: list[str], cell: Cell) -> None:
+    known = CellNames(cell, places=lambda: ["P1"], commands=lambda: ["C-7"])
+    reserved = default_grammar().vocabulary.reserved
+
+    assert [word for word in complete(default_grammar(), text, known) if word not in reserved] == names

@@ -8,6 +8,8 @@ import pytest
 import typer
 
 from rtc.apps.cli.sentence_files import Labels, Line, line_of, read
+from rtc.language.parse import default_grammar, parse
+from rtc.protocol.sentence import ParsedCommand
 
 
 def written(folder: Path, *lines: str) -> Path:
@@ -66,6 +68,16 @@ def test_a_label_that_is_unknown_doubled_or_empty_is_refused_with_its_line(
 )
 def test_a_program_whose_labels_are_all_known_is_read(lines: list[str], tmp_path: Path) -> None:
     assert len(read(written(tmp_path, *lines))) == len(lines)
+
+
+@pytest.mark.parametrize("file", sorted((Path(__file__).parents[3] / "docs" / "tutorial").glob("*.txt")), ids=str)
+def test_the_programs_of_the_tutorial_are_read(file: Path) -> None:
+    """tests/processes/test_pages.py runs them."""
+    own_words = {"status", "why"}  # of the shell
+    sentences = [line.text.rstrip("&") for line in read(file) if line.text not in own_words]
+
+    assert sentences
+    assert all(isinstance(parse(default_grammar(), text), ParsedCommand) for text in sentences)
 
 
 def test_labels_are_sent_as_the_numbers_of_their_commands() -> None:
