@@ -143,6 +143,7 @@ class ProgramInstalled(Event, frozen=True, kw_only=True, gc=False):
     kind: WorkerKind | None
     digest: str
     file: str = ""  # name of the loaded file; empty: a default program
+    changes: list[str] = []  # in words, against the program before
 
 
 class BreakpointsChanged(Event, frozen=True, kw_only=True, gc=False):

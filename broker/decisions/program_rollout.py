@@ -11,10 +11,11 @@ from enum import StrEnum
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import ProgramInstalled
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
-from broker.decisions.state import Command, PendingJob, Rollout, RolloutPhase, State
+from broker.decisions.state import Command, PendingJob, Rollout, RolloutPhase, State, TakenProgram
 
 PROVEN_KEPT = 16  # proven programs stored per worker kind
-FILES_KEPT = 64  # programs whose file name is stored, for `rtc status`
+HISTORY_KEPT = 32  # programs per worker kind in `rtc programs`, with at most
+CHANGES_KEPT = 20  # changes of each
 
 
 class RolloutStimulus(StrEnum):
@@ -32,16 +33,17 @@ def on_installed(context: DecisionContext, event: ProgramInstalled) -> None:
         state.programs["cell"] = event.digest
     else:
         ROLLOUT.run(context, event.kind, RolloutStimulus.INSTALL, event.digest)
-    if event.file:
-        _keep_file(state, event)
+        taken = TakenProgram(
+            digest=event.digest, file=event.file, at_s=event.at_s, changes=event.changes[:CHANGES_KEPT]
+        )
+        history = state.program_history.setdefault(event.kind, [])
+        history.append(taken)
+        del history[:-HISTORY_KEPT]
 
 
-def _keep_file(state: State, event: ProgramInstalled) -> None:
-    """Store the file name of a program for people, who do not know digests. It stays valid after a rollback."""
-    state.program_files.pop(event.digest, None)
-    state.program_files[event.digest] = (event.file, event.at_s)
-    while len(state.program_files) > FILES_KEPT:
-        del state.program_files[next(iter(state.program_files))]
+def taken(state: State, kind: str, digest: str) -> TakenProgram | None:
+    """When and from which file a program was last taken into use; None if that is forgotten."""
+    return next((one for one in reversed(state.program_history.get(kind, ())) if one.digest == digest), None)
 
 
 def is_on_trial(state: State, job: PendingJob) -> bool:

@@ -141,6 +141,15 @@ class Tested(msgspec.Struct, kw_only=True):
     """Commands that were given on the strength of this test."""
 
 
+class TakenProgram(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
+    """A program that was taken into use, for people: they know files, not digests."""
+
+    digest: str
+    file: str = ""
+    at_s: float
+    changes: list[str] = []
+
+
 class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """The current job of a command. Its input is kept, because the job may have to be dispatched again."""
 
@@ -472,8 +481,8 @@ class State(msgspec.Struct, kw_only=True):
     """Arm -> commands that wait until it leaves the space they need."""
     programs: dict[str, str] = {}
     """Worker kind (or "cell") -> digest of the program in use."""
-    program_files: dict[str, tuple[str, float]] = {}
-    """Digest -> (name of the file loaded last, time)."""
+    program_history: dict[str, list[TakenProgram]] = {}
+    """Worker kind -> the programs that were taken into use, the newest last."""
     deferred_analyses: dict[str, DeferredAnalysis] = {}
     """Ended command -> its unfinished analysis."""
     rollouts: dict[str, Rollout] = {}

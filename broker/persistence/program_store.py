@@ -44,7 +44,7 @@ class ProgramStore:
         return CheckRequest(
             kind=text.kind,
             name=text.name,
-            body=text.body,
+            body=text.body if not text.reset else self._bodies[text.to] if text.to else b"",
             reset=text.reset,
             program=self._bodies[self._in_use[text.kind]],
             others=others,

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from broker.decisions import program_rollout
 from broker.decisions.decide import MAX_TEXT
 from broker.decisions.events import BreakpointsChanged, CommandReceived, StepRequested
 from broker.decisions.state import request_key
@@ -103,9 +104,20 @@ class ClientMessages:
     def _send_program(self, peer: bytes, message: m.ProgramQuery, now: float) -> None:
         digest = self._core.state.programs.get(message.kind or CELL, "")
         body = self._core.store.body(digest) or b""
-        self._egress.answer(peer, m.ProgramReply(request=message.request, kind=message.kind, digest=digest, body=body))
+        taken = self._core.state.program_history.get(message.kind or CELL, ())
+        history = [
+            m.ProgramEntry(digest=one.digest, file=one.file, age_s=now - one.at_s, changes=one.changes)
+            for one in reversed(taken)
+        ]
+        self._egress.answer(
+            peer, m.ProgramReply(request=message.request, kind=message.kind, digest=digest, body=body, history=history)
+        )
 
     def _load_program(self, peer: bytes, message: m.ProgramText, now: float) -> None:
+        if message.to and program_rollout.taken(self._core.state, message.kind, message.to) is None:
+            words = f"{message.to} is not a program that the {message.kind.value}s have used"
+            self._decline(peer, message, RefusalReason.PROGRAM, words, "one of those that rtc programs lists")
+            return
         if (too_many := self._core.loads.add(peer, message)) is not None:
             self._egress.decline(peer, message.request, too_many)
 

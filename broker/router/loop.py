@@ -149,12 +149,12 @@ class Router:
                 else:
                     self.egress.decline(peer, text.request, loaded)
                 continue
-            self.enqueue(ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest, file=text.name))
+            changes, file = loaded.changes, text.name
+            self.enqueue(ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest, file=file, changes=changes))
             self._settle(now)
             if by_sentence:
                 self.enqueue(part_loads.answer(text, loaded, now))
                 continue
-            changes = loaded.changes
             answer = m.ProgramLoaded(request=text.request, kind=text.kind, digest=loaded.digest, changes=changes)
             self.egress.answer(peer, answer)
 

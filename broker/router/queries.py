@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Any
 
+from broker.decisions import program_rollout
 from broker.decisions.command.nominal import read_primitive
 from broker.decisions.state import ArmMotion, Command, State
 from broker.dispatch.worker_registry import Worker
@@ -55,9 +56,9 @@ def status(core: Core, now: float) -> dict[str, Any]:
         "decision_ms": _spread_ms(core.loop_times_s),
         "programs": dict(state.programs),
         "program_files": {
-            kind: {"file": found[0], "age_s": now - found[1]}
+            kind: {"file": found.file, "age_s": now - found.at_s}
             for kind, name in state.programs.items()
-            if (found := state.program_files.get(name)) is not None
+            if (found := program_rollout.taken(state, kind, name)) is not None and found.file
         },
         "rolled_back": {kind: rollout.why for kind, rollout in state.rollouts.items() if rollout.why},
     }

@@ -303,10 +303,11 @@ class Client:
         )
         return self._query(message, m.ProgramLoaded, LOADED_S)
 
-    def reset(self, kind: str) -> m.ProgramLoaded:
-        """Restore the default program of a kind. Raises RequestDeclined if it does not fit the other programs."""
+    def reset(self, kind: str, to: str = "", file: str = "default") -> m.ProgramLoaded:
+        """Restore the default program of a kind, or the one with the digest `to`, which came from `file`. Raises
+        RequestDeclined if it does not fit the other programs, or if the kind has not used it."""
         message = m.ProgramText(
-            request=self._next_request(), kind=m.WorkerKind(kind.lower()), name="default", body=b"", reset=True
+            request=self._next_request(), kind=m.WorkerKind(kind.lower()), name=file, body=b"", reset=True, to=to
         )
         return self._query(message, m.ProgramLoaded, LOADED_S)
 

@@ -122,11 +122,12 @@ def merge(
     return merged
 
 
-def original(kind: WorkerKind | str, others: Mapping[WorkerKind, bytes]) -> bytes:
-    """The default program of a kind. Raises ProgramError when it is incompatible with the `others` in use."""
-    kind, body = WorkerKind(kind), default(kind)
+def whole(kind: WorkerKind | str, others: Mapping[WorkerKind, bytes], earlier: bytes = b"") -> bytes:
+    """An earlier program of a kind, or the default one. Raises ProgramError if it is incompatible with the `others`."""
+    kind = WorkerKind(kind)
+    body = earlier or default(kind)
     if kind is not WorkerKind.PARSER:
-        name = f"the default {kind} program"
+        name = f"the {'earlier' if earlier else 'default'} {kind} program"
         _fits({**others, kind: body}, kind, _read(body, name), name)
     return body
 

@@ -27,7 +27,7 @@ MEMORY_BYTES = 1 << 30
 
 
 class CheckRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """A request: merge a file into a program, or return to the default program (`reset`)."""
+    """A request: merge a file into a program, or go back to a whole program (`reset`): `body`, or the default one."""
 
     kind: WorkerKind
     name: str
@@ -54,7 +54,7 @@ def check(asked: CheckRequest) -> CheckResult:
 
     try:
         if asked.reset:
-            merged = loader.original(asked.kind, asked.others)
+            merged = loader.whole(asked.kind, asked.others, asked.body)
         else:
             merged = loader.merge(asked.kind, asked.program, asked.name, asked.body, asked.others)
         return CheckResult(merged=merged, changes=loader.changes(asked.kind, asked.program, merged))

@@ -48,6 +48,7 @@ COMMANDS = {
     "teach": "teach",
     "world": "world",
     "load": "programs",
+    "programs": "programs",
     "outcomes": "programs",
     "parse": "language",
     "dictionary": "language",

@@ -1,4 +1,4 @@
-"""rtc load, outcomes: load programs of workers, and show what each step of a script can lead to."""
+"""rtc load, programs, outcomes: load programs of workers, go back to earlier ones, show what a step can lead to."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ import shutil
 from pathlib import Path
 from typing import Annotated
 
+import msgspec
 import typer
 from rich.text import Text
 
+from rtc.apps.cli.measured import duration
 from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_json, errors, table
 from rtc.client.client import Client
 from rtc.programs.loader import GRAMMAR, PROGRAMS, changes, default, merge
 from rtc.programs.outcome_table import explained
 from rtc.programs.outcome_table import outcomes as rows_of
 from rtc.programs.sandbox import CheckRequest, in_a_process
-from rtc.protocol.messages import ProgramLoaded, WorkerKind
+from rtc.protocol.messages import ProgramEntry, ProgramLoaded, ProgramReply, WorkerKind
 from rtc.protocol.outcomes import NoCluster, ProgramError
 
 KINDS = ", ".join(kind.value for kind in WorkerKind)
@@ -155,6 +157,60 @@ def _list(json: bool, run_dir: Path | None, key: Path | None) -> None:
             errors.print(Text(f"  {why}", style="yellow"))
     if any(diffs.values()):
         console.print(Text("rtc load --reset KIND restores the default", style="dim"))
+
+
+def programs(
+    back: Annotated[
+        str, typer.Option("--back", metavar="DIGEST", help="Use this program again; its first characters are enough.")
+    ] = "",
+    json: AsJson = False,
+    run_dir: RunDir = None,
+    key: With = None,
+) -> None:
+    """The programs that each kind of worker has used, the newest first: when, from which file, what changed.
+
+    A program is known by its digest. --back takes it into use again, as `rtc load` would; motions continue.
+
+    Example:  rtc programs
+    Example:  rtc programs --back 3f1c
+    """
+    with Client(run_dir, key=key) as rtc:
+        found = {kind: rtc.program(kind) for kind in WorkerKind}
+        if back:
+            kind, entry = _earlier(found, back.lower())
+            _loaded(rtc.reset(kind, entry.digest, entry.file or "default"), entry.file or "the default", json)
+        else:
+            _history(found, json)
+
+
+def _earlier(found: dict[WorkerKind, ProgramReply], digest: str) -> tuple[WorkerKind, ProgramEntry]:
+    """The program whose digest begins so."""
+    entries = {one.digest: (kind, one) for kind, reply in found.items() for one in reversed(reply.history)}
+    fitting = [entry for name, entry in entries.items() if name.startswith(digest)]
+    if len(fitting) != 1:
+        which = "several programs begin" if fitting else "no program of this cluster begins"
+        raise cli_error(f"{which} with {digest}; rtc programs lists them", 2)
+    return fitting[0]
+
+
+def _history(found: dict[WorkerKind, ProgramReply], json: bool) -> None:
+    if json:
+        rows = {
+            kind: {"in_use": reply.digest, "history": [msgspec.structs.asdict(one) for one in reply.history]}
+            for kind, reply in found.items()
+        }
+        emit_json({"programs": rows})
+        return
+    for kind, reply in found.items():
+        console.print(Text(kind.value, style="bold"))
+        newest = next((n for n, one in enumerate(reply.history) if one.digest == reply.digest), None)
+        for n, one in enumerate(reply.history):
+            used = "in use" if n == newest else ""
+            ago = f"{duration(max(1.0, round(one.age_s)))} ago"
+            console.print(Text(f"  {one.digest}  {one.file or 'the default program'}, {ago}  {used}".rstrip()))
+            for change in one.changes:
+                console.print(Text(f"    {change}", style="dim"))
+    console.print(Text("rtc programs --back DIGEST uses one again", style="dim"))
 
 
 def outcomes(

@@ -48,7 +48,8 @@ class ProgramText(Message, frozen=True, kw_only=True):
     kind: WorkerKind
     name: Name  # of the file, for messages
     body: Annotated[bytes, msgspec.Meta(max_length=PROGRAM_BYTES)]  # YAML
-    reset: bool = False  # restore the default program of this kind; `body` is ignored
+    reset: bool = False  # go back to a whole program of this kind; `body` is ignored
+    to: Name = ""  # with `reset`: digest of a program that was in use before; empty: the default program
     cluster: Name = ""  # as in CommandText
 
 
@@ -231,11 +232,21 @@ class ProgramLoaded(Message, frozen=True, kw_only=True):
     changes: list[str] = []  # in words, one for each changed item; empty: nothing changed
 
 
+class ProgramEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """A program that was taken into use."""
+
+    digest: str
+    file: str = ""  # name of the loaded file; empty: a default program
+    age_s: float = 0.0  # since it was taken into use
+    changes: list[str] = []  # in words, against the program before
+
+
 class ProgramReply(Message, frozen=True, kw_only=True):
     request: str
     kind: WorkerKind | None = None  # None: the cell
     digest: str
     body: bytes  # the whole program in its canonical form, or the cell: JSON; for the parser a grammar
+    history: list[ProgramEntry] = []  # programs of this kind that were taken into use, the newest first
 
 
 ClientToBroker = (

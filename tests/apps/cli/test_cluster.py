@@ -537,6 +537,15 @@ def test_a_script_is_checked_loaded_listed_and_taken_away(rtc: Run, run_dir: Pat
     assert rtc("outcomes", "my-carry").returncode == 2
     assert rtc("outcomes", "my-carry", "--file", str(mine)).returncode == 0
 
+    history = last_json(rtc("programs", "--json"))["programs"]["elaborator"]["history"]
+    assert [one["file"] for one in history[:2]] == ["default", "carry.yaml"]
+    assert "scripts: my-carry is new" in history[1]["changes"]
+    assert rtc("programs", "--back", history[1]["digest"][:8]).returncode == 0
+    assert rtc("outcomes", "my-carry").returncode == 0
+    assert rtc("programs", "--back", history[0]["digest"]).returncode == 0
+    assert rtc("outcomes", "my-carry").returncode == 2
+    assert rtc("programs", "--back", "0000").returncode == 2
+
 
 def test_a_directory_is_not_a_program(rtc: Run, tmp_path: Path) -> None:
     done = rtc("load", str(tmp_path), "INTO", "elaborator")

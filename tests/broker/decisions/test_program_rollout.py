@@ -7,6 +7,7 @@ import pytest
 from broker.decisions.events import (
     ProgramInstalled,
 )
+from broker.decisions.program_rollout import taken
 from broker.decisions.state import RolloutPhase
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import RefusalReason
@@ -51,12 +52,12 @@ def test_the_file_of_a_program_is_known_and_after_a_roll_back_that_of_the_one_be
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="old", file="good.lark")
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="new", file="bad.lark")
     s.says("X")
-    assert s.state.program_files[s.state.programs["parser"]][0] == "bad.lark"
+    assert taken(s.state, "parser", s.state.programs["parser"]).file == "bad.lark"
     s.loses_worker("C-1")
-    assert s.state.program_files[s.state.programs["parser"]][0] == "good.lark"
+    assert taken(s.state, "parser", s.state.programs["parser"]).file == "good.lark"
     for n in range(100):
         s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest=f"p{n}", file="many.lark")
-    assert len(s.state.program_files) == 64
+    assert [one.digest for one in s.state.program_history["parser"]] == [f"p{n}" for n in range(68, 100)]
 
 
 def test_back_from_a_new_program_is_to_one_that_has_done_a_job():

@@ -53,3 +53,10 @@ def test_what_was_loaded_is_taken_away_again(tmp_path):
     taken = load(store, reset)
 
     assert (taken.digest, taken.changes) == (original, ["scripts: mine is removed"])
+
+    back = ProgramText(
+        request="r", kind=WorkerKind.ELABORATOR, name="mine.yaml", body=b"", reset=True, to=in_use["elaborator"]
+    )
+    in_use["elaborator"] = taken.digest
+    again = load(store, back)
+    assert (again.digest, again.changes[0]) == (back.to, "scripts: mine is new")
