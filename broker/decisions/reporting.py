@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from broker.decisions.state import Command, ReportHead
 from rtc.protocol.messages import ProgressNote, ProgressReport
+from rtc.protocol.units import figure
 
 MAX_PER_S = 100  # maximum rate of periodic reports to one client; the rest is dropped and counted
 
@@ -53,4 +54,4 @@ def _met(asked: ReportHead, report: ProgressReport) -> str:
     condition = asked.when[report.condition]
     if report.measured is None:
         return condition.sentence
-    return f"{condition.sentence}: {condition.measured_in_words(report.measured) or f'{report.measured:.3g}'}"
+    return f"{condition.sentence}: {condition.measured_in_words(report.measured) or figure(report.measured)}"

@@ -35,7 +35,7 @@ from rtc.client.context import ClientContext
 from rtc.client.halt import HaltLine, HaltResult
 from rtc.client.handle import CommandHandle
 from rtc.client.heartbeat import HeartbeatSender
-from rtc.client.liveness import BrokerLiveness, Report, is_listening
+from rtc.client.liveness import BrokerLiveness, Report, is_listening, not_running
 from rtc.client.rehearsing import NO_TEST, AboutTest, rehearse
 from rtc.client.requests import Answer, OnEnded, OnProgress, Requests, expect
 from rtc.client.subscription import subscribe
@@ -54,7 +54,7 @@ from rtc.protocol.traceparent import with_traceparent
 from rtc.protocol.wire import frames, reader
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.run_dir import supervised
-from rtc.runtime.settings import Settings, default_run_dir, shell_command
+from rtc.runtime.settings import Settings, default_run_dir
 from rtc.world.client import WorldClient
 
 NAME_BYTES = 128  # maximum length of a client's name; it becomes part of other names
@@ -473,11 +473,9 @@ def running_settings(run_dir: Path) -> Settings:
     try:
         settings = Settings.load(run_dir)
     except (FileNotFoundError, NotADirectoryError):
-        raise NoCluster(f"no cluster in {run_dir}; start one with: {shell_command('rtc up -d', run_dir)}") from None
+        raise not_running(run_dir) from None
     except PermissionError:
         raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
     if not is_listening(run_dir, ("front", "estop")):
-        raise NoCluster(
-            f"the cluster in {run_dir} no longer runs; start one with: {shell_command('rtc up -d', run_dir)}"
-        )
+        raise not_running(run_dir)
     return settings

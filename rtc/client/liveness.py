@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rtc.protocol.outcomes import NoCluster
 from rtc.runtime.run_dir import supervised
-from rtc.runtime.settings import ENDPOINTS
+from rtc.runtime.settings import ENDPOINTS, SETTINGS, shell_command
 
 REPORT_AFTER = 2  # unanswered probes, two seconds each, before the user gets a message
 
@@ -21,6 +21,13 @@ Report = Callable[[str], None]
 def is_listening(run_dir: Path, endpoints: Iterable[str]) -> bool:
     """True if a process listens on one of these sockets of a cluster, or its supervisor lives and will restart it."""
     return any(_accepts(run_dir / ENDPOINTS[name]) for name in endpoints) or supervised(run_dir, by_hand=False)
+
+
+def not_running(run_dir: Path) -> NoCluster:
+    """The error for a directory where no process listens: a cluster has never been there, or has ended."""
+    was = (run_dir / SETTINGS).exists()
+    words = f"the cluster in {run_dir} no longer runs" if was else f"no cluster in {run_dir}"
+    return NoCluster(f"{words}; start one with: {shell_command('rtc up -d', run_dir)}")
 
 
 def _accepts(path: Path) -> bool:

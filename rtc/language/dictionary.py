@@ -42,20 +42,37 @@ class Meanings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     examples: dict[str, list[str]]
 
 
-def entry(verb: str) -> str | Refusal:
-    """The entry of one verb in the notation of Figure 2: its clause and all clauses that it uses.
+def entry(word: str) -> str | Refusal:
+    """The entry of a verb in the notation of Figure 2: its clause and all clauses that it uses. Of another word: its
+    meaning, and the clauses that contain it.
 
-    A synonym returns the entry of its verb. An unknown verb returns a refusal with the nearest verbs.
+    A synonym returns the entry of its word. An unknown word returns a refusal with the nearest words.
     """
-    verb = verb.strip().upper().replace("_", "-")
-    verb = next((word for word, others in synonyms().items() if verb in others), verb)
-    if verb not in verbs():
-        return Refusal(
-            reason=RefusalReason.NAME,
-            message=f"{verb!r} is not a verb of the language.",
-            expected=verbs(),
-            nearest=nearest_words(verb, verbs()),
-        )
+    word = word.strip().upper().replace("_", "-")
+    word = next((one for one, others in synonyms().items() if word in others), word)
+    if word in verbs():
+        return _of_verb(word)
+    if word in meanings().words:
+        return _of_word(word)
+    return Refusal(
+        reason=RefusalReason.NAME,
+        message=f"{word!r} is not a word of the language.",
+        expected=verbs(),
+        nearest=nearest_words(word, {*verbs(), *meanings().words}),
+    )
+
+
+def _of_word(word: str) -> str:
+    lines = [_heading(word)]
+    for name, productions in clauses().items():
+        if having := [one for one in productions if word in one]:
+            lines += ["", *print_clause(name, having)]
+            for other in _closure([symbol for one in having for symbol in one], [name]):
+                lines += print_clause(other, clauses()[other])
+    return "\n".join(lines) + "\n"
+
+
+def _of_verb(verb: str) -> str:
     clause, production = _first_clause(verb)
     lines = [_heading(verb), "", *_examples(verb), *_ways(verb), "", *print_clause(clause, [production])]
     for name in _closure(production, [clause]):

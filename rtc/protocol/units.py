@@ -93,7 +93,12 @@ def in_words(value: float, si: str) -> str:
 def measured_in_words(value: float, si: str) -> str:
     """As `in_words`, with the three digits that a measured value deserves."""
     unit, times = _READ.get(si, (si, 1.0))
-    return f"{float(f'{value * times:.3g}'):g} {unit}"  # 1040, not 1.04e+03
+    return f"{figure(value * times)} {unit}"
+
+
+def figure(value: float, digits: int = 3) -> str:
+    """A measured value with so many digits, up to a million without an exponent: 1040, not 1.04e+03."""
+    return f"{float(f'{value:.{digits}g}'):g}"
 
 
 def such_as(si: str) -> str:

@@ -96,15 +96,16 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
     def save(self) -> None:
         """Write `settings.json`. Raises OSError."""
-        (self.path / "settings.json").write_bytes(msgspec.json.format(msgspec.json.encode(self)))
+        (self.path / SETTINGS).write_bytes(msgspec.json.format(msgspec.json.encode(self)))
 
     @staticmethod
     def load(run_dir: str | Path) -> Settings:
         """The settings of the cluster in `run_dir`. Raises FileNotFoundError if there is none."""
-        return msgspec.json.decode((Path(run_dir) / "settings.json").read_bytes(), type=Settings)
+        return msgspec.json.decode((Path(run_dir) / SETTINGS).read_bytes(), type=Settings)
 
 
 # In the run directory:
+SETTINGS = "settings.json"  # stays after the end of the cluster
 LAST_WORDS = "ended.txt"  # in a run directory: commands and arms that were stopped at the end of the cluster
 LOCK = "supervisor.lock"  # locked while the supervisor lives; the kernel releases it when the process ends
 KEYS = "keys"  # a directory: keys of other machines

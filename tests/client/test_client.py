@@ -30,6 +30,7 @@ from rtc.protocol.outcomes import (
 from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.protocol.wire import frames, reader, reader_of_many, together
 from rtc.runtime.settings import Settings
+from tests.apps.cli.in_process import call
 
 Answer = Callable[[m.ClientToBroker], list[object]]
 read_client = reader_of_many(m.ClientToBroker)
@@ -166,6 +167,15 @@ def test_no_cluster_is_reported_within_a_second_with_what_to_do(tmp_path: Path, 
         Client(run_dir)
 
     assert time.monotonic() - started_s < 1
+
+
+def test_a_halt_without_a_cluster_says_what_a_client_says(tmp_path: Path, run_dir: Path) -> None:
+    for directory in (tmp_path / "nowhere", run_dir):
+        with pytest.raises(NoCluster) as of_client:
+            Client(directory)
+        done = call("halt", "--run-dir", str(directory))
+        assert done.returncode == 4
+        assert str(of_client.value) in done.stderr
 
 
 def test_a_broker_that_listens_and_says_nothing_is_no_cluster(run_dir: Path) -> None:

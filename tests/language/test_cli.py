@@ -118,6 +118,21 @@ def test_dictionary_prints_an_entry() -> None:
     assert run("dictionary", "grasp") == (0, dictionary.entry("GRASP"), "")
 
 
+@pytest.mark.parametrize("word", ["REPORT", "slip", "TOGETHER_WITH"])
+def test_dictionary_prints_the_clauses_of_a_word_that_is_no_verb(word: str) -> None:
+    status, out, err = run("dictionary", word)
+    name = word.upper().replace("_", "-")
+    assert (status, err) == (0, "")
+    assert out.startswith(f"{name}: {dictionary.meanings().words[name]}\n")
+    assert f"--> {name}" in out
+
+
+def test_dictionary_refuses_what_is_no_word() -> None:
+    status, out, err = run("dictionary", "REPROT")
+    assert (status, out) == (2, "")
+    assert "REPORT" in err
+
+
 def test_dictionary_lists_the_verbs() -> None:
     status, out, _ = run("dictionary")
     assert status == 0

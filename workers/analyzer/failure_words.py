@@ -9,6 +9,7 @@ from rtc.programs.schema import OutcomeClass
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import ReflexItem
+from rtc.protocol.units import figure
 from workers.analyzer import sighting
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.post_conditions import distance_off_m, pressing_n, seen_as_believed, turned_rad
@@ -40,8 +41,8 @@ def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:
     least, most = evaluation.width_m or (0.0, 0.0)
     figures = {
         "reason": reason.value,
-        "measured": "?" if report.measured is None else f"{report.measured:.3g}",
-        "limit": "the" if report.limit is None else f"{report.limit:.3g}",
+        "measured": "?" if report.measured is None else figure(report.measured),
+        "limit": "the" if report.limit is None else figure(report.limit),
         "unit": UNITS.get(report.reason, ""),
         "message": report.message or evaluation.arm or report.performer,
         "arm": hand_in_words(_stopped_by(task)),
@@ -69,7 +70,7 @@ def _short(task: AnalyzeTask) -> str:
     off_m, force_n = distance_off_m(task), pressing_n(task)
     if off_m <= task.values["position_m"]:
         return ""
-    pressing = f", and pressed with {force_n:.3g} N" if force_n and task.report.reason is StopReason.TIMEOUT else ""
+    pressing = f", and pressed with {figure(force_n)} N" if force_n and task.report.reason is StopReason.TIMEOUT else ""
     return f": the hand was {off_m * 1000:.0f} mm from the end of its path{pressing}"
 
 
@@ -93,8 +94,8 @@ def _jam(report: EndReport) -> str:
     """The figures of a jam: a force or torque above its limit, or the distance (m) of a hand behind its path."""
     value, limit, force_n = report.measured or 0.0, report.limit or 0.0, math.hypot(*(report.trip_wrench or [])[:3])
     if report.reason is StopReason.FORCE_LIMIT and not math.isclose(value, force_n, rel_tol=0.01):
-        return f"the hand was {value * 1000:.0f} mm behind its path, and pressed with {force_n:.3g} N"
-    return f"{value:.3g} {UNITS.get(report.reason, '')} where {limit:.3g} is the limit"
+        return f"the hand was {value * 1000:.0f} mm behind its path, and pressed with {figure(force_n)} N"
+    return f"{figure(value)} {UNITS.get(report.reason, '')} where {figure(limit)} is the limit"
 
 
 def _excess(task: AnalyzeTask) -> str:
@@ -106,5 +107,5 @@ def _excess(task: AnalyzeTask) -> str:
     unit = UNITS[report.reason]
     if report.measured is None or report.limit is None:
         return f"more {unit} than the limit"
-    value = next((text for n in (3, 4, 5) if float(text := f"{report.measured:.{n}g}") > report.limit), "more")
-    return f"{value} {unit} where {report.limit:.5g} {unit} is the limit"
+    value = next((text for n in (3, 4, 5) if float(text := figure(report.measured, n)) > report.limit), "more")
+    return f"{value} {unit} where {figure(report.limit, 5)} {unit} is the limit"

@@ -16,11 +16,11 @@ from rich.text import Text
 from rtc.apps.cli.output import AsJson, RunDir, With, console, emit_json, errors, exits_with
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.client.halt import HALT_ENDPOINTS, HaltLine, HaltResult
-from rtc.client.liveness import is_listening
+from rtc.client.liveness import is_listening, not_running
 from rtc.protocol.messages import CommandRecord, Phase
 from rtc.protocol.outcomes import NoCluster, RtcError
 from rtc.runtime.keys import Endpoints, KeyFile
-from rtc.runtime.settings import Settings, default_run_dir, shell_command
+from rtc.runtime.settings import Settings, default_run_dir
 
 NOT_CONFIRMED = 3
 MOVES = (Phase.EXECUTING, Phase.HALTING)
@@ -68,7 +68,7 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
         except PermissionError:
             raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
         if not there:
-            raise NoCluster(f"no cluster in {run_dir}; start one with: {shell_command('rtc up -d', run_dir)}")
+            raise not_running(run_dir)
         endpoints: Endpoints = _settings(run_dir.absolute())
     else:
         endpoints = KeyFile.load(key)

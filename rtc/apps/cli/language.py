@@ -66,10 +66,15 @@ def parse(
 
 def dictionary(
     verb: Annotated[
-        str | None, typer.Argument(help="A verb such as GRASP; without it, all verbs.", autocompletion=entries.verbs)
+        str | None,
+        typer.Argument(
+            help="A verb such as GRASP, or another word; without it, all verbs.", autocompletion=entries.verbs
+        ),
     ] = None,
 ) -> None:
     """Print the dictionary entry of a verb in the paper's Figure 2 notation, or the list of verbs.
+
+    Of another word, such as REPORT, it prints the meaning and the clauses.
 
     A verb marked (no script yet) is understood and refused until a script for it is loaded (rtc docs scripts). One
     marked (refused today) is understood, but no script can perform it.
@@ -87,7 +92,7 @@ def dictionary(
         raise typer.Exit(REFUSED)
     print(result, end="")
     verb = verb.upper()
-    if _unscripted(verb):
+    if verb in entries.verbs() and _unscripted(verb):
         cannot, instead = _elaborator().cannot.get(verb), _elaborator().instead.get(verb, "")
         state = f"cannot be performed: {cannot}" if cannot else "has no script yet"
         print(f"\n{verb} {state}" + (f"; instead: {instead}" if instead else ""), file=sys.stderr)

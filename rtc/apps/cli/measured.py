@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from rtc.protocol.outcomes import Measured, Sighting
 
@@ -41,7 +41,7 @@ def in_words(measured: Measured) -> list[str]:
         lines += _sighting(measured.arm, measured.sighting)
     if measured.joints is not None:
         lines.append(f"{measured.arm} joints: {_joints(measured.joints, measured.slides)}")
-    lines += [f"{measured.arm} {name.lower()}: {value}" for name, value in measured.others.items()]
+    lines += [f"{measured.arm} {name.lower()}: {_other(value)}" for name, value in measured.others.items()]
     return lines + (in_words(measured.partner) if measured.partner else [])
 
 
@@ -69,6 +69,15 @@ def _sighting(camera: str, seen: Sighting) -> list[str]:
         speed, rate = math.hypot(*seen.velocity[:3]), math.hypot(*seen.velocity[3:])
         lines.append(f"  moves with {1e3 * speed:.1f} mm/s and {math.degrees(rate):.2f} deg/s")
     return lines
+
+
+def _other(value: object) -> str:
+    """The value of an item that a package has added: a number, a text, a list or a map."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_other(part)}" for name, part in value.items())
+    if isinstance(value, list):
+        return " ".join(map(_other, value))
+    return f"{value:.4g}" if isinstance(value, float) and abs(value) < 1e4 else str(value)
 
 
 def _numbers(values: Iterable[float], form: str) -> str:

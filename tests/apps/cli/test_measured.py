@@ -31,6 +31,18 @@ def test_only_what_was_asked_for_is_a_line() -> None:
     assert in_words(Measured(arm="LEFT-ARM", joints=[math.pi / 2, -0.0])) == ["LEFT-ARM joints: 90.0 0.0 deg"]
 
 
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ({"motor_c": [41.523456, 40], "hot": True}, "motor_c 41.52 40, hot True"),
+        (12345.6, "12345.6"),
+        ("not measured: no sensor", "not measured: no sensor"),
+    ],
+)
+def test_an_item_of_a_package(value: object, words: str) -> None:
+    assert in_words(Measured(arm="LEFT-ARM", others={"TEMPERATURE": value})) == [f"LEFT-ARM temperature: {words}"]
+
+
 def test_all_of_it() -> None:
     pose = geometry.from_rpy([0.48, -0.085, 0.7], [0.1, 0.2, -0.3]).tolist()
     lines = in_words(

@@ -534,6 +534,7 @@ def test_advice_is_for_what_is_suspect_now_and_in_order(bench):
     ("reason", "measured", "limit", "figures"),
     [
         (StopReason.FORCE_LIMIT, 90.0, 80.0, "90 N where 80 is the limit"),
+        (StopReason.TORQUE_LIMIT, 1240.0, 1200.0, "1240 N.m where 1200 is the limit"),
         (StopReason.FORCE_LIMIT, 0.0604, 0.06, "60 mm behind its path"),
         (StopReason.TORQUE_LIMIT, 17.0, 16.0, "17 N.m where 16 is the limit"),
     ],
