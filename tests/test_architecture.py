@@ -53,7 +53,7 @@ PURE = (
     "workers/parser/", "workers/elaborator/", "workers/binder/", "workers/analyzer/", "workers/planning/",
     "workers/conditions/", "workers/rehearsal/", "rtc/programs/action_stack.py",
     "rtc/programs/schema.py", "rtc/programs/checks.py", "rtc/programs/expressions.py", "rtc/programs/compatibility.py",
-    "rtc/programs/attributes.py", "rtc/programs/recovery.py", "rtc/programs/loader.py",
+    "rtc/programs/attributes.py", "rtc/programs/recovery.py", "rtc/programs/splice.py", "rtc/programs/loader.py",
     "rtc/world/facts.py", "rtc/world/model.py", "rtc/world/spread.py",
     "broker/decisions/", "broker/dispatch/", "rtc/subsystems/motion/",
     "rtc/apps/observers/viewer_schema.py", "rtc/sensing/", "rtc/subsystems/base/subsystem.py",

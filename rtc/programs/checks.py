@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from rtc.language.alike import unknown
 from rtc.model.cells.parts import Numbers
 from rtc.plugins import registry
-from rtc.programs import attributes, expressions, extension_names, recovery
+from rtc.programs import attributes, expressions, extension_names, recovery, splice
 from rtc.programs.schema import (
     AnalyzerProgram,
     BinderProgram,
@@ -46,17 +46,24 @@ class PlacedStep(NamedTuple):
 
 
 def steps_of(program: ElaboratorProgram) -> Iterator[PlacedStep]:
-    """Every step of an elaborator program."""
+    """Every step of an elaborator program. A step that names a piece has the steps of that piece, at its place."""
+    pieces = {piece.skill: piece for piece in program.pieces}
     for n, script in enumerate(program.scripts):
-        bindings = {line.name for line in script.plan} | {step.name for step in script.steps if step.do == "let"}
+        lets = {step.name for step in splice.flat(script.steps, pieces) if step.do == "let"}
+        bindings = {line.name for line in script.plan} | lets
         for m, step in enumerate(script.steps):
-            yield PlacedStep(f"scripts[{n}].steps[{m}]", step, bindings, len(script.trimming_stack))
+            for own in splice.flat([step], pieces):
+                yield PlacedStep(f"scripts[{n}].steps[{m}]", own, bindings, len(script.trimming_stack))
     for n, piece in enumerate(program.pieces):
         for m, step in enumerate(piece.steps):
-            yield PlacedStep(f"pieces[{n}].steps[{m}]", step)
+            for own in splice.flat([step], pieces):
+                yield PlacedStep(f"pieces[{n}].steps[{m}]", own)
 
 
 def _elaborator(program: ElaboratorProgram) -> Problems:
+    if problems := list(splice.problems(program)):
+        yield from problems
+        return
     scripts = {script.script for script in program.scripts}
     of_object = attributes.figures(program)
     figures = {*extension_names.FIGURES, *of_object}

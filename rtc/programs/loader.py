@@ -102,7 +102,7 @@ def merge(
     """
     kind = WorkerKind(kind)
     if kind is WorkerKind.PARSER:
-        return _grammar(text, name)
+        return _grammar(_extended(program, name, text), name)
     document, news = _read(program, f"the {kind} program in use"), _read(text, name)
     _of_this_kind(kind, news, name, text)
     _put(document, news, name)
@@ -247,6 +247,17 @@ def _by_identity(items: list[dict[str, Any]], section: str) -> dict[tuple[str, .
 
 def _canonical(kind: WorkerKind, document: dict[str, Any], source: str) -> bytes:
     return msgspec.json.encode(_checked(document, SCHEMAS[kind], source), order="deterministic")
+
+
+def _extended(grammar: bytes, name: str, text: bytes) -> bytes:
+    """A text that begins with %extend, added to the grammar in place of what the file of that name added before; any
+    other text is a whole grammar."""
+    lines = (line.strip() for line in text.splitlines())
+    if not next((line for line in lines if line and not line.startswith(b"//")), b"").startswith(b"%extend"):
+        return text
+    begin, end = (f"// {word} {name}\n".encode() for word in ("added by", "end of"))
+    kept = re.sub(re.escape(begin) + b".*?" + re.escape(end), b"", grammar, flags=re.DOTALL)
+    return b"\n".join([kept.rstrip(b"\n"), begin + text.strip(b"\n"), end])
 
 
 def _grammar(text: bytes, source: str) -> bytes:

@@ -23,6 +23,7 @@ from rtc.programs.schema import (
     ScriptStep,
     TrimEntry,
 )
+from rtc.programs.splice import spliced
 from rtc.protocol.messages import TrimOffer
 from rtc.protocol.outcomes import ProgramError, StopReason
 
@@ -43,7 +44,7 @@ def outcomes(
 
     Raises ProgramError: the script does not exist, or the programs are incompatible.
     """
-    elaborator = decode(elaborator_program, ElaboratorProgram)
+    elaborator = spliced(decode(elaborator_program, ElaboratorProgram))
     binder = decode(binder_program, BinderProgram)
     analyzer = decode(analyzer_program, AnalyzerProgram)
     rows = sorted((b for b in elaborator.decision_tree if b.verb == script.upper()), key=lambda b: -b.likelihood)

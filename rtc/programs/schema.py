@@ -73,8 +73,8 @@ class PlanLine(ProgramPart, frozen=True, kw_only=True):
 class ScriptStep(ProgramPart, frozen=True, kw_only=True):
     """One line of a script, as in Figure 4: do, resource, destination, stop class, space, and the pair of trims."""
 
-    do: str
-    label: str
+    do: str  # an action of the binder; or piece: the steps of the piece `name` (rtc.programs.splice)
+    label: str = ""  # required, except for a piece
     name: str = ""
     who: str = "active_arm"
     to: str = ""

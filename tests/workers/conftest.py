@@ -53,8 +53,8 @@ SIGHTLESS = CellModel(msgspec.structs.replace(CELL, cameras=[]))
 GRAMMAR = loader.default("parser").decode()
 
 
-def record(sentence: str) -> ParsedCommand:
-    parsed = parser.parse_job(GRAMMAR, sentence)
+def record(sentence: str, grammar: str = GRAMMAR) -> ParsedCommand:
+    parsed = parser.parse_job(grammar, sentence)
     assert isinstance(parsed, ParsedCommand), parsed
     return parsed
 
@@ -271,7 +271,7 @@ class Bench:
         # As if the cell had been surveyed: a grasp is that of Figure 4 then. See `unsurveyed`.
         surveyed = [msgspec.structs.replace(change, spread=None) for change in initial_facts(model.cell)]
         self.world = World().overlay(surveyed)
-        self.programs = {kind: loader.default(kind) for kind in ("elaborator", "binder", "analyzer")}
+        self.programs = {kind: loader.default(kind) for kind in ("parser", "elaborator", "binder", "analyzer")}
         self.commands = 0
         self.now_s = 0.0  # of the broker; 0: no fact has an age
 
@@ -291,7 +291,8 @@ class Bench:
 
     def elaborate(self, sentence: str, model: CellModel | None = None) -> Script | Refusal:
         self.commands += 1
-        data = ElaboratorInput(command=f"C-{self.commands}", parsed=record(sentence), at_s=self.now_s)
+        parsed = record(sentence, self.programs["parser"].decode())
+        data = ElaboratorInput(command=f"C-{self.commands}", parsed=parsed, at_s=self.now_s)
         return elaborator.run(compiled(elaborator, self.programs["elaborator"]), model or self.model, self.world, data)
 
     def bind(self, script: Script, step: Step, bindings: dict[str, Binding] | None = None, n: int = 1) -> Any:

@@ -16,6 +16,7 @@ from rtc.programs import attributes, expressions
 from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.programs.splice import spliced
 from rtc.protocol.messages import ElaboratorInput, Script
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
@@ -63,7 +64,7 @@ NEEDS_CELL = True
 
 def compile(program: bytes) -> Compiled:
     """Check and index the program. Raises ProgramError."""
-    document = decode(program, ElaboratorProgram)
+    document = spliced(decode(program, ElaboratorProgram))
     return Compiled(document, {s.script: s for s in document.scripts}, {p.skill: p for p in document.pieces})
 
 

@@ -66,7 +66,7 @@ class TaskCandidate:
     @cached_property
     def camera(self) -> parts.Camera | None:
         """The camera that looks for the object; None: none can see it."""
-        return self.via or next(iter(self.query.cameras(self.body)), None)
+        return self.via or (next(iter(self.query.cameras(self.body)), None) if self.body else None)
 
     @cached_property
     def texts(self) -> dict[str, str]:
