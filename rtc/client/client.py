@@ -40,6 +40,7 @@ from rtc.client.rehearsing import NO_TEST, AboutTest, rehearse
 from rtc.client.requests import Answer, OnEnded, OnProgress, Requests, expect
 from rtc.client.subscription import subscribe
 from rtc.language.refuse import MAX_CHARACTERS
+from rtc.programs import whole_file
 from rtc.protocol import messages as m
 from rtc.protocol.faults import AnyFault
 from rtc.protocol.outcomes import (
@@ -295,12 +296,28 @@ class Client:
     def load(self, kind: str, file: str | Path) -> m.ProgramLoaded:
         """Load a program file into the running cluster. Raises RequestDeclined if it is invalid."""
         path = Path(file)
-        if (length := path.stat().st_size) > m.PROGRAM_BYTES:
-            words = f"{path.name} has {length:,} bytes; the limit is {m.PROGRAM_BYTES:,}"
+        return self._load(m.WorkerKind(kind.lower()), path.name, path.read_bytes())
+
+    def load_sections(self, file: str | Path) -> list[m.ProgramLoaded]:
+        """Load a file with a section for each kind of worker (docs/scripts.md): all of them, or none. Raises
+        ProgramError for a file of another form, and RequestDeclined."""
+        path = Path(file)
+        before = {kind: self.program(kind).digest for kind in m.WorkerKind}
+        loaded: list[m.ProgramLoaded] = []
+        try:
+            for kind, text in whole_file.sections(path.read_bytes(), path.name).items():
+                loaded.append(self._load(kind, path.name, text))
+        except RequestDeclined:
+            for done in reversed(loaded):
+                self.reset(done.kind, before[done.kind], path.name)
+            raise
+        return loaded
+
+    def _load(self, kind: m.WorkerKind, name: str, text: bytes) -> m.ProgramLoaded:
+        if len(text) > m.PROGRAM_BYTES:
+            words = f"{name} has {len(text):,} bytes; the limit is {m.PROGRAM_BYTES:,}"
             raise RequestDeclined(Refusal(reason=RefusalReason.PROGRAM, message=words))
-        message = m.ProgramText(
-            request=self._next_request(), kind=m.WorkerKind(kind.lower()), name=path.name, body=path.read_bytes()
-        )
+        message = m.ProgramText(request=self._next_request(), kind=kind, name=name, body=text)
         return self._query(message, m.ProgramLoaded, LOADED_S)
 
     def reset(self, kind: str, to: str = "", file: str = "default") -> m.ProgramLoaded:

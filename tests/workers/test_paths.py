@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rtc.programs import whole_file
 from rtc.spatial import geometry
 from tests.workers.conftest import Bench, Physical
 
 pytestmark = pytest.mark.physics
 ARM = "RIGHT-ARM"
+WIPE = Path(__file__).with_name("wipe.yaml")
 HOME = "38.95 DEG 86.558 DEG -179.578 DEG 86.271 DEG 39.048 DEG -85.203 DEG"
 
 
@@ -157,6 +160,28 @@ def test_a_script_searches_a_pattern_and_presses(traced, robot, space, radius_m)
     wide = np.ptp(aside, axis=0)  # friction at the wall holds the hand back
     assert (wide > 0.006).all()
     assert (wide < 0.014).all()
+
+
+def test_a_verb_of_one_file_sweeps_a_panel_and_changes_its_sequence_if_the_force_is_too_high(traced, robot) -> None:
+    """WIPE is in no program of rtc. The panel stands in the way of the hand."""
+    for kind, text in whole_file.sections(WIPE.read_bytes(), WIPE.name).items():
+        traced.bench.load(kind.value, text.decode(), WIPE.name)
+    robot.displace("SATELLITE", [-0.080, 0.0, 0.0])
+    try:
+        assert traced.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+        run = traced.do(f"WIPE {ARM} BY 8 MM")
+        assert run.succeeded, run.assessments or run.refusal
+        assert run.labels == ["touch the panel", "sweep 8 mm to each side", "leave the panel"]
+        wide = np.ptp(traced.path[:, 1:3], axis=0)
+        assert ((wide > 0.010) & (wide < 0.020)).all()
+
+        text = whole_file.sections(WIPE.read_bytes(), WIPE.name)["binder"].decode()
+        traced.bench.load("binder", text.replace("force_n: 40.0", "force_n: 12.0"))
+        run = traced.do(f"WIPE {ARM} BY 8 MM")
+        assert run.trims == [1]
+        assert run.labels[2:5] == ["leave the panel", "touch the panel again", "sweep gently"]
+    finally:
+        robot.displace("SATELLITE", [0.080, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(

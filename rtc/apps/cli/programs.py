@@ -13,6 +13,7 @@ from rich.text import Text
 from rtc.apps.cli.measured import duration
 from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_json, errors, table
 from rtc.client.client import Client
+from rtc.programs import whole_file
 from rtc.programs.loader import GRAMMAR, PROGRAMS, changes, default, merge
 from rtc.programs.outcome_table import explained
 from rtc.programs.outcome_table import outcomes as rows_of
@@ -23,7 +24,7 @@ from rtc.protocol.outcomes import NoCluster, ProgramError
 KINDS = ", ".join(kind.value for kind in WorkerKind)
 RESET = "the default program"  # the name of a reset in --json
 DEFAULTS = "the default programs (no cluster runs)"
-USAGE = f"use: rtc load FILE INTO KIND, where KIND is one of {KINDS}"
+USAGE = f"use: rtc load FILE INTO KIND, where KIND is one of {KINDS}; FILE alone if it has a section for each kind"
 
 
 def load(
@@ -42,11 +43,13 @@ def load(
 ) -> None:
     """Change a program while the cluster runs. Motions continue; a program that fails is rolled back.
 
+    A file with sections for several kinds is loaded as a whole, or not at all (rtc docs scripts).
     --check shows the errors of the file, or what it would change in the programs of the running cluster (without one,
     in the default programs). Exit status: 0 it may be loaded, 2 it may not.
 
     Example:  rtc load my-grasp.yaml INTO elaborator
     Example:  rtc load my-grasp.yaml INTO elaborator --check
+    Example:  rtc load wipe.yaml
     Example:  rtc load --reset elaborator
     Example:  rtc load --export programs
     """
@@ -57,10 +60,15 @@ def load(
     elif reset:
         with Client(run_dir, key=key) as rtc:
             _loaded(rtc.reset(_kind(reset)), "", json)
-    elif file is None or into.upper() != "INTO":
+    elif file is None or (into and into.upper() != "INTO"):
         raise cli_error(USAGE, 2)
     elif check:
-        _check(_readable(file), _kind(kind), json, run_dir, key)
+        _check(_parts(file, into, kind), file.name, json, run_dir, key)
+    elif not into:
+        _parts(file, into, kind)
+        with Client(run_dir, key=key) as rtc:
+            for one in rtc.load_sections(file):
+                _loaded(one, file.name, json)
     else:
         wanted, path = _kind(kind), _readable(file)
         with Client(run_dir, key=key) as rtc:
@@ -122,21 +130,32 @@ def _programs(run_dir: Path | None, key: Path | None) -> tuple[dict[WorkerKind, 
         return {kind: default(kind) for kind in WorkerKind}, DEFAULTS
 
 
-def _check(file: Path, kind: WorkerKind, json: bool, run_dir: Path | None, key: Path | None) -> None:
+def _parts(file: Path, into: str, kind: str) -> dict[WorkerKind, bytes]:
+    """What the file has for each kind: all of it for the kind after INTO, else its sections."""
+    body = _readable(file).read_bytes()
+    if into:
+        return {_kind(kind): body}
+    try:
+        return whole_file.sections(body, file.name)
+    except ProgramError as error:
+        raise cli_error(f"{error}. Or {USAGE}", 2) from None
+
+
+def _check(parts: dict[WorkerKind, bytes], name: str, json: bool, run_dir: Path | None, key: Path | None) -> None:
+    """Check each part against the programs in use, with the parts before it."""
     programs, whose = _programs(run_dir, key)
-    asked = CheckRequest(
-        kind=kind, name=file.name, body=file.read_bytes(), reset=False, program=programs[kind], others=programs
-    )
-    checked = in_a_process(asked)
-    if checked.error:
-        raise cli_error(checked.error, 2, file=file.name, against=whose)
-    would = checked.changes
-    if json:
-        emit_json({"kind": kind.value, "file": file.name, "against": whose, "changes": would})
-        return
-    console.print(Text(f"{file.name} may be loaded into the {kind.value}s' program of {whose}"))
-    for change in would or ["nothing would change: the program has all of it"]:
-        console.print(Text(f"  {change}"))
+    for kind, body in parts.items():
+        asked = CheckRequest(kind=kind, name=name, body=body, reset=False, program=programs[kind], others=programs)
+        checked = in_a_process(asked)
+        if checked.error:
+            raise cli_error(checked.error, 2, file=name, against=whose)
+        programs[kind] = checked.merged
+        if json:
+            emit_json({"kind": kind.value, "file": name, "against": whose, "changes": checked.changes})
+            continue
+        console.print(Text(f"{name} may be loaded into the {kind.value}s' program of {whose}"))
+        for change in checked.changes or ["nothing would change: the program has all of it"]:
+            console.print(Text(f"  {change}"))
 
 
 def _list(json: bool, run_dir: Path | None, key: Path | None) -> None:

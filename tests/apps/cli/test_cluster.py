@@ -547,6 +547,27 @@ def test_a_script_is_checked_loaded_listed_and_taken_away(rtc: Run, run_dir: Pat
     assert rtc("programs", "--back", "0000").returncode == 2
 
 
+def test_a_whole_verb_is_loaded_by_one_file_or_not_at_all(rtc: Run, tmp_path: Path) -> None:
+    wipe = Path(__file__).parents[2] / "workers" / "wipe.yaml"
+    broken = tmp_path / "wipe.yaml"
+    broken.write_text(wipe.read_text().replace("stop: move_clear", "stop: no_such_class"))
+    before = {kind: one["in_use"] for kind, one in last_json(rtc("programs", "--json"))["programs"].items()}
+    assert rtc("load", str(broken), "--check").returncode == 2
+    assert rtc("load", str(broken)).returncode != 0
+    after = {kind: one["in_use"] for kind, one in last_json(rtc("programs", "--json"))["programs"].items()}
+    assert after == before
+    assert "is not a verb" in rtc("do", "WIPE RIGHT-ARM BY 8 MM").stdout
+
+    assert rtc("load", str(wipe)).returncode == 0
+    assert "trim 1 (wipe-gently), replace_rest" in rtc("outcomes", "WIPE").stdout
+    done = rtc("do", "WIPE RIGHT-ARM BY 8 MM")
+    assert "is not a verb" not in done.stdout
+    assert "touch the panel" in done.stdout  # there is none before the hand
+    assert rtc("do", "STOW RIGHT-ARM").returncode == 0
+    for kind in ("elaborator", "analyzer", "binder", "parser"):
+        assert rtc("programs", "--back", before[kind]).returncode == 0
+
+
 def test_a_directory_is_not_a_program(rtc: Run, tmp_path: Path) -> None:
     done = rtc("load", str(tmp_path), "INTO", "elaborator")
     assert (done.returncode, "is a directory" in done.stderr) == (2, True)
