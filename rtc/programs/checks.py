@@ -227,6 +227,7 @@ def _analyzer(program: AnalyzerProgram) -> Problems:
             placeholders = (*extension_names.FAILURE_PLACEHOLDERS, *more)
             for word in PLACEHOLDER.findall(getattr(failure, field)):
                 yield from known("placeholder", word, placeholders, f"classes.{name}.{field}")
+    yield from known("class", program.unmet, ("", *program.classes), "unmet")
     for row, cells in program.outcomes.items():
         missing = [reason.value for reason in StopReason if reason not in cells]
         if missing:

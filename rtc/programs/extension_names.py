@@ -11,10 +11,10 @@ from rtc.model.cells.parts import Numbers
 #: elaborator: conditions of the world that a script may require
 NEEDS = (
     *("hand_empty", "object_free", "other_handle", "object_held", "object_seated", "object_hinged"),
-    *("seat_free", "width_known", "partner_empty", "object_in_target"),
+    *("seat_free", "width_known", "partner_empty", "object_in_target", "driver_held"),
 )
 #: elaborator: anchors of plan lines
-ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge", "meeting", "here")
+ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge", "meeting", "here", "bolt", "bolt_out")
 #: directions; WAY_OUT is the exit direction of a seat: in a plan of the target, in a line from HERE
 #: of the one that the object is in (up without one)
 AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
@@ -46,6 +46,10 @@ FIGURES = (
     "shared",  # 1: the second arm of the command holds the object too; 0: it does not, or there is none
     "meets",  # 1: the candidate has a place where both arms meet; 0: they meet where the object is
     "slot_m",  # way out until the object is free of the slot that it is in; 0: it is in none
+    "has_spindle",  # 1: the object has a spindle: it is a driver; 0: it has none
+    "threaded",  # 1: the object has a thread; 0: it has none
+    *("out_turns", "thread_turns"),  # by how many turns a bolt is out, and by how many it is loose
+    "thread_m",  # length of its thread
     *("hinge_rad", "hinge_least_rad", "hinge_most_rad"),  # its angle, and its stops
     "hinge_lever_m",  # from the hinge to the grasp point in the hand
     "hinge_push",  # sign of the turn with which that point moves away from the hand
@@ -61,7 +65,7 @@ ROLES = ("active_arm", "partner_arm", "active_object", "its_seat", "target", "ca
 #: SET only
 PLACEHOLDERS = (
     *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time", "through"),
-    "meeting",
+    *("meeting", "until"),
     *("camera", "body"),
     *("attribute", "value"),
 )
@@ -69,14 +73,14 @@ PLACEHOLDERS = (
 FAILURE_PLACEHOLDERS = (
     *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
     *("width", "wanted", "off", "or_load", "excess", "speed", "short", "jam"),
-    *("camera", "turned"),
+    *("camera", "turned", "progress", "until"),
 )
 #: performers of steps
 CAMERA = "camera"
 PARTNER = "partner_arm"
 PERFORMERS = ("active_arm", PARTNER, CAMERA)
 #: binder: algorithms that turn a step into a primitive
-ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look", "answered")
+ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look", "answered", "spindle")
 PROCEDURES = ("open_hand", "grasp_plan")
 #: binder: predicates of F
 PREDICATES = (
@@ -84,6 +88,7 @@ PREDICATES = (
     "time-above",
     "force-above",
     "torque-above",
+    "torque-below",
     "speed-above",
     "following-error-above",
     "joint-margin-below",
@@ -97,7 +102,7 @@ PREDICATES = (
 #: analyzer: effects of success on the world, and values of a report that a step may keep
 EFFECTS = (
     *("taken", "let_go", "let_drift", "still_held", "verified", "felt", "tilted", "pinched", "passed", "landed"),
-    *("sighted", "unseen"),
+    *("sighted", "unseen", "turned", "tightened", "free", "head_felt"),
 )
 #: analyzer: figures of a failed step in the conditions of `rules`, besides `values`
 FAILURE_FIGURES = (*("measured", "limit", "tried", "force_n", "torque_nm", "took_s", "hand_width_m", "hand_force_n"),)

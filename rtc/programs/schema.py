@@ -276,6 +276,7 @@ class AnalyzerProgram(ProgramPart, frozen=True, kw_only=True):
     """Who chooses a trim, in this order: `stack`, `rules`, `search`, or the name of an installed package."""
     rules: list[TrimRule] = []
     search: SearchModel | None = None
+    unmet: str = ""  # class of a step that has reached its end before the condition of UNTIL was true
     values: dict[str, float] = {}  # tolerances: position_m, angle_rad, width_m
     clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
 

@@ -126,3 +126,9 @@ class ParsedCommand(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="
     value: list[float | str] | None = None  # SET ... datum, SI numbers or one name
     value_unit: str | None = None  # SI unit of all numbers, or one per number ("m m m rad rad rad")
     reason: str | None = None  # CANNOT "..."
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """Those of UNTIL, UNLESS and REPORT WHEN."""
+        until = [] if self.until is None else [self.until]
+        return [*until, *(item.condition for item in self.reflexes), *(self.report.when if self.report else [])]

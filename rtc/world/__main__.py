@@ -111,10 +111,10 @@ def _taught(me: Process, cell: Cell) -> list[WorldChange]:
 
 
 def _fixed(settings: Settings) -> list[str]:
-    """The names of the fixed objects of the cell."""
+    """The names of the objects of the cell that no motion can change. A bolt is fixed but for its thread."""
     from rtc.model.cells.cell import Cell
 
-    return [thing.name for thing in Cell.load(settings.cell).objects if thing.fixed]
+    return [thing.name for thing in Cell.load(settings.cell).objects if thing.fixed and thing.thread is None]
 
 
 def serve(

@@ -15,7 +15,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import Validity
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array, Floats
-from rtc.world.model import World
+from rtc.world.model import LOOSE, TIGHT, World
 from rtc.world.spread import EXACT, Spread
 
 BESIDE_M = 0.04  # maximum distance from the axis of a seat's way out at which an object is in its slot
@@ -131,6 +131,30 @@ class Facts:
         hinge = self.hinge(thing)
         assert hinge is not None, thing
         return hinges.turned(self.frame(thing), hinge.axis, -self.angle(thing))
+
+    def thread(self, thing: str) -> parts.Thread | None:
+        """The thread of a bolt; None if it has none, or is not an object."""
+        return next((one.thread for one in self.cell.objects if one.name == thing), None)
+
+    def driver(self, arm: str) -> parts.Object | None:
+        """The object with a spindle that this arm holds; None without one."""
+        held = self.holding(arm)
+        return next((one for one in self.cell.objects if one.name == held and one.spindle is not None), None)
+
+    def turns(self, thing: str) -> float:
+        """By how many turns a bolt is out of its tight place."""
+        return float(self.world.value(f"{thing}.turns") or 0.0)
+
+    def turned_out(self, thing: str, turns: float) -> Array:
+        """The frame of a bolt that is out by this many turns. Its fact `frame` is that at `turns`."""
+        thread = self.thread(thing)
+        assert thread is not None, thing
+        out_m = thread.pitch_m * (turns - self.turns(thing))
+        return geometry.compose(self.frame(thing), (0.0, 0.0, out_m, 0.0, 0.0, 0.0, 1.0))
+
+    def fastening(self, seat: str) -> list[str]:
+        """The bolts of a seat that are not loose, as far as is known: they fasten what is in it."""
+        return [bolt for bolt in self.cell.seat(seat).bolts if self.world.value(f"{bolt}.state", TIGHT) != LOOSE]
 
     def hung(self, thing: str, point: Floats, where: Floats) -> Array:
         """The frame of an object with a hinge when a point of it (m, its axes) is nearest to `where` (m, world)."""

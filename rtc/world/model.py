@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from rtc.model.cells.cell import Cell
 
 #: attributes that a motion can change
-MOVED = frozenset({"joints", "hand_width", "hand_force", "holding", "frame", "seat", "held_by", "grasp", "angle"})
+MOVED = frozenset(
+    {
+        *("joints", "hand_width", "hand_force", "holding", "frame", "seat", "held_by", "grasp", "angle"),
+        *("turns", "state"),
+    }
+)
+#: states of a bolt: tightened; neither tightened nor out; turned out by all its turns, so that it fastens nothing
+TIGHT, TURNED, LOOSE = BOLT_STATES = ("TIGHT", "TURNED", "LOOSE")
 UNIT_TOLERANCE = 1e-4  # tolerance of the norm of a quaternion
 MAX_DEPTH = 8  # maximum nesting in values of attributes without a row in ATTRIBUTES
 
@@ -107,6 +114,9 @@ def initial_facts(cell: Cell) -> list[WorldChange]:
         ]
         if thing.hinge is not None:
             changes.append(WorldChange(key=f"{thing.name}.angle", value=math.radians(thing.hinge.at_deg)))
+        if thing.thread is not None:
+            changes.append(WorldChange(key=f"{thing.name}.turns", value=0.0))
+            changes.append(WorldChange(key=f"{thing.name}.state", value=TIGHT))
     return changes
 
 
@@ -186,4 +196,5 @@ ATTRIBUTES: dict[str, Callable[[Any], str]] = {
     "grasp": _pose_or_none,  # of the object's frame, in tcp axes, while held
     "mass": _length,  # kg
     "angle": _number,  # about the hinge of the object, rad
+    "turns": _number,  # by which a bolt is turned out of its tight place
 }

@@ -336,7 +336,7 @@ class BulletCell:
         self._all = tuple(self.arms.values())
         for arm in self._all:
             arm.others = [other for other in self._all if other is not arm]
-        self._detents = Detents(self.world)
+        self._detents = Detents(self.world, self.bolts.fasten)
         self._settle()
 
     def _settle(self) -> None:
@@ -389,8 +389,8 @@ class BulletCell:
             self.world.place(self.world.objects[name], state.poses[name])
         for name, arm in self.arms.items():
             arm.restore(state.arms[name])
-        self._detents.look()
         self.bolts.look()
+        self._detents.look()
         self._settle()
 
     def displace(self, name: str, offset: Sequence[float]) -> str:

@@ -311,14 +311,15 @@ class PhysicsWorld:
         return body
 
     def _rub(self, body: int, shape: parts.AnyShape, link: int = -1) -> None:
+        # With a damping in the same call, pybullet sets the friction of the base, whatever the link.
+        client = self.client
+        pybullet.changeDynamics(body, link, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
         pybullet.changeDynamics(
             body,
             link,
             lateralFriction=shape.friction,
             spinningFriction=shape.spinning_friction,
-            linearDamping=0.0,  # a free body keeps its velocity
-            angularDamping=0.0,
-            physicsClientId=self.client,
+            physicsClientId=client,
         )
 
     def _collision(self, shapes: Sequence[parts.AnyShape], placed: bool) -> int:

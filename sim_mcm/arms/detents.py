@@ -1,12 +1,14 @@
 """Spring catches of seats: they hold a seated module in zero gravity until an arm pulls it out.
 
 A catch holds a module with at most the seat's `detent_n`. It releases a module that has moved by more than `BREAKS_M`,
-and catches a module that rests in the seat. Catches act in seats only; a grip is contact friction alone.
+and catches a module that rests in the seat. Catches act in seats only; a grip is contact friction alone. A seat with
+bolts fastens its module while one of them is not turned out, with more force than an arm exerts.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pybullet
 
@@ -20,15 +22,20 @@ REST_M_S = 0.002  # ... if it is not faster than this
 EVERY = 10  # steps between two checks
 # A jammed seat wedges a module this near to its place, with more force than an arm exerts.
 WEDGES_M, WEDGES_RAD, WEDGED_N = 0.04, 0.2, 1000.0
+FASTENED_N = 1000.0  # by bolts
 
 
 class Detents:
-    def __init__(self, world: PhysicsWorld) -> None:
+    def __init__(self, world: PhysicsWorld, fastened: Callable[[str], bool] = lambda seat: False) -> None:
+        """`fastened`: whether bolts fasten what is in a seat."""
         self._world = world
+        self._fastened = fastened
+        self._bolted: dict[str, str] = {}  # caught object -> the seat whose bolts fasten it
         self._caught: dict[str, tuple[int, list[float]]] = {}  # object -> (constraint id, point where it was caught)
         self._wedged: dict[str, str] = {}  # caught object -> the jammed seat that wedges it
         self._jammed: set[str] = set()  # seats
         self._seats = [seat for seat in world.cell.seats if seat.detent_n > 0]
+        self._with_bolts = [seat.name for seat in self._seats if seat.bolts]
         self._steps = 0
         self.look()
 
@@ -46,6 +53,8 @@ class Detents:
         for name in sorted(self._world.free - self._caught.keys()):
             if max(map(abs, self._world.velocity(name)[:3])) < REST_M_S:
                 self._catch_in_seat(name)
+        for seat in self._with_bolts:
+            self._fasten(seat)
         for seat in sorted(self._jammed):
             self._wedge(seat)
 
@@ -59,6 +68,25 @@ class Detents:
                 self.let_go(name)
         self.look()
 
+    def _fasten(self, seat: str) -> None:
+        """Hold the module in a seat with the force of its bolts, or with that of its catch alone."""
+        fastened = self._fastened(seat)
+        for name in [name for name, by in self._bolted.items() if by == seat and not fastened]:
+            self.let_go(name)
+            self._catch_in_seat(name)
+        if not fastened or seat in self._bolted.values():
+            return
+        for name in [name for name in self._caught if name not in self._wedged and self._is_in(name, seat)]:
+            self.let_go(name)
+            self._catch(name, self._world.pose(name), FASTENED_N)
+            self._bolted[name] = seat
+
+    def _is_in(self, name: str, seat: str) -> bool:
+        """Whether an object is in the seated place of a seat."""
+        pose = self._world.pose(name)
+        place = geometry.compose(self._world.seats[seat].home, self._world.cell.seat(seat).module_frame.pose)
+        return geometry.distance(pose, place) < CATCHES_M and geometry.angle(pose, place) < CATCHES_RAD
+
     def _wedge(self, seat: str) -> None:
         place = geometry.compose(self._world.seats[seat].home, self._world.cell.seat(seat).module_frame.pose)
         for name in sorted(self._world.free - self._wedged.keys()):
@@ -70,15 +98,14 @@ class Detents:
 
     def _catch_in_seat(self, name: str) -> None:
         """Catch the object if it is in the seated place of a seat."""
-        pose = self._world.pose(name)
         for seat in self._seats:
-            place = geometry.compose(self._world.seats[seat.name].home, seat.module_frame.pose)
-            if geometry.distance(pose, place) < CATCHES_M and geometry.angle(pose, place) < CATCHES_RAD:
-                self._catch(name, pose, seat.detent_n)
+            if self._is_in(name, seat.name):
+                self._catch(name, self._world.pose(name), seat.detent_n)
                 return
 
     def let_go(self, name: str) -> None:
         self._wedged.pop(name, None)
+        self._bolted.pop(name, None)
         if name in self._caught:
             constraint, _ = self._caught.pop(name)
             pybullet.removeConstraint(constraint, physicsClientId=self._world.client)

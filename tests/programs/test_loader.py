@@ -248,8 +248,8 @@ PLAN = "plan: [{name: A, at: destination, solve: true}]"
         (SPIRAL.replace("pitch_m", "by_m"), "", r"line 7: .*move_spiral needs pitch_m"),
         (SPIRAL.replace("move_spiral", "move_raster").replace("radius_m", "by_m"), "", r"line 7: .*needs radius_m"),
         (SPIRAL.replace("label", "words: {about: HERE}, label"), "", r"line 7: .*about is the axis of a move_circle"),
-        (GOOD, "needs: [hand_clean]", r"line 4: .*no condition of the world hand_clean; there are hand_empty"),
-        (GOOD, "plan: [{name: A, at: moon}]", r"line 4: .*no anchor moon; there are destination"),
+        (GOOD, "needs: [hand_clean]", r"line 4: .*no condition of the world hand_clean; there are driver_held"),
+        (GOOD, "plan: [{name: A, at: moon}]", r"line 4: .*no anchor moon; there are bolt"),
         (GOOD, "plan: [{name: A, at: seat, along: SIDEWAYS}]", r"line 4: .*no axis SIDEWAYS; .*WAY-OUT"),
     ],
 )
@@ -288,7 +288,7 @@ def test_so_with_the_binder(text, message):
 
 
 def test_every_figure_is_si():
-    """Names end in their unit, and none in one that is not SI."""
+    """Names end in their unit, and none in one that is not SI. Turns of a thread are counted, as in a sentence."""
     document = decode(loader.default("elaborator"), ElaboratorProgram)
     names = {name for row in document.command_object_table for name in row.values}
     names |= set(decode(loader.default("binder"), BinderProgram).values)
@@ -296,7 +296,7 @@ def test_every_figure_is_si():
 
     assert names
     for name in names:
-        assert re.search(r"_(m|rad|s|n|nm|kg|factor|m_s2|rad_s)$", name), name
+        assert re.search(r"_(m|rad|s|n|nm|kg|factor|m_s2|rad_s|turns)$", name), name
 
 
 # --- expressions -------------------------------------------------------------------------------------------

@@ -19,12 +19,12 @@ from rtc.programs.schema import AnalyzerProgram, OutcomeClass
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.world.model import World
-from workers.analyzer import comparison, nearby, reported_facts, sighting, trimmers
+from workers.analyzer import comparison, nearby, reported_facts, sighting, trimmers, turning
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
 from workers.analyzer.held_object import held_object_changes, interrupted_grasp, moved_in_hand, with_spread
-from workers.analyzer.post_conditions import MOVES, SEEN, dropped, unmoved_joint, violated
+from workers.analyzer.post_conditions import MOVES, SEEN, TURNING, UNMET, dropped, unmoved_joint, violated
 from workers.analyzer.step_changes import (
     arm_changes,
     merged,
@@ -53,12 +53,15 @@ PRESSED = frozenset(
     }
 )
 
+#: those of them that the torque of a bolt causes: it turns a driver in the hand, and does not press it aside
+WRUNG = frozenset({StopReason.CONTACT, StopReason.TORQUE_LIMIT, StopReason.SLIP})
+
 #: figures that the program must define
 VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "stated_m", "stated_rad"),
     *("seated_m", "seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
     *("struck_n", "struck_m", "struck_rad", "twisted_n", "twisted_rad", "pressed_m", "pressed_rad"),
-    *("tilted_m", "unforeseen_m", "rolled_m", "pad_m"),
+    *("tilted_m", "unforeseen_m", "rolled_m", "pad_m", "wrung_nm", "wrung_rad", "wrung_most_rad", "engaged_m"),
     *comparison.VALUES,
 )
 #: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
@@ -104,7 +107,8 @@ def _assessed(task: AnalyzeTask) -> Assessment:
         words = f"{still} of {task.evaluation.arm} has not moved while others have; {report.message}".rstrip("; ")
         report = msgspec.structs.replace(report, message=words)
         task = replace(task, data=msgspec.structs.replace(task.data, report=report))
-    return _failure(task, reason, task.program.classes[task.program.outcomes[row][reason]])
+    name = task.program.unmet if wrong == UNMET else task.program.outcomes[row][reason]
+    return _failure(task, reason, name)
 
 
 def _success(task: AnalyzeTask) -> Assessment:
@@ -167,12 +171,13 @@ def _kept(source: str, report: EndReport) -> Binding:
     return Binding(pose=tripped or report.tcp_pose)
 
 
-def _failure(task: AnalyzeTask, reason: StopReason, failure: OutcomeClass) -> Assessment:
-    """The step has ended otherwise: what may have changed, a trim that may correct it, and else what clears it."""
-    name = task.program.outcomes[row_of(task.step)][reason]
+def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
+    """The step has ended otherwise: what may have changed, a trim that may correct it, and else what clears it.
+    `name`: of the failure class."""
+    failure = task.program.classes[name]
     may = failure.retriable and not task.data.closing
     trims, by = trimmers.chosen(task, reason, name) if may else ([], "")
-    pressed = not trims and reason in PRESSED
+    pressed = not trims and reason in PRESSED and (task.report.turned_rad is None or reason not in WRUNG)
     changes = moved_in_hand(task, _failure_changes(task, failure), failure, pressed=pressed)
     asked = reflexes.find_requested(task.context.reflexes, task.report)
     clears = what_clears(task, reason, failure, changes, asked=asked is not None, pressed=pressed)
@@ -199,8 +204,17 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass) -> Changes:
     changes += target_changes(task) if "target" in failure.suspect else []
     if task.step.words.effect == SEEN and violated(task) in ("", MOVES):
         changes += EFFECTS[SEEN](task, Validity.VALID)  # it was stopped, or the body moves, but it was seen
+    if task.step.words.effect in TURNING:
+        changes += _about_bolt(task)
     missed = task.step.words.missed
     may_retry = failure.retriable and not task.data.closing and not task.data.trims_used
     if missed in EFFECTS and may_retry:
         changes += EFFECTS[missed](task, Validity.SUSPECT)
     return angles(task.query, with_spread(task, merged(changes)))
+
+
+def _about_bolt(task: AnalyzeTask) -> Changes:
+    """What a failure says about a bolt: a head that was touched is known, a turn that failed is in doubt."""
+    if task.step.words.effect != "head_felt":
+        return turning.after_failure(task)
+    return turning.head_felt(task, Validity.VALID) if task.report.reason in task.step.expect else []

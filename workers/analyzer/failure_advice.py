@@ -69,6 +69,8 @@ def _higher_limit(task: AnalyzeTask) -> list[str]:
     limits, report = task.context.limits, task.report
     if limits.time_s is not None and report.reason is StopReason.TIMEOUT:
         return [f"a TIME-LIMIT above {limits.time_s:g} S, if it needs more time"]
+    if limits.torque_nm is not None and report.turned_rad is not None and report.reason is StopReason.TORQUE_LIMIT:
+        return [f"a TORQUE-LIMIT above {limits.torque_nm:g} NM, if it may be turned with more"]
     limit_n = limits.force_n
     if limit_n is None or report.limit is None or report.reason is not StopReason.FORCE_LIMIT:
         return []

@@ -10,7 +10,7 @@ from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import ReflexItem
 from rtc.protocol.units import figure
-from workers.analyzer import sighting
+from workers.analyzer import sighting, turning
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.post_conditions import distance_off_m, pressing_n, seen_as_believed, turned_rad
 from workers.conditions import reflexes
@@ -59,6 +59,8 @@ def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:
         "jam": _jam(report),
         "excess": _excess(task),
         "short": _short(task),
+        "progress": turning.in_words(task),
+        "until": task.context.until.sentence if task.context.until else "the condition",
     }
     for name, text in figures.items():
         message = message.replace("{" + name + "}", text)
@@ -80,7 +82,7 @@ def _stopped_as_requested(reflex: ReflexItem, task: AnalyzeTask) -> str:
     if value is not None:
         by_reason = fill_in("{measured} {unit}", task, task.report.reason).rstrip()
         measured = f" at {reflex.condition.measured_in_words(value) or by_reason}"
-    return f"stopped{measured} as asked: {reflexes.in_words(reflex)}"
+    return f"stopped{measured} as asked: {reflexes.reflex_in_words(reflex)}"
 
 
 def _stopped_by(task: AnalyzeTask) -> str:

@@ -11,6 +11,7 @@ from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.world.facts import TRUSTED
 from rtc.world.spread import even, widened
+from workers.analyzer import turning
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.world_changes import EFFECTS, Changes, perhaps_taken
 from workers.planning import pose_spread, shared_hold
@@ -87,7 +88,9 @@ def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
         if report.peak_force_n > task.values["twisted_n"]:
             spread = pose_spread.twisted_spread(spread, fact.value, task.values["twisted_rad"])
         wider_m = max(map(abs, _widened_m(task).values()))
-        if wider_m <= task.values["opened_m"]:  # else they have let go of it
+        if turning.is_proved(task):
+            spread = turning.wrung(task, spread)
+        elif wider_m <= task.values["opened_m"]:  # else they have let go of it
             spread = pose_spread.askew_spread(spread, fact.value, wider_m, task.values["pad_m"])
     keys = {f"{thing}.frame", f"{thing}.grasp"}
     return [

@@ -5,14 +5,25 @@ from __future__ import annotations
 import math
 
 from rtc.protocol.outcomes import StopReason
+from rtc.protocol.sentence import Condition
 from rtc.spatial import geometry
-from workers.analyzer import sighting
+from workers.analyzer import sighting, turning
 from workers.analyzer.analyze_task import AnalyzeTask
+from workers.conditions import reflexes
 
 SEEN = "sighted"  # effect of steps that look
 
 
 MOVES = "moves"  # finding of a look that needs the body at rest
+
+
+ENDS = "ends"  # word of a step that the condition of UNTIL ends
+
+
+UNMET = "unmet"  # finding of a step that has reached its end before the condition of UNTIL was true
+
+
+TURNING = ("turned", "tightened", "free", "head_felt")  # effects of steps that turn or touch a bolt
 
 
 STILL_RAD, TRAVEL_RAD = 0.001, 0.02  # turn of a joint that is stuck, and of one that has moved
@@ -22,9 +33,16 @@ def violated(task: AnalyzeTask) -> str:
     """The violated post-condition of an end with an expected stop reason; empty if there is none."""
     evaluation, report = task.evaluation, task.report
     if report.reason is StopReason.GOAL and evaluation.no_contact_is_failure:
-        return "nothing_felt"
+        return UNMET if evaluation.step.words.until == ENDS else "nothing_felt"
     if report.reason not in evaluation.step.expect:
         return ""
+    until = _until(task)
+    if until is not None and not reflexes.has_ended(until, report):
+        return "stopped"  # for the same reason, at another figure: a limit of the step
+    if evaluation.step.words.effect in TURNING:
+        return _wrong_turn(task)
+    if until is not None:
+        return ""  # it ends where the condition is true
     if evaluation.width_m is not None:
         least, most = evaluation.width_m
         return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
@@ -43,6 +61,23 @@ def violated(task: AnalyzeTask) -> str:
         if distance_off_m(task) > task.values["position_m"] or turned > task.values["angle_rad"]:
             return "off_goal"
     return ""
+
+
+def _until(task: AnalyzeTask) -> Condition | None:
+    """The condition of the sentence that should have ended this step; None without one."""
+    return task.context.until if task.step.words.until == ENDS else None
+
+
+def _wrong_turn(task: AnalyzeTask) -> str:
+    """What is wrong with the turn of a bolt, or with the place of its head; empty: nothing."""
+    effect = task.step.words.effect
+    if effect == "head_felt":
+        return "" if turning.is_loose(task) else "not_loose"
+    if effect == "free":
+        return ""
+    if turning.is_unproved(task) or (task.report.reason is StopReason.SLIP and not turning.has_come_free(task)):
+        return "not_turned"
+    return "not_seated" if effect == "tightened" and turning.is_before_seat(task) else ""
 
 
 def unmoved_joint(task: AnalyzeTask) -> str:

@@ -14,7 +14,7 @@ from rtc.model.cells import taught
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial import geometry, hinges
-from rtc.world.model import initial_facts, location, problem
+from rtc.world.model import LOOSE, initial_facts, location, problem
 from rtc.world.spread import even
 from workers.planning.world_query import WorldQuery
 
@@ -100,6 +100,16 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
         WorldChange(key=f"{thing}.seat", value=seat),
         WorldChange(key=f"{thing}.grasp", value=None),
     ]
+
+
+def _state_of_bolt(thing: str, state: Any, query: WorldQuery, values: Values) -> Changes:
+    """Turns and frame of a bolt in this state."""
+    thread = query.thread(thing)
+    if thread is None:
+        return []
+    turns = thread.turns if state == LOOSE else 0.0
+    frame = geometry.normalise(query.turned_out(thing, turns)).tolist()
+    return [WorldChange(key=f"{thing}.turns", value=turns), WorldChange(key=f"{thing}.frame", value=frame)]
 
 
 def _off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:
@@ -209,4 +219,8 @@ def _initial(_: str, __: Any, query: WorldQuery, ___: Values) -> Changes:
     return list(begin.values())
 
 
-FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes]] = {"frame": _placed, "facts": _initial}
+FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes]] = {
+    "frame": _placed,
+    "state": _state_of_bolt,
+    "facts": _initial,
+}

@@ -47,7 +47,7 @@ def of_arm(
     path_s = trajectory.duration_s if isinstance(trajectory, JointTrajectory) else 0.0  # also if no touch ends it
     values = _with_time_limit(task.values, max(expected.seconds, path_s), left_s)
     rows = [*task.stop_class.stops, *(task.program.holding if _keeps(task, trajectory) else [])]
-    requested = stop_conditions.from_command(task.data, task.query, values, rows)
+    requested = stop_conditions.from_command(task.data, task.query, values, rows, against=against)
     stops = stop_conditions.stop_functions(rows, values, against, requested, targets.turn_line(task))
     if isinstance(trajectory, JointTrajectory):
         stops += stop_conditions.maintained(task.data, task.query, values)

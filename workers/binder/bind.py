@@ -26,6 +26,7 @@ from rtc.world.model import World
 from workers.binder import assemble, look, replan, targets
 from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
 from workers.binder.motion import bind_motion
+from workers.binder.spindle import bind_spindle
 from workers.conditions import prediction
 from workers.conditions.prediction import Expected
 from workers.planning import step_target, suggestions
@@ -101,6 +102,7 @@ def hand_motion(task: BindTask, op: str) -> BoundStep:
         arm=task.arm,
         goal_pose=query.tcp(task.arm).tolist(),
         held=task.held,
+        no_contact_is_failure=StopReason.GOAL not in task.data.step.expect,
         width_m=[values.get("least_m", 0.0), values.get("most_m", gripper.max_opening_m + 0.001)],
         start_joints=list(query.joints(task.arm)),
     )
@@ -237,5 +239,6 @@ ACTIONS: dict[str, Action] = {
     "procedure": bind_procedure,
     "look": bind_look,
     "answered": bind_answer,
+    "spindle": bind_spindle,
 }
 PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "grasp_plan": grasp_plan}

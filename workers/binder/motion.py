@@ -36,7 +36,7 @@ def bind_motion(task: BindTask) -> BoundStep:
     target = _target(ruled)
     expected = task.data.step.space != "move_joint" or ruled.stop_class.touches
     keep = impact.keeping(ruled, target, touches=expected)
-    request = planning_request(ruled, keep.speed_m_s)
+    request = planning_request(ruled, keep.speed_m_s, task.data.step.space)
     motion = _planned(ruled, request, target, keep)
     bound = _assembled(ruled, motion, keep)
     return _beside_others(task, request, bound)
@@ -55,8 +55,8 @@ def _target(task: RuledTask) -> Target:
     return target
 
 
-def planning_request(task: RuledTask, speed_m_s: float) -> PlanningRequest:
-    """The planning problem of this motion, except its target."""
+def planning_request(task: RuledTask, speed_m_s: float, space: str) -> PlanningRequest:
+    """The planning problem of a motion in this space, except its target."""
     query, context, stop_class, values = task.query, task.data.context, task.stop_class, task.values
     touches = stop_class.touches or bool(context.object or context.target)
     scene = scenes.scene_of(
@@ -67,7 +67,7 @@ def planning_request(task: RuledTask, speed_m_s: float) -> PlanningRequest:
         seated=stop_class.seated,
         ignore_suspect=stop_class.away,
         exempt=[name for name in (context.object, context.target) if name],
-        unsure=task.data.step.space not in segments.STRAIGHT or not touches,
+        unsure=space not in segments.STRAIGHT or not touches,
     )
     pace = SpeedLimits(speed_m_s, values["laden_acceleration_m_s2" if task.held else "acceleration_m_s2"])
     request = scenes.planning_request(
@@ -103,7 +103,7 @@ def _assembled(task: RuledTask, motion: Motion, keep: Keeping) -> BoundStep:
         goal_pose=motion.goal_pose.tolist(),
         remark="; ".join(remarks),
         held=task.held,
-        no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
+        no_contact_is_failure=StopReason.GOAL not in step.expect,
         start_joints=[float(q) for q in query.joints(task.arm)],
     )
     against = targets.against_motion(query.tcp(task.arm).tolist(), motion) if step.space == "move_task" else None

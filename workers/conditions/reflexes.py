@@ -43,6 +43,7 @@ from rtc.protocol.primitive import (
     Vector,
 )
 from rtc.protocol.sentence import Condition, ReflexItem
+from rtc.protocol.units import in_words
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array
@@ -73,6 +74,8 @@ class StepState:
     closing: bool  # the step closes the hand
     beside: list[Vector]  # balls [x y z radius] round what the command may come near to
     overloads: list[Overload]  # force and torque limits of the step itself
+    slips: list[Predicate]  # of the step itself: what it turns has come off
+    spindle: Vector | None  # the axis about which the step turns a bolt (tool frame): TORQUE is that about it
 
 
 Maker = Callable[[Condition, StepState], list[Predicate]]
@@ -88,7 +91,7 @@ def _no_contact(_: Condition, state: StepState) -> list[Predicate]:
 
 
 def _slip(_: Condition, state: StepState) -> list[Predicate]:
-    return _weaker(state.values["slip_n"], state)
+    return [*_weaker(state.values["slip_n"], state), *state.slips]
 
 
 def _weaker(limit_n: float, state: StepState) -> list[Predicate]:
@@ -136,12 +139,18 @@ def _both_ways(condition: Condition, state: StepState) -> list[list[float] | Non
     return [axis, [-n for n in axis]]
 
 
+def _torque_axes(condition: Condition, state: StepState) -> list[list[float] | None]:
+    if condition.along is None and state.spindle is not None:
+        return [state.spindle, [-n for n in state.spindle]]
+    return _both_ways(condition, state)
+
+
 def _force(condition: Condition, state: StepState) -> list[Predicate]:
     return [ForceAbove(limit_n=_figure(condition), axis=axis) for axis in _both_ways(condition, state)]
 
 
 def _torque(condition: Condition, state: StepState) -> list[Predicate]:
-    return [TorqueAbove(limit_nm=_figure(condition), axis=axis) for axis in _both_ways(condition, state)]
+    return [TorqueAbove(limit_nm=_figure(condition), axis=axis) for axis in _torque_axes(condition, state)]
 
 
 def _less_force(condition: Condition, state: StepState) -> list[Predicate]:
@@ -149,7 +158,7 @@ def _less_force(condition: Condition, state: StepState) -> list[Predicate]:
 
 
 def _less_torque(condition: Condition, state: StepState) -> list[Predicate]:
-    return [TorqueBelow(limit_nm=_figure(condition), axis=_both_ways(condition, state)[0])]
+    return [TorqueBelow(limit_nm=_figure(condition), axis=_torque_axes(condition, state)[0])]
 
 
 def _squeeze(condition: Condition, state: StepState) -> list[Predicate]:
@@ -281,6 +290,39 @@ def stop_functions(reflexes: list[ReflexItem], state: StepState) -> list[StopFun
     return made
 
 
+def until_functions(until: Condition, state: StepState) -> list[StopFunction]:
+    """Build the stop functions of UNTIL for one step. Raises Refused if nothing in the step measures it, or if the
+    step is stopped before it comes true."""
+    row = _row(until)
+    assert row is not None, until
+    reason, maker = row
+    made = maker(until, state)
+    if not made:
+        raise _refused(f"UNTIL {until.words}: nothing in this motion measures that", [], "another condition", "UNTIL")
+    for when in made:
+        _refuse_out_of_reach(until, when, state)
+    return [StopFunction(reason=reason, when=when) for when in made]
+
+
+def _refuse_out_of_reach(until: Condition, when: Predicate, state: StepState) -> None:
+    """Refuse an UNTIL whose force or torque is above the limit that stops the step."""
+    for limit in state.overloads:
+        match when, limit:
+            case (ForceAbove(limit_n=asked), ForceAbove(limit_n=most)) if asked >= most:
+                unit = "N"
+            case (TorqueAbove(limit_nm=asked), TorqueAbove(limit_nm=most)) if asked >= most:
+                unit = "N.m"
+            case _:
+                continue
+        raise Refused.because(
+            RefusalReason.INFEASIBLE,
+            f"UNTIL {until.sentence}: this motion is stopped at {in_words(most, unit)}",
+            where="UNTIL",
+            clears=f"UNTIL {until.words} a value below {in_words(most, unit)}",
+            detail={"cause": "limit", "value": asked, "limit": most},
+        )
+
+
 def _in_reach(when: Predicate, action: Reflex, state: StepState) -> Predicate:
     """The condition of a reflex that takes the force away, no higher than the step's own limit, which stops the arm."""
     if action not in EASING:
@@ -314,14 +356,19 @@ def _refused(
 def find_requested(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem | None:
     """The reflex of the command that ended the primitive (same reason, figure and action); None if there is none."""
     for reflex in reflexes:
-        given = reflex.condition.quantity is not None
-        same = not given or (report.limit is not None and math.isclose(_figure(reflex.condition), report.limit))
-        if reason_of(reflex.condition) is report.reason and same and ACTIONS.get(reflex.action) is report.reflex:
+        if has_ended(reflex.condition, report) and ACTIONS.get(reflex.action) is report.reflex:
             return reflex
     return None
 
 
-def in_words(reflex: ReflexItem) -> str:
+def has_ended(condition: Condition, report: EndReport) -> bool:
+    """Whether this condition has ended the primitive: the same reason and figure."""
+    given = condition.quantity is not None
+    same = not given or (report.limit is not None and math.isclose(_figure(condition), report.limit))
+    return same and reason_of(condition) is report.reason
+
+
+def reflex_in_words(reflex: ReflexItem) -> str:
     """The reflex in the words of a sentence."""
     return f"UNLESS {reflex.condition.sentence} THEN {reflex.action.upper().replace('_', '-')}"
 

@@ -38,6 +38,7 @@ from rtc.protocol.primitive import (
     TcpTurned,
     TimeAbove,
     TorqueAbove,
+    TorqueBelow,
     TurnAbove,
     UnseenAbove,
     Vector,
@@ -61,6 +62,7 @@ MAKERS: dict[str, Callable[[float, Vector | None, Line, Values], Predicate]] = {
     "time-above": lambda limit, axis, line, values: TimeAbove(limit),
     "force-above": lambda limit, axis, line, values: ForceAbove(limit_n=limit, axis=axis),
     "torque-above": lambda limit, axis, line, values: TorqueAbove(limit_nm=limit, axis=axis),
+    "torque-below": lambda limit, axis, line, values: TorqueBelow(limit_nm=limit, axis=axis),
     "speed-above": lambda limit, axis, line, values: SpeedAbove(limit),
     "following-error-above": lambda limit, axis, line, values: FollowingErrorAbove(limit),
     "joint-margin-below": lambda limit, axis, line, values: JointMarginBelow(limit),
@@ -160,13 +162,22 @@ def squeezed(data: BinderInput, values: Values) -> list[StopFunction]:
 
 
 def from_command(
-    data: BinderInput, query: WorldQuery, values: Values, rows: list[StopRow], arm: str = ""
+    data: BinderInput,
+    query: WorldQuery,
+    values: Values,
+    rows: list[StopRow],
+    arm: str = "",
+    against: Vector | None = None,
 ) -> list[StopFunction]:
-    """Stop functions of the command's UNLESS ... THEN ... for this step, whose own rows are `rows`. `arm`: a second
-    arm that takes part in it."""
-    if not data.context.reflexes:
+    """Stop functions of the command's UNTIL and UNLESS ... THEN ... for this step, whose own rows are `rows`. `arm`: a
+    second arm that takes part in it. `against`: as in `stop_functions`. Raises Refused for an impossible UNTIL."""
+    context = data.context
+    ends = context.until if data.step.words.until else None
+    if ends is None and not context.reflexes:
         return []
-    return reflexes.stop_functions(data.context.reflexes, _state(data, query, values, rows, arm))
+    state = _state(data, query, values, rows, arm, against)
+    until = [] if ends is None else reflexes.until_functions(ends, state)
+    return [*until, *reflexes.stop_functions(context.reflexes, state)]
 
 
 def reporting(data: BinderInput, query: WorldQuery, values: Values, rows: list[StopRow]) -> Reporting:
@@ -179,7 +190,12 @@ def reporting(data: BinderInput, query: WorldQuery, values: Values, rows: list[S
 
 
 def _state(
-    data: BinderInput, query: WorldQuery, values: Values, rows: list[StopRow], arm: str = ""
+    data: BinderInput,
+    query: WorldQuery,
+    values: Values,
+    rows: list[StopRow],
+    arm: str = "",
+    against: Vector | None = None,
 ) -> reflexes.StepState:
     context, arm = data.context, arm or data.step.arm or data.context.arm
     return reflexes.StepState(
@@ -190,7 +206,15 @@ def _state(
         closing=data.step.op == "close",
         beside=_beside(data, query),
         overloads=_overloads(rows, values),
+        slips=_slips(rows, values, against),
+        spindle=against if data.step.figures.turns_spindle else None,
     )
+
+
+def _slips(rows: list[StopRow], values: Values, against: Vector | None) -> list[Predicate]:
+    """The predicates of the rows that end the step because what it turns has come off."""
+    slips = [row for row in rows if row.reason is StopReason.SLIP and row.when in ("torque-below",)]
+    return [stop.when for stop in stop_functions(slips, values, against, [], Line(None, None))]
 
 
 def _overloads(rows: list[StopRow], values: Values) -> list[reflexes.Overload]:
@@ -200,18 +224,6 @@ def _overloads(rows: list[StopRow], values: Values) -> list[reflexes.Overload]:
         if OVERLOADS.get(row.when) is row.reason:
             made.append(MAKERS[row.when](_limit(row, values), None, Line(None, None), values))
     return [when for when in made if isinstance(when, reflexes.Overload)]
-
-
-def _reach_m(shape: parts.AnyShape) -> float:
-    """The greatest distance of a point of the shape from the origin of its body."""
-    match shape:
-        case parts.Box():
-            half = 0.5 * math.hypot(*shape.size_m)
-        case parts.Sphere():
-            half = shape.radius_m
-        case _:
-            half = shape.radius_m + 0.5 * shape.length_m
-    return math.hypot(*shape.frame.xyz) + half
 
 
 def _beside(data: BinderInput, query: WorldQuery) -> list[Vector]:
@@ -225,5 +237,6 @@ def _beside(data: BinderInput, query: WorldQuery) -> list[Vector]:
     for name in dict.fromkeys(meant):
         if shapes := things.get(name) or seats.get(name):
             frame = query.seat_frame(name) if name in seats else query.frame(name)
-            balls.append([*frame[:3].tolist(), max(map(_reach_m, shapes)) + NEAR_M])
+            reach_m = max(math.hypot(*shape.frame.xyz) + parts.radius_m(shape) for shape in shapes)
+            balls.append([*frame[:3].tolist(), reach_m + NEAR_M])
     return balls

@@ -6,6 +6,7 @@ bound again after the object was found elsewhere. An anchor that does not exist 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -15,11 +16,13 @@ from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
+from rtc.spatial.geometry import Array
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 
 ALONG_BAR = (1.0, 0.0, 0.0)  # tool x
+ALONG_BOLT = (0.0, 0.0, 1.0)  # z of the tip of a spindle
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,41 @@ def hinge(candidate: TaskCandidate) -> Anchor:
         raise _state(f"{name} has no hinge", "an object that has a hinge")
     pose = hinges.frame(geometry.IDENTITY, hinge.axis).tolist()
     return Anchor(pose=pose, frame=name, relies_on=(f"{name}.frame", f"{name}.angle"))
+
+
+def bolt(candidate: TaskCandidate) -> Anchor:
+    """The tcp pose at which the spindle of the held driver is on the head of the bolt, in the bolt's frame.
+
+    A bolt may be turned from any side: the hand keeps the attitude nearest to that of its home."""
+    name, grasp, pose = _on_head(candidate)
+    driver = candidate.query.holding(candidate.arm.name)
+    relies_on = (f"{driver}.grasp", f"{name}.frame")
+    return Anchor(pose=pose.tolist(), frame=name, grasp=grasp.tolist(), relies_on=relies_on)
+
+
+def bolt_out(candidate: TaskCandidate) -> Anchor:
+    """The same on the head of the bolt when it is out by all its turns, whether it is or not (world frame)."""
+    name, grasp, pose = _on_head(candidate)
+    thread = candidate.query.thread(name)
+    assert thread is not None
+    out = geometry.compose(candidate.query.turned_out(name, thread.turns), pose)
+    driver = candidate.query.holding(candidate.arm.name)
+    return Anchor(pose=out.tolist(), grasp=grasp.tolist(), relies_on=(f"{driver}.grasp",))
+
+
+def _on_head(candidate: TaskCandidate) -> tuple[str, Array, Array]:
+    """The bolt, the grasp of the driver, and the tcp pose on the head in the bolt's frame."""
+    assert candidate.thing is not None
+    name, query = candidate.thing.name, candidate.query
+    driver = query.driver(candidate.arm.name)
+    grasp = query.grasp(driver.name) if driver is not None else None
+    if candidate.thing.thread is None or driver is None or driver.spindle is None or grasp is None:
+        raise _state(f"{candidate.arm.name} cannot turn {name}", "an object with a thread, and a driver in the hand")
+    tip = geometry.compose(grasp, driver.spindle.frame.pose)
+    facing = geometry.from_rpy((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0))  # the axes of tip and bolt are opposed
+    home = query.model.arms[candidate.arm.name].fk(candidate.arm.home_rad)
+    angle = hinges.angle_of(geometry.compose(query.frame(name), facing), ALONG_BOLT, geometry.compose(home, tip))
+    return name, grasp, geometry.compose(hinges.turned(facing, ALONG_BOLT, angle), geometry.inverse(tip))
 
 
 def destination(candidate: TaskCandidate) -> Anchor:
@@ -210,4 +248,6 @@ ANCHORS: dict[str, Callable[[TaskCandidate], Anchor]] = {
     "hinge": hinge,
     "meeting": meeting,
     "here": here,
+    "bolt": bolt,
+    "bolt_out": bolt_out,
 }

@@ -15,6 +15,7 @@ from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.protocol.sentence import BOTH_ARMS, Destination, ParsedCommand
 from rtc.spatial import geometry
+from rtc.world.model import BOLT_STATES
 from workers.elaborator import two_hands
 from workers.elaborator.script_options import fits_sentence
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
@@ -32,7 +33,7 @@ def candidates(
     """One candidate per arm and grasp point that the sentence allows, nearest first. Raises Refused."""
     thing = _thing(program, parsed, query.cell)
     parsed = _with_place(program, scripts, parsed, query)
-    target = None if parsed.target is None else _part(query.cell.seats, parsed.target, "seat")
+    target = None if parsed.target in (None, *BOLT_STATES) else _part(query.cell.seats, parsed.target, "seat")
     arms = _arms(program, scripts, parsed, query, thing)
     points = two_hands.free_points(query, parsed, thing, _points(program, scripts, parsed, thing))
     allowed = []
@@ -105,12 +106,15 @@ def _arms(
     query: WorldQuery,
     thing: parts.Object | None,
 ) -> list[parts.Arm]:
-    """The arm named in the sentence; else the arm that holds the object; else all arms."""
+    """The arm named in the sentence; else those that hold the object, or a driver for a bolt; else all arms."""
     cell = query.cell
     if parsed.hand is not None:
         if parsed.hand == BOTH_ARMS:
             return [two_hands.both_arms(program, scripts, parsed, query)]
         return [_part(cell.arms, parsed.hand, "arm")]
+    drivers = [arm for arm in cell.arms if query.driver(arm.name)] if thing and thing.thread is not None else []
+    if drivers:
+        return drivers
     holder = query.held_by(thing.name) if thing else ""
     return [arm for arm in cell.arms if not holder or arm.name == holder]
 

@@ -330,6 +330,8 @@ def _straight(script: ScriptFile, candidate: TaskCandidate, request: PlanningReq
     contacts: list[tuple[str, str]] = []
     if held and (thing is not None or candidate.partner is not None):
         contacts = scenes.seat_contacts(query, held, [target.name] if target else [])
+        if thing is not None and thing.thread is not None:
+            contacts += scenes.hand_contacts(query, arm, thing.name)
     elif thing is not None and not held:
         contacts = scenes.hand_contacts(query, arm, thing.name)
     scene = request.scene

@@ -138,8 +138,7 @@ def refuse_without_effect(script: ScriptFile, candidate: TaskCandidate) -> None:
     parsed = candidate.parsed
     complies = any(SOFT in step.args and not step.op for step in script.steps)
     soft = complies or any(constraint.slot == "STIFFNESS" for constraint in parsed.constraints)
-    conditions = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
-    if not soft and any(condition.event == "NO-PROGRESS" for condition in conditions):
+    if not soft and any(condition.event == "NO-PROGRESS" for condition in parsed.conditions):
         message = f"NO-PROGRESS is about a compliant arm; {parsed.verb} moves a rigid one, which its force limit stops"
         raise _refused(message, "NO-PROGRESS", "MAINTAIN STIFFNESS, such as 600 N/M; or leave out NO-PROGRESS")
     if any(item.action == "back_off" for item in parsed.reflexes) and not any(s.do == "move" for s in script.steps):

@@ -130,6 +130,8 @@ def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:
     joints = max(len(arm.joints) for arm in query.cell.arms)
     for reflex in parsed.reflexes:
         reflexes.refuse_unsupported(reflex, parsed.object is not None, joints)
+    if parsed.until is not None:
+        reflexes.refuse_condition(parsed.until, parsed.object is not None, joints, "UNTIL")
     for condition in parsed.report.when if parsed.report else ():
         reflexes.refuse_condition(condition, parsed.object is not None, joints, "REPORT WHEN")
 

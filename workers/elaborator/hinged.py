@@ -37,8 +37,9 @@ def refuse_turn_of_hand(script: ScriptFile, candidate: TaskCandidate) -> None:
     if not moves or not all(step.space == SPACE and step.args.get("hand_turn") == 0.0 for step in moves):
         return
     parsed = candidate.parsed
-    asked = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
-    turn = next((c for c in asked if c.measure == "TURN" and not (c.along or "").startswith(reflexes.JOINT)), None)
+    turn = next(
+        (c for c in parsed.conditions if c.measure == "TURN" and not (c.along or "").startswith(reflexes.JOINT)), None
+    )
     if turn is None:
         return
     raise Refused.because(

@@ -41,7 +41,7 @@ def refused_form(parsed: ParsedCommand, branches: list[Branch], *, hinged: bool 
 
 def _changes(branch: Branch, parsed: ParsedCommand, amount: str) -> list[tuple[str, str]]:
     """The conditions of a branch that the sentence does not meet: (field, what to change, in words)."""
-    follows = {"amount": amount, "to_value": amount, "duration_s": "a time in SEC"}
+    follows = {"amount": amount, "to_value": amount, "duration_s": "a time in SEC", "until": "a condition"}
     found: list[tuple[str, str]] = []
     for check in branch.when:
         if check.given and command_fields.field(parsed, check.given) is None:

@@ -125,6 +125,22 @@ def _object_hinged(candidate: TaskCandidate) -> UnmetPrecondition | None:
     return None if candidate.thing.hinge is not None else UnmetPrecondition(f"{name} has no hinge", name)
 
 
+def _driver_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    """The hand holds an object with a spindle."""
+    query, arm = candidate.query, candidate.arm.name
+    if query.driver(arm) is not None:
+        return None
+    drivers = [thing.name for thing in query.cell.objects if thing.spindle is not None]
+    if not drivers:
+        return UnmetPrecondition(f"{query.cell.name} has no driver", "", "driver_there")
+    driver = drivers[0]
+    if holder := query.held_by(driver):
+        return UnmetPrecondition(f"{driver} is held by {holder}, not by {arm}", holder, "held_by_another", driver)
+    if held := query.holding(arm):
+        return UnmetPrecondition(f"{arm} holds {held}, and no driver", driver, "driver_hand_full", held)
+    return UnmetPrecondition(f"{arm} holds no driver", driver)
+
+
 def _seat_free(candidate: TaskCandidate) -> UnmetPrecondition | None:
     assert candidate.target is not None
     inside = [t.name for t in candidate.query.cell.objects if candidate.query.seat(t.name) == candidate.target.name]
@@ -164,6 +180,7 @@ NEEDS: dict[str, Callable[[TaskCandidate], UnmetPrecondition | None]] = {
     "object_held": _object_held,
     "object_seated": _object_seated,
     "object_hinged": _object_hinged,
+    "driver_held": _driver_held,
     "seat_free": _seat_free,
     "width_known": _width_known,
     "partner_empty": _partner_empty,

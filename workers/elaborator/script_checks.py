@@ -9,7 +9,7 @@ from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
 from workers.conditions import reflexes
-from workers.elaborator import anchors, command_fields, hinged, preconditions, two_hands
+from workers.elaborator import anchors, command_fields, hinged, preconditions, threads, two_hands
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.elaborator.task_candidate import TaskCandidate
@@ -35,9 +35,8 @@ def _refuse_nothing_held(script: ScriptFile, candidate: TaskCandidate) -> None:
     if candidate.hand is None:
         return
     parsed, arm = candidate.parsed, candidate.hand.name
-    asked = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
     holding, closes = bool(candidate.query.holding(arm)), any(step.op == "close" for step in script.steps)
-    for condition in asked:
+    for condition in parsed.conditions:
         reflexes.refuse_without_grip(condition, arm, holding, closes)
 
 
@@ -119,6 +118,9 @@ CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
     hinged.refuse_other_motion,
     hinged.refuse_turn_of_hand,
     hinged.refuse_beyond_stops,
+    threads.refuse_beyond_thread,
+    threads.refuse_too_much_torque,
+    threads.refuse_fastened,
     two_hands.refuse_moving_alone,
     _refuse_unsure_place,
 )

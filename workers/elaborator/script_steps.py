@@ -29,6 +29,7 @@ class Compiled:
 
 
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
+ENDS = "ends"  # word of a step that UNTIL ends; another one that watches it may end otherwise too
 MAX_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
 
 
@@ -46,6 +47,11 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
     figures = {name: numbers.pop(name) for name in StepFigures.__struct_fields__ if name in numbers}
     words: dict[str, Any] = {name: candidate.fill_in(word) for name, word in step.words.items()}
     words["through"] = words.get("through", "").split()
+    expect, until = step.expect, candidate.parsed.until
+    if until is not None and (word := step.words.get("until")):
+        reason = reflexes.reason_of(until)
+        assert reason is not None, until  # others were refused
+        expect = [reason] if word == ENDS else [*expect, reason]
     camera, body = look.camera_for(step, candidate, body), body or candidate.body
     cameras = [] if camera is None else [camera.name, *look.further_cameras(step, candidate, body, camera)]
     return Step(
@@ -58,7 +64,7 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
         space=step.space,
         value=step.value,
         op=step.op,
-        expect=step.expect,
+        expect=expect,
         keep=step.keep,
         trims=[*asked, *own],
         words=StepWords(**words),
@@ -238,6 +244,7 @@ def context_for(
         limits=candidate.limits,
         guarded=candidate.parsed.guarded,
         reflexes=candidate.parsed.reflexes,
+        until=candidate.parsed.until,
         report=candidate.parsed.report,
         fits={entry.n: entry.fits for entry in entries if entry.fits},
         if_drifting=next((entry.n for entry in script.trimming_stack if entry.drift and entry.n in known), 0),

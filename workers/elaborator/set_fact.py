@@ -19,6 +19,7 @@ from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
+from rtc.world.model import LOOSE, TIGHT
 from workers.elaborator import command_fields, preconditions, strategies, teach
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
@@ -211,6 +212,14 @@ def _angle(program: ElaboratorProgram, values: list[Any], thing: Thing, query: W
     return _pose(turned[:3], turned[3:], thing)
 
 
+def _state(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
+    """The state of a bolt; of another object a new attribute. Its turns and its frame follow from it."""
+    stated = (TIGHT, LOOSE)
+    if query.thread(thing.name) is not None and values[0] not in stated:
+        raise suggestions.unknown("state of a bolt", values[0], stated, where=values[0])
+    return {f"{thing.name}.state": values[0]}
+
+
 def _current_pose(thing: Thing, query: WorldQuery) -> Array:
     return query.seat_frame(thing.name) if isinstance(thing, parts.Seat) else query.frame(thing.name)
 
@@ -228,4 +237,5 @@ FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dic
     "attitude": _attitude,
     "seat": _seat,
     "angle": _angle,
+    "state": _state,
 }

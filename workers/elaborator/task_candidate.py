@@ -84,6 +84,7 @@ class TaskCandidate:
             "amount": _amount_in_words(self.parsed),
             "through": " ".join(self.vias),
             "meeting": self.meeting.name if self.meeting else "",
+            "until": self.parsed.until.sentence if self.parsed.until else "",
             "time": _time_in_words(self.parsed, self.figures),
         }
 
@@ -180,6 +181,11 @@ def figures_of(
                 figures["hinge_lever_m"] = float(np.linalg.norm(arc))
                 away = float(arc @ geometry.rotate(between.frame.pose, (0.0, 0.0, 1.0)))
                 figures["hinge_push"] = math.copysign(1.0, away)
+        figures["has_spindle"] = float(thing.spindle is not None)
+        figures["threaded"] = float(thing.thread is not None)
+        if thing.thread is not None:
+            figures |= {"out_turns": query.turns(thing.name), "thread_turns": thing.thread.turns}
+            figures["thread_m"] = thing.thread.pitch_m * thing.thread.turns
     if target is not None:
         figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
         figures["held_unsure_m"] = _held_unsure_m(query, thing, target) if thing is not None else 0.0
@@ -212,7 +218,14 @@ def _held_unsure_m(query: WorldQuery, thing: parts.Object, target: parts.Seat) -
 
 
 def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:
-    return {} if quantity is None else {f"{name}_{SUFFIXES[quantity.unit]}": quantity.value}
+    """The figure of a quantity; of a turn both in rad and in turns."""
+    if quantity is None:
+        return {}
+    turn = 2.0 * math.pi
+    if quantity.unit in ("rad", "turn"):
+        rad = quantity.value * (1.0 if quantity.unit == "rad" else turn)
+        return {f"{name}_rad": rad, f"{name}_turns": rad / turn}
+    return {f"{name}_{SUFFIXES[quantity.unit]}": quantity.value}
 
 
 def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery) -> Refused:

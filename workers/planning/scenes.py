@@ -48,6 +48,8 @@ def scene_of(
         holder, grasp = query.held_by(thing.name), query.grasp(thing.name)
         if holder and grasp is not None and thing.hinge is None:
             held[thing.name] = Held(holder, grasp)
+        elif thing.thread is not None:
+            poses[thing.name] = query.frame(thing.name)
         elif not thing.fixed:
             if holder and grasp is not None and thing.hinge is not None:
                 grip = geometry.inverse(grasp)[:3]
@@ -93,10 +95,14 @@ def seat_contacts(query: WorldQuery, carried: str, entered: Iterable[str] = ()) 
 
 
 def hand_contacts(query: WorldQuery, arm: str, thing: str) -> list[tuple[str, str]]:
-    """The pairs of this arm's hand and an object that may touch; its seat too: both poses share an error."""
-    hand = query.cell.arm(arm).gripper
+    """The pairs of this arm's hand, or of the driver in it, and an object that may touch; its seat too, because both
+    poses share an error."""
+    hand, driver = query.cell.arm(arm).gripper, query.driver(arm)
     met = [name for name in (thing, query.seat(thing)) if name]
-    return [(f"{arm} {link}", name) for name in met for link in (*hand.finger_links, hand.palm_link)]
+    touching = [f"{arm} {link}" for link in (*hand.finger_links, hand.palm_link)]
+    if driver is not None:
+        touching.append(driver.name)
+    return [(one, name) for name in met for one in touching]
 
 
 def planning_request(

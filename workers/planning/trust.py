@@ -57,6 +57,8 @@ def remedy(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
     row = attribute
     if attribute in ("frame", "angle"):
         row = "grasp" if holder else "angle" if query.hinge(location) and "angle" in clears else attribute
+    if attribute in ("frame", "turns", "state") and query.thread(location) is not None:
+        row = "turns"
     if row == "frame" and "seen" in clears and _look_helps(query, location):
         row = "seat_seen" if "seat_seen" in clears and query.is_seat(location) else "seen"
     words = clears.get(row, "sense {location} again")
@@ -110,7 +112,13 @@ def unsure_m(query: WorldQuery, poses: Iterable[str], held: Iterable[str]) -> di
 
 def off_m(query: WorldQuery, body: str, spread: Spread) -> float:
     """How far a point of a body is from its place at most, if its pose has this spread."""
-    most_m = math.hypot(*spread[:3]) + math.hypot(*spread[3:]) * query.model.collision.radius_m(body)
+    turns, radius_m = np.asarray(spread[3:]), query.model.collision.radius_m(body)
+    most_m = math.hypot(*spread[:3])
+    driver = query.model.drivers.get(body)
+    if driver is not None:  # a turn about its spindle, by the torque of a bolt, moves its tip nowhere
+        most_m += float(turns @ driver.axis) * driver.aside_m
+        turns = turns * (1.0 - driver.axis)
+    most_m += math.hypot(*turns) * radius_m
     return UNSURE_STEP_M * math.ceil(most_m / UNSURE_STEP_M - 1e-9)
 
 

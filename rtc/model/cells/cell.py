@@ -256,6 +256,7 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
     yield from _repeated_names(cell)
     seats = {seat.name for seat in cell.seats}
     arms = {arm.name: arm for arm in cell.arms}
+    bolts = [thing.name for thing in cell.objects if thing.thread is not None]
     taken: dict[str, str] = {}
     for n, arm in enumerate(cell.arms):
         for field in ("home_deg", "stow_deg", "acceleration_deg_s2"):
@@ -264,6 +265,9 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
     for n, seat in enumerate(cell.seats):
         if abs(math.hypot(*seat.way_out) - 1.0) > 1e-6:
             yield f"seats[{n}].way_out", "must be of unit length"
+        for m, bolt in enumerate(seat.bolts):
+            if bolt not in bolts:
+                yield f"seats[{n}].bolts[{m}]", unknown("object with a thread", bolt, bolts)
     for n, thing in enumerate(cell.objects):
         if thing.seat is not None and thing.seat not in seats:
             yield f"objects[{n}].seat", unknown("seat", thing.seat, seats)

@@ -83,6 +83,17 @@ class Capsule(Shape, frozen=True, kw_only=True, tag="capsule"):
 AnyShape = Box | Cylinder | Sphere | Capsule
 
 
+def radius_m(shape: AnyShape) -> float:
+    """Radius of a ball around the middle of the shape that contains it."""
+    match shape:
+        case Box():
+            return 0.5 * math.hypot(*shape.size_m)
+        case Sphere():
+            return shape.radius_m
+        case _:
+            return shape.radius_m + 0.5 * shape.length_m
+
+
 # --- contents of the cell ------------------------------------------------------------------------------
 
 
@@ -167,6 +178,7 @@ class Seat(CellPart, frozen=True, kw_only=True):
     depth_m: NotNegative  # distance along way_out until the module is free
     detent_n: NotNegative = 0.0  # holding force of the catch; 0: no catch
     needs_within: KnownWithin | None = None  # maximum spread of a held module for insertion
+    bolts: list[Name] = []  # objects with a thread: a module in the seat is fastened until all are turned out
     shapes: list[AnyShape] = []
 
 

@@ -13,7 +13,7 @@ from rtc.protocol.messages.world import Fact, WorldChange
 from rtc.protocol.outcomes import Compared, Refusal, StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.protocol.rehearsal import Rehearsal
-from rtc.protocol.sentence import ParsedCommand, ReflexItem, Report
+from rtc.protocol.sentence import Condition, ParsedCommand, ReflexItem, Report
 from rtc.protocol.strict import Strict
 
 
@@ -74,6 +74,7 @@ class ScriptContext(Strict, frozen=True, kw_only=True, omit_defaults=True):
     limits: Limits = Limits()
     guarded: bool = False
     reflexes: list[ReflexItem] = []
+    until: Condition | None = None  # of the sentence: it ends the steps with `words: {until: ends}`
     report: Report | None = None  # the REPORT clause
     fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
     if_drifting: int = 0  # entry that corrects a grip which weakens, before a step fails of it; 0: none

@@ -33,6 +33,7 @@ class StepWords(Strict, frozen=True, kw_only=True, omit_defaults=True):
     leaves: str = ""  # "seat": the held object leaves its seat
     seat: str = ""  # where the object is set down, or should be seen
     says: str = ""  # the answer that the result of the command states
+    until: str = ""  # "ends": the condition of UNTIL ends it; "watched": it may
     needs: str = ""  # a seat whose bounds the pose of the held object must keep
 
 
@@ -46,6 +47,9 @@ class StepFigures(Strict, frozen=True, kw_only=True, omit_defaults=True):
     from_rad: float | None = None  # the angle of the held hinge that by_rad and turn_rad count from
     radius_m: float | None = None
     pitch_m: float | None = None
+    # turn of a spindle, in turns of the bolt; positive turns are outwards
+    by_turns: float | None = None
+    to_turns: float | None = None  # out of its tight place
     # duration of a motion, of a hold or of a look
     takes_s: float | None = None
     duration_s: float | None = None
@@ -87,6 +91,10 @@ class StepFigures(Strict, frozen=True, kw_only=True, omit_defaults=True):
     seen_rad: float | None = None
     seated_m: float | None = None
     at_rest: float | None = None
+
+    @property
+    def turns_spindle(self) -> bool:
+        return self.by_turns is not None or self.to_turns is not None
 
     def given(self) -> dict[str, float]:
         """Those that are given, by name."""

@@ -89,7 +89,7 @@ class Look(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="look"):
     cameras: Annotated[list[str], msgspec.Meta(max_length=8)] = []
 
 
-class SpindleMotion(Strict, frozen=True, kw_only=True, tag="spindle-motion"):
+class SpindleMotion(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="spindle-motion"):
     """P for an arm that holds a driver: turn its spindle by `turn_rad` with at most `torque_nm`. The arm keeps its
     position, or presses as its control law requires.
 
@@ -100,6 +100,7 @@ class SpindleMotion(Strict, frozen=True, kw_only=True, tag="spindle-motion"):
     turn_rad: float
     speed_rad_s: float
     torque_nm: float
+    retreat: JointTrajectory | None = None  # a line of the arm that ends at the bolt: BACK_OFF goes back along it
 
     def __post_init__(self) -> None:
         if not 0.0 < abs(self.turn_rad) <= MAX_TURN_RAD:  # false for nan too

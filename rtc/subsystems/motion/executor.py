@@ -294,6 +294,8 @@ class Executor:
         self._spindle = SpindleTurn(trajectory, self._seen) if isinstance(trajectory, p.SpindleMotion) else None
         if self._spindle is not None:
             self._spindle.run()
+        if isinstance(trajectory, p.SpindleMotion) and trajectory.retreat is not None:
+            self._setpoints.keep(trajectory.retreat)
         self._arrived = arrival(trajectory, self._seen, self._setpoints.profile.duration_s, self._turned_rad)
 
     def _turned_rad(self) -> float:
@@ -376,7 +378,9 @@ class Executor:
             self._setpoints.stay()  # no path to retrace
             return
         tripped_s = self.trip.at_path_s
-        if self._was_compliant:  # the arm may be far behind its command
+        if self._spindle is not None:  # its bolt moves it along this line, in its own time
+            tripped_s = path.nearest_s(joints, path.duration_s)
+        elif self._was_compliant:  # the arm may be far behind its command
             tripped_s = path.nearest_s(joints, tripped_s)
         self._setpoints.use(profiles.Retrace(path, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
 

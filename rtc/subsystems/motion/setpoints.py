@@ -61,6 +61,10 @@ class Setpoints:
         self.path = Follow(trajectory, self.command[0], self.most_rad_s)
         self.use(self.path)
 
+    def keep(self, trajectory: JointTrajectory) -> None:
+        """Keep a path to retreat along, without following it."""
+        self.path = Follow(trajectory, trajectory.positions[0], self.most_rad_s)
+
     def stand_at(self, joints: Sequence[float]) -> Motion:
         """Stay at these joints, from this tick on. Returns the command."""
         self.use(Stay(joints))

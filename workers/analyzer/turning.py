@@ -1,0 +1,219 @@
+"""What a turn of a driver, or a touch of a head, says about how far a bolt is out. Pure.
+
+A turn is proved twice: by the spindle, and by the way of the hand along the thread, which the head moves. A driver that
+has come off, and a stripped thread, turn without that way.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rtc.protocol.messages import Validity, WorldChange
+from rtc.protocol.outcomes import StopReason
+from rtc.spatial import geometry, hinges
+from rtc.spatial.geometry import Array, Floats
+from rtc.world.model import LOOSE, TIGHT, TURNED
+from workers.analyzer.analyze_task import AnalyzeTask
+
+TURN = 2.0 * math.pi
+SLACK_M, SLACK_SHARE = 0.0008, 0.05  # by which the way of the hand may differ from that of the thread
+TORQUES = (StopReason.TORQUE_LIMIT, StopReason.CONTACT)  # reasons of a turn that a torque has ended
+LEAST_TURNS = 0.02  # a smaller turn is none
+SEATED_TURNS = 0.5  # a tight bolt is believed no farther out before its last turn ends
+FREE_TURNS = 0.5  # the thread may end this far before its end is believed to be
+ALONG = 0.7  # part of an axis along the spindle from which it counts as that of the spindle
+FELT_TURNS = 0.1  # accuracy of a touch of the head
+
+
+def driven_turns(task: AnalyzeTask) -> float:
+    """The turns of the spindle in this step, positive outwards."""
+    return -(task.report.turned_rad or 0.0) / TURN
+
+
+def moved_turns(task: AnalyzeTask) -> float:
+    """The turns that the way of the hand along the thread amounts to, positive outwards."""
+    query, bolt = task.query, task.context.object
+    thread, start, end = query.thread(bolt), task.evaluation.start_joints, task.report.trip_pose or task.report.tcp_pose
+    if thread is None or not start or not end:
+        return 0.0
+    way = np.asarray(end[:3]) - query.model.arms[task.evaluation.arm].fk(start)[:3]
+    return float(way @ geometry.rotate(query.frame(bolt), (0.0, 0.0, 1.0))) / thread.pitch_m
+
+
+def is_unproved(task: AnalyzeTask) -> bool:
+    """Whether the spindle has turned without the bolt."""
+    thread = task.query.thread(task.context.object)
+    assert thread is not None
+    driven_m, moved_m = thread.pitch_m * driven_turns(task), thread.pitch_m * moved_turns(task)
+    return abs(moved_m - driven_m) > SLACK_M + SLACK_SHARE * abs(driven_m)
+
+
+def is_before_seat(task: AnalyzeTask) -> bool:
+    """Whether the torque of a tight bolt was felt while the bolt was still out."""
+    return task.query.turns(task.context.object) + driven_turns(task) > SEATED_TURNS
+
+
+def has_come_free(task: AnalyzeTask) -> bool:
+    """Whether the torque of the thread has ended where the thread does."""
+    bolt = task.context.object
+    thread = task.query.thread(bolt)
+    assert thread is not None
+    return task.query.turns(bolt) + driven_turns(task) > thread.turns - FREE_TURNS
+
+
+def turned(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
+    """The driver has turned the bolt: by what was commanded, or until it came free. A torque that was felt before it
+    turned changes nothing."""
+    if task.report.reason is StopReason.SLIP:
+        return free(task, validity)
+    if abs(driven_turns(task)) < LEAST_TURNS:
+        return []
+    turns = task.query.turns(task.context.object) + driven_turns(task)
+    seated = task.report.reason in TORQUES and driven_turns(task) < 0.0 and turns < FELT_TURNS
+    changes = _at(task, 0.0, validity, TIGHT) if seated else _at(task, turns, validity)
+    return [*changes, *_centred(task, validity)]
+
+
+def tightened(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
+    """The driver has turned the bolt in, until its torque was felt."""
+    return [*_at(task, 0.0, validity, TIGHT), *_centred(task, validity)]
+
+
+def free(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
+    """The driver turns the bolt outwards without the torque of a thread: it is out by all its turns."""
+    thread = task.query.thread(task.context.object)
+    assert thread is not None
+    return _at(task, thread.turns, validity, LOOSE)
+
+
+def after_failure(task: AnalyzeTask) -> list[WorldChange]:
+    """What a turn that has failed says about the bolt: unless the turn is proved, the bolt is believed where the way of
+    the hand says, or a little farther in, and in doubt. A driver that has not felt the torque of the thread has turned
+    nothing."""
+    thread = task.query.thread(task.context.object)
+    assert thread is not None
+    complete = task.report.reason is StopReason.GOAL
+    if abs(driven_turns(task)) < LEAST_TURNS or (complete and _felt_nm(task) < thread.running_nm):
+        return []
+    if complete and is_proved(task):
+        return turned(task, Validity.VALID)
+    return _at(task, task.query.turns(task.context.object) + moved_turns(task) - FELT_TURNS, Validity.SUSPECT)
+
+
+def _felt_nm(task: AnalyzeTask) -> float:
+    """The torque at which the step would have ended; infinite without one."""
+    return task.step.overrides.get("felt_nm", math.inf)
+
+
+def head_felt(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
+    """The driver was pressed on the head: the bolt is out by where the tip of its spindle is.
+
+    That says nothing new if it is believed to be there. Else it is believed to be a little farther in, so that turning
+    it out by what is left frees it."""
+    query, bolt = task.query, task.context.object
+    known = all(query.trusts(f"{bolt}.{name}") for name in ("turns", "state", "frame"))
+    off = felt_turns(task) - query.turns(bolt)
+    return [] if known and abs(off) < 2.0 * FELT_TURNS else _at(task, felt_turns(task) - FELT_TURNS, validity)
+
+
+def _centred(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
+    """How the driver lies in the hand, if it turns a bolt from whose axis its tip should be too far: it is tilted."""
+    query, bolt, tcp = task.query, task.context.object, task.report.trip_pose or task.report.tcp_pose
+    tip = _tip(task)
+    if tip is None or not is_proved(task):
+        return []
+    aside = geometry.relative(query.frame(bolt), tip)[:3] * (1.0, 1.0, 0.0)
+    if math.hypot(*aside) <= task.values["engaged_m"]:
+        return []
+    before = tip[:3] - np.asarray(tcp[:3])
+    after = before - geometry.rotate(query.frame(bolt), aside)
+    axis = np.cross(before, after)
+    sine = float(np.linalg.norm(axis))
+    pivot = geometry.make_pose(tcp[:3], (0.0, 0.0, 0.0, 1.0))
+    tilted = hinges.turned(pivot, axis / sine, math.atan2(sine, float(before @ after)))
+    driver = query.holding(task.evaluation.arm)
+    held = query.in_hand(driver, tcp)
+    assert held is not None
+    grasp = geometry.relative(tcp, geometry.compose(tilted, geometry.relative(pivot, held)))
+    now = geometry.compose(task.report.tcp_pose, grasp)
+    return [
+        WorldChange(key=f"{driver}.grasp", value=geometry.normalise(grasp).tolist(), validity=validity),
+        WorldChange(key=f"{driver}.frame", value=geometry.normalise(now).tolist(), validity=validity),
+    ]
+
+
+def _tip(task: AnalyzeTask) -> Array | None:
+    """Pose of the tip of the spindle when the step ended, as believed (world); None if it is not known."""
+    query, tcp = task.query, task.report.trip_pose or task.report.tcp_pose
+    driver = query.driver(task.evaluation.arm)
+    if driver is None or driver.spindle is None or not tcp or (grasp := query.grasp(driver.name)) is None:
+        return None
+    return geometry.compose(geometry.compose(tcp, grasp), driver.spindle.frame.pose)
+
+
+def is_proved(task: AnalyzeTask) -> bool:
+    """Whether this step has turned the bolt, so that the tip of the spindle is on its axis."""
+    turns = task.report.turned_rad is not None and task.query.thread(task.context.object) is not None
+    return turns and abs(driven_turns(task)) > LEAST_TURNS and not is_unproved(task)
+
+
+def wrung(task: AnalyzeTask, spread: list[float]) -> list[float]:
+    """The spread of a driver, in its own axes, after it has turned a bolt. The torque turns it in the hand about its
+    spindle. It is tilted by no more than the tip may be from the axis of the bolt."""
+    query, driver, tip = task.query, task.query.driver(task.evaluation.arm), _tip(task)
+    if tip is None or driver is None or driver.spindle is None:
+        return spread
+    aside_m = math.hypot(*geometry.relative(query.frame(task.context.object), tip)[:2])
+    off_m = min(aside_m, task.values["engaged_m"]) + task.values["engaged_m"] + max(spread[:3])
+    tilt_rad = off_m / math.hypot(*driver.spindle.frame.xyz)
+    along = np.abs(geometry.rotate(driver.spindle.frame.pose, (0.0, 0.0, 1.0)))
+    values, torque_nm = task.values, task.report.peak_torque_nm
+    more_rad = values["wrung_rad"] if torque_nm > values["wrung_nm"] else 0.0
+    angles = (
+        max(had, min(had + more_rad, values["wrung_most_rad"])) if part > ALONG else min(had, tilt_rad)
+        for had, part in zip(spread[3:], along, strict=True)
+    )
+    return [*spread[:3], *(float(angle) for angle in angles)]
+
+
+def felt_turns(task: AnalyzeTask) -> float:
+    """By how many turns the bolt is out, if the tip of the spindle is on its head."""
+    bolt, tip = task.context.object, _tip(task)
+    thread = task.query.thread(bolt)
+    if thread is None or tip is None:
+        return 0.0
+    return float(geometry.relative(task.query.turned_out(bolt, 0.0), tip)[2]) / thread.pitch_m
+
+
+def is_loose(task: AnalyzeTask) -> bool:
+    """Whether the head that was touched is that of a loose bolt."""
+    thread = task.query.thread(task.context.object)
+    return thread is not None and felt_turns(task) > thread.turns - FREE_TURNS
+
+
+def in_words(task: AnalyzeTask) -> str:
+    """How far the bolt is out: by the touch of its head, or by the way of the hand; empty without a bolt."""
+    bolt = task.context.object
+    thread = task.query.thread(bolt)
+    if thread is None:
+        return ""
+    touched = task.step.words.effect == "head_felt"
+    turns = felt_turns(task) if touched else task.query.turns(bolt) + moved_turns(task)
+    return f"{bolt} is {max(0.0, turns) + 0.0:.1f} of {thread.turns:g} turns out"
+
+
+def _at(task: AnalyzeTask, turns: float, validity: Validity, state: str = "") -> list[WorldChange]:
+    """The facts of a bolt that is out by this many turns. `state`: if more is known than its turns say."""
+    bolt, query = task.context.object, task.query
+    thread = query.thread(bolt)
+    assert thread is not None
+    turns = min(max(0.0, turns), thread.turns)
+    state = state or (LOOSE if turns > thread.turns - LEAST_TURNS else TURNED)
+    frame: Floats = geometry.normalise(query.turned_out(bolt, turns)).tolist()
+    return [
+        WorldChange(key=f"{bolt}.turns", value=turns, validity=validity),
+        WorldChange(key=f"{bolt}.state", value=state, validity=validity),
+        WorldChange(key=f"{bolt}.frame", value=frame, validity=validity),
+    ]

@@ -1,0 +1,93 @@
+"""Refusals about bolts: turns that a thread does not have, and what bolts fasten in a seat. Pure."""
+
+from __future__ import annotations
+
+from rtc.programs import expressions
+from rtc.programs.schema import ScriptFile
+from rtc.protocol.messages import Validity
+from rtc.protocol.outcomes import RefusalReason, Refused
+from workers.elaborator import two_hands
+from workers.elaborator.task_candidate import TaskCandidate
+
+LEAST_TURNS = 0.02  # a smaller turn is none
+
+
+def refuse_beyond_thread(script: ScriptFile, candidate: TaskCandidate) -> None:
+    """Refuse to turn a bolt beyond the ends of its thread, or not at all. A turn that a torque ends may go on."""
+    thing, parsed = candidate.thing, candidate.parsed
+    steps = [step for step in script.steps if "to_turns" in step.args]
+    if thing is None or thing.thread is None or not steps:
+        return
+    now, most = candidate.query.turns(thing.name), thing.thread.turns
+    for step in steps:
+        there = expressions.number(step.args["to_turns"], candidate.figures)
+        ends = parsed.amount is None  # by the end of the thread, or a condition
+        if (there > now and now > most - LEAST_TURNS) or (abs(there - now) < LEAST_TURNS and not ends):
+            raise _there(candidate, now, most)
+        if not ends and not -LEAST_TURNS <= there <= most + LEAST_TURNS:
+            raise _beyond(candidate, there, now, most)
+
+
+def refuse_too_much_torque(script: ScriptFile, candidate: TaskCandidate) -> None:
+    """Refuse a turn until a torque that the driver does not have, or that the sentence forbids."""
+    until, thing, most_nm = candidate.parsed.until, candidate.thing, candidate.figures.get("most_nm")
+    if thing is None or thing.thread is None or until is None or most_nm is None or until.quantity is None:
+        return
+    driver = candidate.query.driver(candidate.arm.name)
+    limits = [most_nm, candidate.limits.torque_nm, driver.spindle.most_nm if driver and driver.spindle else None]
+    limit_nm = min(limit for limit in limits if limit is not None)
+    if until.measure != "TORQUE" or until.bound != "above" or until.quantity.value < limit_nm:
+        return
+    raise Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"UNTIL {until.sentence}: {candidate.arm.name} turns {thing.name} with {limit_nm:g} N.m at most",
+        where="UNTIL",
+        clears=f"UNTIL TORQUE EXCEEDS less than {limit_nm:g} NM",
+        detail={"cause": "torque", "value_nm": until.quantity.value, "limit_nm": limit_nm},
+    )
+
+
+def _there(candidate: TaskCandidate, now: float, most: float) -> Refused:
+    message = f"{candidate.body} is {now:g} of {most:g} turns out: nothing to turn"
+    clears = candidate.program.needs.get("turned_out" if now > most - LEAST_TURNS else "turned_in", "")
+    return Refused.because(RefusalReason.STATE, message, clears=clears.replace("{bolt}", candidate.body))
+
+
+def _beyond(candidate: TaskCandidate, there: float, now: float, most: float) -> Refused:
+    left = most - now if there > most else now
+    if left < LEAST_TURNS:
+        raise _there(candidate, now, most)
+    return Refused.because(
+        RefusalReason.INFEASIBLE,
+        f"{candidate.body} has {most:g} turns, and is {now:g} out: it does not turn to {there:g}",
+        clears=f"{candidate.parsed.verb} {candidate.body} BY {left:g} TURNS or less, or without BY",
+        detail={"cause": "thread", "value_turns": there, "most_turns": most},
+    )
+
+
+def refuse_fastened(script: ScriptFile, candidate: TaskCandidate) -> None:
+    """Refuse to move a held object that bolts fasten in its seat, or to bring it into a seat whose bolts are in."""
+    if candidate.hand is None or not any(step.to for step in script.steps) or two_hands.lets_go_first(script):
+        return
+    query = candidate.query
+    held = query.holding(candidate.arm.name)
+    if not held or query.hinge(held) is not None:
+        return
+    seats = [query.seat(held) or query.seat_around(held), candidate.target.name if candidate.target else ""]
+    for seat in filter(None, seats):
+        bolts = query.fastening(seat)
+        if not bolts:
+            continue
+        fact = query.world.get(f"{bolts[0]}.state")
+        known = fact is None or fact.validity is Validity.VALID
+        names = ", ".join(bolts)
+        inside = f"{held} is fastened in {seat} by {names}"
+        words = inside if seat == seats[0] else f"{held} does not go into {seat}: {names} must be turned out first"
+        row = "bolts_loose" if known else "bolts_known"
+        raise Refused.because(
+            RefusalReason.STATE if known else RefusalReason.SUSPECT,
+            words if known else f"{names} may not be turned out of {seat}",
+            where=seat,
+            clears="; ".join(candidate.program.needs.get(row, "").replace("{bolt}", bolt) for bolt in bolts),
+            detail={"cause": "bolts", "seat": seat},
+        )
