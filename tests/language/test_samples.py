@@ -29,7 +29,9 @@ SERVICING = CellModel(Cell.load("servicing"))
 SWAPOUT = CellModel(CELL)
 OUT = ("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "EXTRACT MACS-NEW FROM RACK-1")
 BOTH = (*OUT, "CARRY MACS-NEW TO CLEAR-POINT-1 WITH BOTH-ARMS", "MOVE BOTH-ARMS BY 20 CM ALONG DOWN")
-OLD = ("GRASP RIGHT-END-EFF MACS-OLD HANDLE-A",)
+UNBOLTED = ("SET BOLT-1 STATE LOOSE", "SET BOLT-2 STATE LOOSE")
+OLD = (*UNBOLTED, "GRASP RIGHT-END-EFF MACS-OLD HANDLE-A")
+DRIVER = ("GRASP RIGHT-END-EFF POWER-DRIVER TOOL-GRIP",)
 OLD_OUT = (*OLD, "EXTRACT MACS-OLD FROM BAY-2")
 DOOR = ("GRASP LEFT-END-EFF DOOR-2 LATCH-PULL",)
 
@@ -59,7 +61,7 @@ TASKS: dict[str, Sample] = {
     "S9": OK,
     "S10": Sample("no arm GANTRY"),
     "S11": OK,
-    "S12": Sample("it is a bolt"),
+    "S12": Sample(before=DRIVER),
     "S13": OK,
     "S14": Sample(before=BOTH, model=SWAPOUT),
     "S15": Sample(before=(*DOOR, "PULL DOOR-2 BY 10 CM"), door_deg=CLOSED),
@@ -68,9 +70,9 @@ TASKS: dict[str, Sample] = {
     "S18": Sample(before=OUT, model=SWAPOUT),
     "S19": Sample(before=OLD),
     "S20": Sample(before=OUT, model=SWAPOUT),
-    "S21": Sample("LOOSEN cannot be performed"),
-    "S22": Sample("TIGHTEN cannot be performed"),
-    "S23": Sample("TURN cannot be performed"),
+    "S21": Sample(before=DRIVER, planned=True),
+    "S22": Sample("AND TRY REGRASP: TIGHTEN has no use for it", DRIVER),
+    "S23": Sample("no object CRANK-1"),
     "S24": Sample(before=DOOR, door_deg=CLOSED),
     "S25": OK,
     "S26": Sample("150 mm is asked for"),  # the hand is open by 80 mm

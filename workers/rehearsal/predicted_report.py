@@ -37,6 +37,7 @@ from workers.planning.world_query import WorldQuery
 HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
 CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
 NO_FORCE = [0.0] * 6
+TURN = 2.0 * math.pi
 BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
 
 
@@ -222,11 +223,19 @@ def _between_m(query: WorldQuery, evaluation: EvaluationContext) -> float:
 
 
 def _of_spindle(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
-    turn = made.trajectory
+    """The hand follows the bolt along its thread. A torque is felt at once outwards, and inwards at the tight place."""
+    turn, arm = made.trajectory, query.model.arms[made.performer]
     assert isinstance(turn, SpindleMotion)
-    takes_s = abs(turn.turn_rad) / turn.speed_rad_s
-    report = _at_rest(query, made.performer, made.id, reason, query.joints(made.performer), takes_s)
-    return _replaced(report, turned_rad=turn.turn_rad)
+    whole = abs(turn.turn_rad) / TURN
+    inwards = min(whole, query.turns(evaluation.context.object)) if turn.turn_rad > 0.0 else 0.0
+    share = 1.0 if reason in (StopReason.GOAL, StopReason.SLIP) else inwards / whole
+    here, goal, joints = query.tcp(made.performer), evaluation.goal_pose, query.joints(made.performer)
+    if goal is not None:
+        there = geometry.translate(here, share * (np.asarray(goal[:3]) - here[:3]))
+        found = arm.nearest_ik(there.tolist(), joints)
+        joints = joints if found is None else [float(angle) for angle in found]
+    report = _at_rest(query, made.performer, made.id, reason, joints, share * abs(turn.turn_rad) / turn.speed_rad_s)
+    return _replaced(report, turned_rad=share * turn.turn_rad)
 
 
 # --- cameras -----------------------------------------------------------------------------------------------

@@ -94,6 +94,7 @@ def test_a_whole_journey_through_a_door_is_feasible():
     paper = OnPaper(SERVICING)
     sentences = (
         *("GRASP LEFT-END-EFF DOOR-2 LATCH-PULL", "OPEN DOOR-2 BY 90 DEG WITH LEFT-ARM", "RELEASE DOOR-2"),
+        *("SET BOLT-1 STATE LOOSE", "SET BOLT-2 STATE LOOSE"),
         *("GRASP RIGHT-END-EFF MACS-OLD HANDLE-A", "LIFT MACS-OLD BY 25 CM WITH RIGHT-ARM"),
         *("INSERT MACS-OLD INTO BAY-2 WITH RIGHT-ARM", "STOW RIGHT-ARM"),
     )

@@ -1,0 +1,91 @@
+"""Bolts by sentences: the driver is taken, bolts are loosened, verified and tightened; what they fasten stays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from rtc.model.cells.cell import Cell
+from rtc.protocol.outcomes import Refusal
+from rtc.spatial import hinges
+from tests.workers.conftest import Bench, Physical, Reporter
+from tests.workers.rehearsal.on_paper import OnPaper
+from workers.planning.robot_models import CellModel
+
+SERVICING = CellModel(Cell.load("servicing"))
+DRIVER = "GRASP RIGHT-END-EFF POWER-DRIVER TOOL-GRIP"
+OPEN_RAD = math.radians(95.0)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench(Reporter(SERVICING.cell), SERVICING)
+
+
+@pytest.fixture
+def opened() -> Iterator[Bench]:
+    """In physics, with the door open."""
+    subsystem = Physical(SERVICING.cell)
+    bench = Bench(subsystem, SERVICING)
+    door, hinge = subsystem.sim.world.objects["DOOR-2"], SERVICING.cell.object("DOOR-2").hinge
+    frame = hinges.turned(door.home, hinge.axis, OPEN_RAD)
+    subsystem.sim.world.place(door, frame)
+    bench.set_fact("DOOR-2.angle", OPEN_RAD)
+    bench.set_fact("DOOR-2.frame", np.asarray(frame).tolist())
+    yield bench
+    subsystem.close()
+
+
+def done(bench: Bench, sentence: str) -> None:
+    run = bench.do(sentence)
+    assert run.succeeded, (sentence, run.refusal, run.failure)
+
+
+def refusal_of(bench: Bench, sentence: str) -> Refusal:
+    refusal = bench.elaborate(sentence)
+    assert isinstance(refusal, Refusal), refusal
+    return refusal
+
+
+@pytest.mark.physics
+def test_a_bolt_is_loosened_verified_and_tightened_in_physics(opened: Bench) -> None:
+    sim = opened.subsystem.sim
+    done(opened, DRIVER)
+    assert sim.held()["RIGHT-ARM"] == ["POWER-DRIVER"]
+    done(
+        opened,
+        "LOOSEN BOLT-1 BY 8 TURNS WITH RIGHT-ARM MAINTAIN TORQUE-LIMIT 4 NM UNLESS SLIP THEN STOP AND TRY RESEAT",
+    )
+    assert opened.world.value("BOLT-1.state") == "LOOSE"
+    assert sim.bolts.out_turns("BOLT-1") == pytest.approx(8.0, abs=0.5)
+    done(opened, "VERIFY BOLT-1 AT LOOSE")
+    done(opened, "TIGHTEN BOLT-1 UNTIL TORQUE EXCEEDS 3.4 NM WITH RIGHT-ARM")
+    assert opened.world.value("BOLT-1.state") == "TIGHT"
+    assert sim.bolts.out_turns("BOLT-1") == pytest.approx(0.0, abs=0.1)
+
+
+def test_what_bolts_fasten_is_not_drawn_out_and_the_advice_names_them(bench: Bench) -> None:
+    bench.set_fact("DOOR-2.angle", OPEN_RAD)
+    bench.set_fact("MACS-OLD.held_by", "RIGHT-ARM")
+    bench.set_fact("RIGHT-ARM.holding", "MACS-OLD")
+    refusal = refusal_of(bench, "EXTRACT MACS-OLD FROM BAY-2 WITH RIGHT-ARM")
+    assert refusal.clears == "LOOSEN BOLT-1; LOOSEN BOLT-2"
+
+
+@pytest.mark.parametrize("sentence", ["LOOSEN BOLT-1", "TIGHTEN BOLT-1", "APPROACH BOLT-1", "TURN BOLT-1 BY 1 TURNS"])
+def test_without_a_driver_a_bolt_is_refused_with_the_sentence_that_takes_one(bench: Bench, sentence: str) -> None:
+    assert "GRASP POWER-DRIVER" in refusal_of(bench, f"{sentence} WITH RIGHT-ARM").clears
+
+
+def test_on_paper_a_bolt_is_loose_after_it_was_loosened() -> None:
+    paper = OnPaper(SERVICING)
+    paper.know("DOOR-2.angle", OPEN_RAD)
+    door = SERVICING.cell.object("DOOR-2")
+    paper.know("DOOR-2.frame", hinges.turned(door.frame.pose, door.hinge.axis, OPEN_RAD).tolist())
+    assert paper.test(DRIVER).refusal is None
+    loosened = paper.test("LOOSEN BOLT-2 BY 8 TURNS WITH RIGHT-ARM")
+    assert loosened.refusal is None
+    assert {change.key: change.value for change in loosened.rehearsal.changes}["BOLT-2.state"] == "LOOSE"
