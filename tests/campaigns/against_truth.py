@@ -74,7 +74,8 @@ def _wrong_value(name: str, attribute: str, value: Any, truth: Mapping[str, Any]
     """The true value if the believed one is wrong; else empty."""
     if attribute == "held_by":
         holders = [arm for arm, things in truth["held"].items() if name in things]
-        return "" if holders == ([value] if value else []) else f"{holders or 'none'}"
+        # Of an object in two hands the fact names the one that its grasp is of.
+        return "" if value in holders or (not value and not holders) else f"{holders or 'none'}"
     if attribute == "holding":
         things = truth["held"][name]
         return "" if things == ([value] if value else []) else f"{things or 'none'}"

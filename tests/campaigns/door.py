@@ -12,8 +12,8 @@ followed literally.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pybullet
@@ -48,14 +48,19 @@ class Run(NamedTuple):
         return not self.failed and abs(self.opened_deg - WANTED_DEG) <= WITHIN_DEG and self.peak_n <= MAX_N
 
 
+def displace(sim: Any, offset: Sequence[float]) -> None:
+    """Displace the door with its hinge and the satellite that it hangs on."""
+    before = sim.world.objects[DOOR].home
+    assert not sim.displace(DOOR, list(offset))
+    moved = geometry.compose(sim.world.objects[DOOR].home, geometry.inverse(before))
+    satellite = sim.world.objects["SATELLITE"]
+    sim.world.place(satellite, geometry.compose(moved, satellite.home))
+
+
 def run(model: CellModel, offset: Array, friction_nm: float) -> Run:
     subsystem = Physical(model.cell)
     bench, sim = Bench(subsystem, model), subsystem.sim
-    before = sim.world.objects[DOOR].home
-    assert not sim.displace(DOOR, offset)
-    moved = geometry.compose(sim.world.objects[DOOR].home, geometry.inverse(before))
-    satellite = sim.world.objects["SATELLITE"]  # the door hangs on it
-    sim.world.place(satellite, geometry.compose(moved, satellite.home))
+    displace(sim, offset)
     pybullet.setJointMotorControl2(
         sim.world.objects[DOOR].id,
         HINGED,
