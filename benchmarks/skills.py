@@ -133,11 +133,11 @@ class Trial:
         for n, sentence in enumerate(scene.before):
             if n == scene.after:
                 self._displace()
-            if not self._said(sentence):
+            if not self._done(sentence):
                 return
         if len(scene.before) <= scene.after:
             self._displace()
-        run.succeeded = self._said(scene.sentence)
+        run.succeeded = self._done(scene.sentence)
 
     def _displace(self) -> None:
         if self.scene.displaced == door.DOOR:
@@ -145,7 +145,7 @@ class Trial:
         else:
             self.subsystem.displace_and_turn(self.scene.displaced, list(self.run.offset))
 
-    def _said(self, sentence: str) -> bool:
+    def _done(self, sentence: str) -> bool:
         """Whether it succeeds, by itself or in the end; notes the first failure, and judges after it."""
         run = self.run
         done = self._do(sentence)
