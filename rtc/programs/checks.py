@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from rtc.language.alike import unknown
 from rtc.model.cells.parts import Numbers
 from rtc.plugins import registry
-from rtc.programs import attributes, expressions, extension_names, recovery, splice
+from rtc.programs import attributes, expressions, extension_names, plugin_fields, recovery, splice
 from rtc.programs.schema import (
     AnalyzerProgram,
     BinderProgram,
@@ -64,6 +64,7 @@ def _elaborator(program: ElaboratorProgram) -> Problems:
     if problems := list(splice.problems(program)):
         yield from problems
         return
+    yield from plugin_fields.problems(program)
     scripts = {script.script for script in program.scripts}
     of_object = attributes.figures(program)
     figures = {*extension_names.FIGURES, *of_object}

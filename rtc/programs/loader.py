@@ -19,7 +19,7 @@ import yaml
 
 from rtc.language.grammar import Grammar
 from rtc.model.cells import yaml_limits
-from rtc.programs import checks
+from rtc.programs import checks, plugin_fields
 from rtc.programs.compatibility import misfits
 from rtc.programs.schema import (
     AnalyzerProgram,
@@ -286,7 +286,7 @@ def _in_file(path: list[str | int], whole: dict[str, Any], news: dict[str, Any])
 
 def _checked(document: dict[str, Any], schema: type[P], source: str) -> P:
     try:
-        program = msgspec.convert(document, schema, strict=True)
+        program = msgspec.convert(plugin_fields.gathered(document), schema, strict=True)
     except msgspec.ValidationError as error:
         raise ProgramError(f"{source}: {error}{_owner(document, str(error))}") from error
     for place, problem in checks.CHECKS[schema](program):

@@ -7,7 +7,7 @@ Units are SI and stand last in the name (`approach_m`). This module knows no ski
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -47,6 +47,7 @@ class Branch(ProgramPart, frozen=True, kw_only=True):
     when: list[BranchCondition] = []
     likelihood: Share = 1.0
     enabled: bool = True
+    extra: dict[str, Any] = {}  # the keys x-..., for evaluators of installed packages (rtc.programs.plugin_fields)
 
 
 class TableRow(ProgramPart, frozen=True, kw_only=True):
@@ -87,6 +88,7 @@ class ScriptStep(ProgramPart, frozen=True, kw_only=True):
     trim: tuple[int, int] = (0, 0)  # (index, count): the usable entries of the trimming stack (A9)
     args: dict[str, Expression] = {}  # parameters, evaluated when the script is elaborated
     words: dict[str, str] = {}  # passed on unchanged: an axis, the effect of success
+    extra: dict[str, Any] = {}  # the keys x-..., for trimmers of installed packages
 
 
 class ReserveEntry(ProgramPart, frozen=True, kw_only=True):

@@ -35,6 +35,24 @@ def test_a_named_trimmer_chooses_among_the_trims_of_the_step(install: Install, b
     assert bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").trims[:1] == expected
 
 
+def test_fields_of_a_package_reach_it(install: Install, bench) -> None:  # noqa: F811
+    """Keys x-... of a branch and of a step. Without such a package they are refused."""
+    branch = "decision_tree: [{verb: STOW, script: stow, x-wear: 0.5}]"
+    step = "skill: wait\nsteps: [{do: hold, stop: hold, label: w, args: {duration_s: 1}, x-calm: [1, 2]}]"
+    for text in (branch, step, branch.replace("x-wear", "wear"), "x-wear: 1"):
+        with pytest.raises(ProgramError):
+            bench.load("elaborator", text)
+
+    wear = "def score(option):\n    option.branch.extra['x-wear']\n    return 0.0\n"
+    install(registry.EVALUATORS, "wear", "score", wear)
+    install(registry.TRIMMERS, "calm", "choose", "def choose(data, entries):\n    return None\n")
+    bench.load("elaborator", branch)
+    bench.load("elaborator", step + "\n")
+    assert bench.elaborate("STOW RIGHT-ARM").context.script == "stow"  # the evaluator has found its field
+    bench.load("elaborator", "script: stow\ncase: 1\nuses: [hand]\nsteps: [{do: piece, name: wait}]")
+    assert bench.elaborate("STOW RIGHT-ARM").steps[0].extra == {"x-calm": [1, 2]}
+
+
 @pytest.mark.parametrize("code", ["import no_such_library", None])
 def test_a_trimmer_that_cannot_be_loaded_is_refused_with_its_program(install: Install, code: str | None) -> None:
     if code:

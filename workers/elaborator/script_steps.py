@@ -70,6 +70,7 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
         words=StepWords(**words),
         figures=StepFigures(**figures),
         overrides=numbers,
+        extra=step.extra,
         cameras=cameras,
         body=body if cameras else "",
     )
