@@ -25,7 +25,7 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, OutcomeKind
 from rtc.spatial import geometry, hinges
 
-CELL, DOOR, MODULE, BAY = "servicing", "DOOR-2", "MACS-OLD", "BAY-2"
+CELL, DOOR, MODULE, BAY = "unbolted", "DOOR-2", "MACS-OLD", "BAY-2"
 OPENED_DEG, WITHIN_DEG = 90.0, 3.0
 DOOR_N = 15.0  # greatest force on the door
 SEATED_M = 0.004
