@@ -250,6 +250,7 @@ def test_all_at_once(rtc: Client, chaos: Chaos, run_dir: Path) -> None:
         back(chaos, strike)
 
 
+@pytest.mark.untimed
 def test_a_cluster_without_workers_gets_them_with_its_first_command(tmp_path_factory: pytest.TempPathFactory) -> None:
     where = ["--run-dir", str(tmp_path_factory.mktemp("p"))]
     deploy = [sys.executable, "-P", "-m", "rtc.apps.cli.entry"]

@@ -89,6 +89,7 @@ def test_a_flood_from_one_leaves_the_others_served(run_dir: Path, others: Others
     assert len(noticed.halts_s) == len(noticed.broker_halts_s) == len(noticed.commands_s)
 
 
+@pytest.mark.untimed
 @pytest.mark.parametrize(
     ("endpoint", "name"), [(endpoint, name) for endpoint in ("workers", "supervisor") for name in IMPOSTORS[endpoint]]
 )

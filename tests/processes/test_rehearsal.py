@@ -17,7 +17,7 @@ from rtc.client.client import Client
 from rtc.client.rehearsing import digest_of, rehearse
 from rtc.protocol.outcomes import OutcomeKind, RefusalReason
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 SWAP_OUT = Path(__file__).parents[1] / "workers" / "rehearsal" / "swapout.txt"
 MOVE, STOW = "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN TIME-LIMIT 60 SEC", "STOW RIGHT-ARM"

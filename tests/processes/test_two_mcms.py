@@ -18,7 +18,7 @@ from rtc.protocol.outcomes import OutcomeKind
 from rtc.runtime.process_table import processes
 from rtc.runtime.settings import Settings
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 FIRST, SECOND = "MCM", "MCM-2"
 CELL = f"""

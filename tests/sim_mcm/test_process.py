@@ -30,7 +30,7 @@ from rtc.subsystems.motion.arm import CellState, HandCommand
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.state_file import StateFile
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 ARM, OTHER, LIMIT_S = "RIGHT-ARM", "LEFT-ARM", 20.0
 
 _from_mcm = reader(m.SubsystemToBroker)

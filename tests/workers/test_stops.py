@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from rtc.protocol.outcomes import StopReason
@@ -45,7 +46,11 @@ def test_an_arm_leaves_what_has_stopped_it(cause: str, laden: bool) -> None:
     assert run.moved, run.story
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, 83])
-def test_runs_of_the_campaign(n: int) -> None:
-    run = stops.run(n)
+@pytest.mark.parametrize(("n", "ended"), [(0, 2), (1, 2), (2, 0), (83, 0)])
+def test_runs_of_the_campaign(n: int, ended: int) -> None:
+    """`ended`: how many sentences the run draws that nothing stops; here they are not given."""
+    random = np.random.default_rng([stops.SEED, n])
+    drawn = [stops.draw(random) for _ in range(ended + 1)][-1]
+    run = stops.stop_and_leave(n, drawn)
+    assert run is not None, "nothing has stopped it"
     assert run.moved, run.story

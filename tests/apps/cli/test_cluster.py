@@ -30,7 +30,7 @@ from rtc.protocol.faults import JammedSeat, SlowLoop
 from rtc.protocol.outcomes import RequestDeclined
 from tests.apps.cli.in_process import call
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 RTC = [sys.executable, "-P", "-m", "rtc.apps.cli.main"]
 LIMIT_S = 30.0
