@@ -176,7 +176,7 @@ def test_a_sentence_makes_the_arm_soft(physical) -> None:
     here = physical.world.get(f"{ARM}.joints").value
     before = physical.model.arms[ARM].fk(here)
 
-    run = physical.do(f"MOVE {ARM} BY 2 CM ALONG TOOL-Z MAINTAIN STIFFNESS 500 N/M AND SPEED 1 MM/S")
+    run = physical.do(f"MOVE {ARM} BY 2 CM ALONG TOOL-Z MAINTAIN STIFFNESS 500 N/M AND SPEED 2 MM/S")
 
     law = run.primitives[-1].control_law
     assert law.name == "impedance"
