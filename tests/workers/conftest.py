@@ -38,6 +38,7 @@ from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTraje
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry
 from rtc.subsystems.motion.executor import Executor
+from rtc.subsystems.motion.pairs import Pairs
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.workers.eyes import Drawn, Ideal
@@ -178,6 +179,7 @@ class Kinematic:
     def __init__(self, cell: Cell = CELL) -> None:
         self.sim = KinematicCell(cell)
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
+        self.pairs = Pairs(self.executors)
         self.disturb: Callable[[int], None] | None = None  # called before each step, with the tick of the primitive
         self.eyes = Ideal(cell)
 
@@ -197,17 +199,19 @@ class Kinematic:
             return self.eyes.perform(
                 made, SceneView(**{name: truth[name] for name in ("poses", "seats", "joints", "fingers", "tcp")})
             )
-        messages: list[Any] = list(self.executors[made.performer].accept(made, 0.0))
+        begin = self.executors[made.performer].accept if made.partner is None else self.pairs.begin
+        messages: list[Any] = list(begin(made, 0.0))
         self.progress: list[ProgressReport] = []  # of this primitive
         for tick in range(int(bound.limit_s * 1000)):
             self.progress += [m for m in messages if isinstance(m, ProgressReport)]
-            ends = [m for m in messages if isinstance(m, EndReport)]
-            if ends:
-                return ends[0]
+            ends = [self.pairs.whole(m) for m in messages if isinstance(m, EndReport)]
+            if whole := [end for end in ends if end is not None]:
+                return whole[0]
             if self.disturb is not None:
                 self.disturb(tick)
             self.sim.step()
             messages = [m for executor in self.executors.values() for m in executor.tick(tick * 0.001)]
+            self.pairs.couple()
         raise AssertionError(f"no end report of {made.id} within {bound.limit_s} s")
 
 
@@ -221,6 +225,7 @@ class Physical(Kinematic):
         self._cell = cell
         self.sim = BulletCell(cell)  # type: ignore[assignment]
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
+        self.pairs = Pairs(self.executors)
         self._eyes: Drawn | None = None
 
     @property
