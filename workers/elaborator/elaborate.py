@@ -18,7 +18,7 @@ from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.programs.splice import spliced
 from rtc.protocol.messages import ElaboratorInput, Script
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
@@ -163,9 +163,10 @@ def _most_informative(
     compiled: Compiled, refused: list[tuple[Refusal, ScriptOption]], options: list[ScriptOption]
 ) -> Refusal:
     """The refusal of the lowest rank. An arm in the way that could leave is only named if a sentence for it was found
-    that clears the command; else the refusal names the obstacle that remains."""
+    that clears the command; else the refusal names the obstacle that remains. From so near to a body that it may be
+    touched no way round is sought, so the other arm is not the cause then."""
     first, its = min(refused, key=lambda each: _rank(each[0]))
-    other = first.detail.get(IN_THE_WAY)
+    other = None if LEAVING in first.detail else first.detail.get(IN_THE_WAY)
     if not isinstance(other, str) or not make_way.may_leave(its.candidate.query, other):
         return first
 

@@ -41,6 +41,8 @@ def advise_on_collision(
     hinged = _hinged(refusal, query, arm, body)
     if not (seated or other or hinged or leaves) and (unsure := _unsure(refusal, query, bodies, limits)):
         return msgspec.structs.replace(refusal, clears=trust.narrows(query, unsure, clears))
+    if leaves and held in bodies and not seated and query.cameras(held):  # it creeps in the hand
+        return msgspec.structs.replace(refusal, clears=trust.narrows(query, f"{held}.grasp", clears))
     row = (
         ("way_out" if seated and leaves_seat else "")
         or ("way_seated" if seated else "")

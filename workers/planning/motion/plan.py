@@ -207,11 +207,12 @@ def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | Non
         return FreeWay(straight, [*notes, "modified: a straight line of the hand; tested: free"])
     except Refused as refused:
         notes.append(f"modified: a straight line of the hand; tested: {refused}")
-    if leaves:
-        raise Refused(_leaving(request, fault(request, direct, least_room=True) or first))
-    aside = find_way_aside(roomy, goal)
+    # A hand that may touch a handle leaves on a line. What it holds may also go up and back.
+    aside = find_way_aside(roomy, goal) if not leaves or len(_ours(request)) > 1 else None
     if aside is not None:
         return FreeWay(aside.path, [*notes, *aside.notes])
+    if leaves:
+        raise Refused(_leaving(request, fault(request, direct, least_room=True) or first))
     if roomy is not request:
         for way in lines:
             if is_free(request, way):
