@@ -142,6 +142,8 @@ class Station:
             answers += subsystem.handle(halt, caller, process.now_s())
         for order in sockets.orders(now_s):
             answers += subsystem.handle(order, BROKER, now_s)
+        for caller, wanted in sockets.operations(now_s):
+            sockets.answer_operator(caller, subsystem.operate(wanted, caller, now_s))
         return answers
 
     def _move(self, now_s: float, answers: Outgoing = NOTHING) -> None:
@@ -213,6 +215,7 @@ class Station:
                 tcp_pose=executor.arm.tcp_pose(sample.joints).tolist(),
                 hand_width_m=sum(sample.fingers),
                 primitive=executor.primitive_id,
+                operation=executor.operated.look() if executor.operated is not None else None,
             )
         clock = self._clock
         return m.Telemetry(

@@ -3,6 +3,7 @@
     estop      ROUTER, bound here: halts and nothing else; works when the broker is dead
     broker     DEALER: primitives, halts, acknowledgements in; reports out
     telemetry  PUB, bound here
+    operate    ROUTER, bound here: twists of operators
     bench      ROUTER, bound here: queries of the true state, injected belief errors (simulator only)
 
 A message that does not decode is counted, logged (at most once per second) and dropped. It never stops a tick (R51).
@@ -28,11 +29,13 @@ from rtc.subsystems.base.subsystem import BROKER, Order, Outgoing
 # turn, so a flood by one caller delays another by one message.
 HALTS_PER_TICK = 10
 QUESTIONS_PER_TICK = 1
+OPERATIONS_PER_TICK = 4
 LOG_EVERY_S = 1.0
 NONE: frozenset[Any] = frozenset()
 Question = m.SimTruth | m.SimDisplace | m.SimFactors | m.SimInject | m.SimUndo
 
 _read_bench = reader(m.ToSim)
+_read_operate = reader(m.Operate)
 
 
 class Sockets:
@@ -45,9 +48,12 @@ class Sockets:
         self._telemetry = me.socket(
             zmq.PUB, settings.endpoint("telemetry", name), bind=True, bounds=BOUNDS["telemetry"]
         )
+        self._operate = me.socket(
+            zmq.ROUTER, settings.endpoint("operate", name), bind=True, bounds=BOUNDS["operate"], handover=False
+        )
         self._link = BrokerLink(me, settings, identity, poll=False)
-        self._poller = zmq.Poller()  # polling all four costs no more than polling one
-        for socket in (self._estop, self._link.socket, self._bench, self._link.monitor):
+        self._poller = zmq.Poller()  # polling all costs no more than polling one
+        for socket in (self._estop, self._link.socket, self._operate, self._bench, self._link.monitor):
             self._poller.register(socket, zmq.POLLIN)
         self._ready: set[Any] | frozenset[Any] = NONE
         self.dropped = self._link.dropped  # messages that did not decode, by socket
@@ -57,7 +63,7 @@ class Sockets:
 
     def reopen(self, settings: Settings) -> None:
         """Replace the bound sockets by empty ones, because their queues have filled the memory."""
-        for name in ("estop", "bench"):
+        for name in ("estop", "operate", "bench"):
             old = getattr(self, f"_{name}")
             self._poller.unregister(old)
             made = self._me.reopen(
@@ -90,6 +96,15 @@ class Sockets:
         if self._link.socket in self._ready:
             yield from self._link.orders(now_s)
 
+    def operations(self, now_s: float) -> Iterator[tuple[bytes, m.Operate]]:
+        """Messages of operators: (caller, message)."""
+        if self._operate not in self._ready:
+            return
+        for caller, parts in _from_router(self._operate, OPERATIONS_PER_TICK):
+            wanted = self._decode(_read_operate, parts, "operate", now_s)
+            if wanted is not None:
+                yield caller, wanted
+
     def questions(self, now_s: float) -> Iterator[tuple[bytes, Question]]:
         """Queries and commands of the test bench: (caller, message)."""
         if self._bench not in self._ready:
@@ -115,6 +130,9 @@ class Sockets:
 
     def answer(self, caller: bytes, message: m.SimTruthReply | m.SimDone) -> None:
         send(self._bench, message, caller)
+
+    def answer_operator(self, caller: bytes, message: m.OperateReply) -> None:
+        send(self._operate, message, caller)
 
     def publish(self, telemetry: m.Telemetry) -> None:
         send(self._telemetry, telemetry)

@@ -20,7 +20,7 @@ from rtc.programs.schema import (
     StopRow,
 )
 from rtc.protocol.messages import Limits, StepWords
-from rtc.protocol.outcomes import Reflex, StopReason
+from rtc.protocol.outcomes import OF_OPERATOR, Reflex, StopReason
 from rtc.protocol.sentence import ParsedCommand
 from rtc.protocol.units import SUFFIXES
 
@@ -230,7 +230,7 @@ def _analyzer(program: AnalyzerProgram) -> Problems:
                 yield from known("placeholder", word, placeholders, f"classes.{name}.{field}")
     yield from known("class", program.unmet, ("", *program.classes), "unmet")
     for row, cells in program.outcomes.items():
-        missing = [reason.value for reason in StopReason if reason not in cells]
+        missing = [reason.value for reason in StopReason if reason not in cells and reason not in OF_OPERATOR]
         if missing:
             yield f"outcomes.{row}", f"no cell for {', '.join(missing)}"
         for reason, name in cells.items():

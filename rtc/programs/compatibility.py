@@ -9,6 +9,7 @@ from rtc.model.cells.parts import Numbers
 from rtc.programs.checks import PlacedStep, Problems, known, steps_of
 from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptStep
 from rtc.protocol.messages import Step, StepFigures
+from rtc.protocol.outcomes import OF_OPERATOR
 
 
 def row_of(step: ScriptStep | Step) -> str:
@@ -48,3 +49,6 @@ def _step(placed: PlacedStep, figures: set[str], binder: BinderProgram, analyzer
         yield from known("procedure", step.name or "(none)", binder.procedures, f"{place}.name")
     if not {algorithm, binder.procedures.get(step.name, "")} & {*binder.computes}:
         yield from known("row of the analyzer's outcomes", row_of(step), analyzer.outcomes, place)
+    lacks = sorted(OF_OPERATOR - analyzer.outcomes.get(row_of(step), {}).keys())
+    if algorithm == "operated" and row_of(step) in analyzer.outcomes and lacks:
+        yield place, f"the row {row_of(step)} of the analyzer's outcomes has no cell for {', '.join(lacks)}"

@@ -25,7 +25,7 @@ from rtc.programs.schema import (
 )
 from rtc.programs.splice import spliced
 from rtc.protocol.messages import TrimOffer
-from rtc.protocol.outcomes import ProgramError, StopReason
+from rtc.protocol.outcomes import OF_OPERATOR, ProgramError, StopReason
 
 FIRST_SKILL = 3  # cases 1 and 2 are actions, which cannot be trimmed
 Entries = dict[int, TrimEntry | ReserveEntry]  # of the trimming stack and of `reserve`, by number
@@ -92,7 +92,7 @@ def _step(
         return
     row = row_of(step)
     cells = analyzer.outcomes[row]
-    for reason in StopReason:
+    for reason in (one for one in StopReason if one in cells or one not in OF_OPERATOR):
         yield OutcomeRow(label, reason, _response(step, reason, trims, cells, analyzer))
 
 

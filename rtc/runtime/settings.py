@@ -120,14 +120,15 @@ ENDPOINTS: dict[str, str] = {
     "world": "world.sock",  # world database ROUTER
     "estop": "estop.sock",  # subsystem ROUTER: halts and nothing else
     "telemetry": "telemetry.sock",  # subsystem PUB
+    "operate": "operate.sock",  # subsystem ROUTER: twists of operators
     "bench": "bench.sock",  # subsystem ROUTER: truth and belief errors, simulators only
 }
 
 
 #: Sockets that every subsystem of arms binds for itself.
-OF_SUBSYSTEMS = ("estop", "telemetry", "bench")
+OF_SUBSYSTEMS = ("estop", "telemetry", "operate", "bench")
 #: Sockets where an identity in use is protected: a second connection with the same identity is ignored.
-NO_HANDOVER = ("front", "halt", "estop")
+NO_HANDOVER = ("front", "halt", "estop", "operate")
 
 
 class Bounds(NamedTuple):
@@ -149,6 +150,7 @@ BOUNDS: dict[str, Bounds] = {
     "world": Bounds(256 * KIB, 256, 256),  # a client waits for each answer
     "estop": Bounds(64 * KIB, 256, 1_000),
     "telemetry": Bounds(1 * KIB, 100, 100),
+    "operate": Bounds(4 * KIB, 16, 64),  # a stream: what waits here is stale
     "bench": Bounds(64 * KIB, 64, 64),
 }
 

@@ -159,6 +159,9 @@ class BulletArm:
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)
 
+    def jacobian(self, joints: Sequence[float]) -> Array:
+        return self._model.jacobian(joints)
+
     def untouched(self) -> bool:
         return not self._world.in_contact or not (self.touches() or self.arm_touches())
 

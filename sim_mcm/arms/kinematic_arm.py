@@ -268,6 +268,9 @@ class KinematicArm:
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)
 
+    def jacobian(self, joints: Sequence[float]) -> Array:
+        return self._model.jacobian(joints)
+
     def untouched(self) -> bool:
         return not self.arm_touches()
 

@@ -30,6 +30,8 @@ UNIONS = (
 SINGLE = (
     m.ToHalt,
     m.Telemetry,
+    m.Operate,
+    m.OperateReply,
     m.ParserInput,
     m.ElaboratorInput,
     m.BinderInput,

@@ -107,7 +107,9 @@ def _assessed(task: AnalyzeTask) -> Assessment:
         words = f"{still} of {task.evaluation.arm} has not moved while others have; {report.message}".rstrip("; ")
         report = msgspec.structs.replace(report, message=words)
         task = replace(task, data=msgspec.structs.replace(task.data, report=report))
-    name = task.program.unmet if wrong == UNMET else task.program.outcomes[row][reason]
+    cells = task.program.outcomes[row]
+    # An answer of the operator to what he does not perform: it was stopped.
+    name = task.program.unmet if wrong == UNMET else cells.get(reason, cells[StopReason.HALT])
     return _failure(task, reason, name)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -55,6 +55,22 @@ class SetPaused(Message, frozen=True, kw_only=True):
 
     primitive: Name
     paused: bool
+
+
+class OperatorAnswer(Message, frozen=True, kw_only=True):
+    """DONE or CANNOT of the operator, to a primitive that he performs. The answer is its end report, or AnswerRefused.
+    Repeating it changes nothing."""
+
+    primitive: Name
+    done: bool
+    why: str = ""  # of CANNOT
+
+
+class AnswerRefused(Message, frozen=True, kw_only=True):
+    """The measurements do not prove a DONE; the primitive goes on."""
+
+    primitive: Name
+    message: str
 
 
 class Injected(Message, frozen=True, kw_only=True):
@@ -159,13 +175,56 @@ class HaltAtRest(Message, frozen=True, kw_only=True):
 # --- subsystem -> subscribers (PUB) ---
 
 
-class ArmSample(msgspec.Struct, frozen=True, kw_only=True):
+class ArmSample(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     joints: list[float]
     velocities: list[float]
     wrench: list[float]
     tcp_pose: list[float]
     hand_width_m: float
     primitive: str  # being executed; empty = holding
+    operation: Operation | None = None  # the operator moves it
+
+
+class Operation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What the operator may do with an arm, and does. It is a grant: it ends with the primitive of the sample."""
+
+    request: str  # what he is asked to do
+    centre: list[float] = []  # m, world: the ball that the tcp may not leave; empty: anywhere
+    radius_m: float | None = None
+    off_m: float | None = None  # of the tcp from the centre
+    done_m: float | None = None  # DONE needs it to be at most this
+    hand: bool = False  # the fingers are his
+    spindle: bool = False
+    operator: str = ""  # who moves it now
+    cut: str = ""  # why it moves less than he wants
+
+
+class Operate(Message, frozen=True, kw_only=True):
+    """One moment of an operator's hand, to the `operate` socket of a subsystem, 20 to 100 per second. Each is answered.
+
+    While the latest one has `hold`, the tcp follows its twist. The arm stops when none has arrived for 60 ms."""
+
+    primitive: Name  # of the grant; one of an earlier grant does nothing
+    operator: Name  # who sends it, for people
+    # `at_s` of the latest answer or telemetry of this subsystem. One that has seen nothing for 200 ms does nothing.
+    seen_at_s: float
+    hold: bool = False  # the deadman: false stops the arm, its hand and spindle, and another operator may take it
+    # m/s, rad/s of the tcp
+    twist: Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)] = msgspec.field(
+        default_factory=lambda: [0.0] * 6
+    )
+    frame: Literal["tool", "world"] = "world"  # axes of the twist
+    hand: Literal["", "open", "close"] = ""
+    turn: Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)] = 0.0  # share of the spindle's speed; positive tightens
+
+
+class OperateReply(Message, frozen=True, kw_only=True):
+    """What a subsystem has done with an `Operate`. An empty primitive asks for the time alone."""
+
+    primitive: Name
+    at_s: float
+    refused: str = ""  # why it does nothing; empty: it counts
+    cut: str = ""  # why the arm moves less than it wants
 
 
 class Telemetry(Message, frozen=True, kw_only=True):
@@ -189,10 +248,11 @@ SubsystemToBroker = (
     | HaltOrder
     | Injected
     | Strayed
+    | AnswerRefused
     | UnreadableMessages
 )
 BrokerToSubsystem = (
-    Execute | SetPaused | HaltOrder | ReportAck | HelloWanted | Declined
+    Execute | SetPaused | OperatorAnswer | HaltOrder | ReportAck | HelloWanted | Declined
 )  # Declined: its hello is refused
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined

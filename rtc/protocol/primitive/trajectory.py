@@ -1,4 +1,4 @@
-"""P of a primitive: positions over time, a command of the hand, a turn of a spindle, or a look of a camera."""
+"""P of a primitive: positions over time, a motion of the hand, a turn of a spindle, a look, or twists of the operator."""
 
 from __future__ import annotations
 
@@ -109,4 +109,40 @@ class SpindleMotion(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="
             raise ValueError("a spindle needs a speed and a torque above 0")
 
 
-Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Look
+class Operated(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="operated"):
+    """P for an arm that the operator moves: his twists (`messages.Operate`) instead of positions over time.
+
+    It ends with his DONE, if the measurements prove it, or with his CANNOT. The tcp may not leave the ball about
+    `centre`; one that is outside at the start may not go farther away.
+    """
+
+    request: str  # what he is asked to do, in words for a person; no process reads it
+    speed_m_s: float  # maximum speeds of the tcp
+    turn_rad_s: float
+    centre: Vector = []  # m, world; empty: he may move anywhere
+    radius_m: float = math.inf  # of the ball
+    hand: bool = False  # the fingers are his
+    grip_n: float = 0.0  # with which they close
+    spindle: bool = False  # the spindle of the driver in the hand is his
+    spindle_rad_s: float = 0.0
+    spindle_nm: float = 0.0
+    done_m: float | None = None  # DONE needs the tcp within this distance of the centre
+    done_grip_n: float | None = None  # DONE needs both fingers to press with this
+    done_turn_rad: float | None = None  # DONE needs the spindle to have turned by this, with its sign
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.speed_m_s < math.inf and 0.0 < self.turn_rad_s < math.inf):
+            raise ValueError("an operated arm needs maximum speeds above 0")
+        if len(self.centre) not in (0, 3) or not all(abs(x) <= FARTHEST_M for x in self.centre):  # false for nan too
+            raise ValueError("the centre of an operated arm has 3 numbers, or none")
+        if not self.radius_m > 0.0:
+            raise ValueError("the radius of an operated arm must be above 0")
+        if self.done_m is not None and not self.centre:
+            raise ValueError("a distance for DONE needs a centre")
+        if self.hand and not 0.0 < self.grip_n < math.inf:
+            raise ValueError("a hand of the operator needs a grip force")
+        if self.spindle and not (0.0 < self.spindle_rad_s < math.inf and 0.0 < self.spindle_nm < math.inf):
+            raise ValueError("a spindle of the operator needs a speed and a torque above 0")
+
+
+Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Look | Operated

@@ -61,7 +61,7 @@ class InvalidOrder(msgspec.Struct, frozen=True):
     why: str
 
 
-Order = m.Execute | m.SetPaused | m.HaltOrder | m.ReportAck | m.HelloWanted | InvalidOrder
+Order = m.Execute | m.SetPaused | m.OperatorAnswer | m.HaltOrder | m.ReportAck | m.HelloWanted | InvalidOrder
 
 
 class Halt(msgspec.Struct):
@@ -132,6 +132,8 @@ class Subsystem(ABC, Generic[Performer]):
         if isinstance(message, m.SetPaused):
             self._pace(message)
             return []
+        if isinstance(message, m.OperatorAnswer):
+            return self._answer_of_operator(message)
         if isinstance(message, InvalidOrder):
             return self._refuse(message, now_s)
         return self._execute(message, now_s)
@@ -402,6 +404,11 @@ class Subsystem(ABC, Generic[Performer]):
 
     def _pace(self, order: m.SetPaused) -> None:
         """Pause a primitive, or let it go on. A subsystem without `pauses` in its hello gets no such order."""
+
+    def _answer_of_operator(self, answer: m.OperatorAnswer) -> Outgoing:
+        """End what the operator performs with his DONE or CANNOT, or refuse the DONE."""
+        why = f"{self.name} has nothing that an operator performs"
+        return [(BROKER, m.AnswerRefused(primitive=answer.primitive, message=why))]
 
     def _drop(self, scope: str, now_s: float) -> Outgoing:
         """End the orders in the scope of a halt that wait for their start."""

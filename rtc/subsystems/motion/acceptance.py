@@ -105,6 +105,11 @@ def _still(trajectory: p.HoldStill, traits: Traits, joints: Sequence[float]) -> 
         yield f"hold still: duration_s must be 0 or more, not {trajectory.duration_s}"
 
 
+def _operated(trajectory: p.Operated, traits: Traits, joints: Sequence[float]) -> Iterator[str]:
+    if trajectory.hand and trajectory.grip_n > traits.max_grip_n:
+        yield f"a grip of {trajectory.grip_n:g} N is more than the {traits.max_grip_n:g} N of the hand of {traits.name}"
+
+
 def _look(trajectory: p.Look, traits: Traits, joints: Sequence[float]) -> Iterator[str]:
     yield f"{traits.name} is an arm; only a camera looks"
 
@@ -114,5 +119,6 @@ CHECKS: dict[type, Callable[[Any, Traits, Sequence[float]], Iterator[str]]] = {
     p.HandMotion: _hand,
     p.HoldStill: _still,
     p.Look: _look,
+    p.Operated: _operated,
     p.SpindleMotion: lambda trajectory, traits, joints: iter(()),  # the arm checks it against the driver in its hand
 }

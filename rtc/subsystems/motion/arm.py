@@ -142,6 +142,9 @@ class ArmInterface(Protocol):
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         """Pose of the tcp at these joint positions (rad), world frame."""
 
+    def jacobian(self, joints: Sequence[float]) -> Array:
+        """6 x n: velocity of the tcp [m/s, rad/s] in world axes per joint velocity."""
+
     def untouched(self) -> bool:
         """Whether `touches` and `arm_touches` are empty."""
 

@@ -22,8 +22,10 @@ from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Motion,
 from rtc.subsystems.motion.bounds import Bounds
 from rtc.subsystems.motion.goals import GOAL_RAD, Arrived, arrival
 from rtc.subsystems.motion.hand import Hand
+from rtc.subsystems.motion.jog import Jog
 from rtc.subsystems.motion.modes import AFTER_STOP, COUNTING, MOVING, TRANSITIONS, Mode, Trigger
 from rtc.subsystems.motion.observation import WINDOW_TICKS, Observation
+from rtc.subsystems.motion.operation import OperatedArm
 from rtc.subsystems.motion.reports import Trip, end_report, not_begun
 from rtc.subsystems.motion.running_reports import RunningReports
 from rtc.subsystems.motion.setpoints import Setpoints
@@ -71,6 +73,7 @@ class Executor:
         self._reports: RunningReports | None = None  # of the primitive
         self._watch = stop_functions.RetreatWatch([])
         self._spindle: SpindleTurn | None = None  # of the primitive, if it turns one
+        self.operated: OperatedArm | None = None  # while the operator moves the arm
         # The present control law complies: in EXECUTING, COMPLYING, and until rest if the primitive asks for it.
         self._compliant = False
         # Of the latest stop: the time along the trajectory, whether the arm was compliant; and whether the hand opens.
@@ -171,6 +174,8 @@ class Executor:
     @property
     def paused(self) -> bool:
         """Whether its primitive is to pause on its path, or does."""
+        if self.operated is not None:
+            return self.operated.paused
         return self.state is Mode.EXECUTING and self._setpoints.pace.paused
 
     @property
@@ -182,7 +187,10 @@ class Executor:
     def pace(self, paused: bool, ramp_s: float = 0.0) -> None:
         """Pause the primitive on its path, or let it go on, within this time or more. F is checked as before; its time
         limit does not count from the order to pause until the order to go on. Without effect on an arm that stops."""
-        if self.state is not Mode.EXECUTING or paused is self._setpoints.pace.paused:
+        if self.state is not Mode.EXECUTING or paused is self.paused:
+            return
+        if self.operated is not None:
+            self.operated.paused = paused
             return
         self._setpoints.order_pace(paused, ramp_s)
         assert self.primitive is not None
@@ -273,6 +281,7 @@ class Executor:
             self._stiffen(self.primitive.control_law)
             self._setpoints.stay()
         self.primitive = None
+        self.operated = None
         self.trip = None
         self._setpoints.path = None
         self._seen.stands_at = self.sample.joints
@@ -287,6 +296,8 @@ class Executor:
         self._compliant = self.primitive.control_law.compliance is not None
         if isinstance(trajectory, p.JointTrajectory):
             self._setpoints.follow(trajectory)
+        elif isinstance(trajectory, p.Operated):
+            self._begin_operation(trajectory)
         else:
             self._setpoints.stay()
         if isinstance(trajectory, p.HandMotion):
@@ -298,6 +309,29 @@ class Executor:
             self._setpoints.keep(trajectory.retreat)
         self._arrived = arrival(trajectory, self._seen, self._setpoints.profile.duration_s, self._turned_rad)
 
+    def _begin_operation(self, trajectory: p.Operated) -> None:
+        """Let the operator move the arm, from where it is."""
+        operated = self.operated = OperatedArm(trajectory, self._seen, self._hand)
+        arm, laden = self.arm, self._hand.grips
+        still = self.command[0]
+        self._setpoints.use(Jog(still, arm.traits, arm.jacobian, lambda: operated.twist(self._seen.tcp()), laden=laden))
+
+    def operate(self, wanted: m.Operate, caller: bytes, now_s: float) -> str:
+        """Follow the hand of the operator. Returns why it does nothing; empty: it counts."""
+        if self.operated is None or wanted.primitive != self.primitive_id:
+            return f"{wanted.primitive} is not what {self.name} executes now: its grant has ended"
+        return self.operated.objection(wanted, caller, now_s)
+
+    def answer(self, answer: m.OperatorAnswer) -> str:
+        """End what the operator does with his DONE or CANNOT. Returns why a DONE is refused; empty: it is accepted."""
+        assert self.operated is not None
+        if not answer.done:
+            self.halt(StopReason.OPERATOR_CANNOT, answer.why)
+            return ""
+        why = self.operated.why_not_done()
+        self.operated.done = not why
+        return why
+
     def _turned_rad(self) -> float:
         return 0.0 if self._spindle is None else self._spindle.turned_rad
 
@@ -305,7 +339,11 @@ class Executor:
         seen, bounds, elapsed_s = self._seen, self._bounds, self._elapsed_s
         setpoints, running = self._setpoints, self._reports
         assert running is not None
-        arrived = self._arrived(setpoints.time_s)
+        if self.operated is not None:
+            self.operated.follow(now_s)
+            if isinstance(setpoints.profile, Jog) and setpoints.profile.at_limit:
+                self.operated.cut = "a joint is at its limit"
+        arrived = self._arrived(setpoints.time_s) if self.operated is None else self._arrived_by_hand()
         reports, found = NOTHING, None
         in_time = arrived is None and elapsed_s <= bounds.time_s
         if running.conditions or not (in_time and bounds.hold(seen, setpoints.command)):
@@ -324,7 +362,7 @@ class Executor:
             )
             self._trip(trip, Trigger.TRIPPED)
             return [*reports, *self._stop(now_s)]
-        if setpoints.pace.paused or self._stands:
+        if self.paused or self._stands:
             reports = [*reports, *self._paced(now_s)]
         if running.period is not None and self._ticks % running.period == 0:
             reports = [*reports, running.progress(now_s)]
@@ -332,16 +370,21 @@ class Executor:
 
     def _paced(self, now_s: float) -> Reports:
         """Count a tick of a pause, and report when the arm stands on its path or goes on."""
-        pace = self._setpoints.pace
-        self._paused_ticks += pace.paused
-        stands = pace.rate == 0.0
+        self._paused_ticks += self.paused
+        stands = self._setpoints.pace.rate == 0.0 if self.operated is None else self.paused and self._seen.joints_rest()
         if stands is self._stands:
             return []
         self._stands = stands
         return [m.PauseChanged(primitive=self.primitive_id, at_s=now_s, paused=stands, done=self._done())]
 
+    def _arrived_by_hand(self) -> stop_functions.Finding | None:
+        assert self.operated is not None
+        return (None, None, "") if self.operated.done else None
+
     def _done(self) -> float:
         """Share of the path, or of the turn of the spindle."""
+        if self.operated is not None:
+            return 0.0
         if self._spindle is not None:
             return self._spindle.done
         duration_s = self._setpoints.profile.duration_s
@@ -354,11 +397,14 @@ class Executor:
         self._stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._setpoints.time_s
         if self._spindle is not None:
             self._spindle.stop()
+        if self.operated is not None:
+            self.operated.stop()
         compliance = self.primitive.control_law.compliance
         if self._compliant and not (compliance is not None and compliance.until_rest):
             self._stiffen(self.primitive.control_law)
         self._setpoints.use(profiles.Brake(self.command, laden=self._hand.grips))
-        hand_moves = isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL
+        fingers = p.HandMotion | p.Operated
+        hand_moves = isinstance(self.primitive.trajectory, fingers) and self.trip.reason is not StopReason.GOAL
         if hand_moves or self._releasing:
             self._hand.freeze()
 
@@ -550,8 +596,16 @@ class Executor:
             paused_s=self._paused_ticks * TICK_S,
             seen=self._seen,
             items=self.primitive.reporting.items,
-            turned_rad=None if self._spindle is None else self._spindle.turned_rad,
+            turned_rad=self._turned_in_all(),
         )
+
+    def _turned_in_all(self) -> float | None:
+        """What the spindle has turned in this primitive (rad); None: it is not about one."""
+        assert self.primitive is not None
+        if self.operated is not None:
+            trajectory = self.primitive.trajectory
+            return self.operated.turned_rad if isinstance(trajectory, p.Operated) and trajectory.spindle else None
+        return None if self._spindle is None else self._spindle.turned_rad
 
 
 def _limp(law: p.ControlLaw) -> p.ControlLaw:

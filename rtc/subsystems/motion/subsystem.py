@@ -117,6 +117,31 @@ class McmSubsystem(Subsystem[Executor]):
         super()._forget(primitive)
         self._reached_s.pop(primitive, None)
 
+    # --- of the operator ---------------------------------------------------------------------------------
+
+    def operate(self, wanted: m.Operate, caller: bytes, now_s: float) -> m.OperateReply:
+        """Follow the hand of an operator; `caller`: the identity of his connection."""
+        executor = next((one for one in self._all if one.primitive_id == wanted.primitive != ""), None)
+        if executor is not None:
+            refused = executor.operate(wanted, caller, now_s)
+        elif wanted.primitive:
+            refused = f"{wanted.primitive} has ended, or is of another subsystem: its grant is no more"
+        else:
+            refused = "it is of no grant"
+        cut = executor.operated.cut if executor is not None and executor.operated is not None else ""
+        return m.OperateReply(primitive=wanted.primitive, at_s=now_s, refused=refused, cut=cut)
+
+    def _answer_of_operator(self, answer: m.OperatorAnswer) -> Outgoing:
+        """End what the operator does. An answer to what has ended changes nothing: its end report is on the way."""
+        executor = next((one for one in self._all if one.primitive_id == answer.primitive), None)
+        if executor is None or executor.trip is not None:
+            return []
+        if executor.operated is None:
+            why = f"{answer.primitive} is not performed by the operator"
+        else:
+            why = executor.answer(answer)
+        return [(BROKER, m.AnswerRefused(primitive=answer.primitive, message=f"{executor.name}: {why}"))] if why else []
+
     # --- of several arms ---------------------------------------------------------------------------------
 
     def _busy(self, primitive: Primitive) -> str:

@@ -72,6 +72,9 @@ class SteeredArm:
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self.model.fk(joints)
 
+    def jacobian(self, joints: Sequence[float]) -> Array:
+        return self.model.jacobian(joints)
+
     def near(self, within_m: float) -> list[Near]:
         return [(away, point, words) for away, point, words in self.around if away < within_m]
 
@@ -238,6 +241,12 @@ def cell() -> Cell:
 @pytest.fixture
 def rig(cell: Cell) -> Rig:
     return Rig(cell)
+
+
+@pytest.fixture(scope="session")
+def rig_of(cell: Cell) -> Callable[[], Rig]:
+    """For tests that need several."""
+    return lambda: Rig(cell)
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,80 @@
+"""The profile of an operated arm: joint motion that follows a twist of the tcp. Pure.
+
+Each tick turns the wanted twist into joint speeds by damped least squares, keeps them within the limits of the joints,
+and approaches them within an acceleration. So the command is smooth whatever the stream does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rtc.spatial.geometry import Array
+from rtc.subsystems.motion.arm import TICK_S, Motion, Traits
+from rtc.subsystems.motion.profiles import LADEN_ACCELERATION_RAD_S2, STOP_ACCELERATION_RAD_S2
+
+DAMPING = 0.02  # of the least squares: near a singular posture the arm is slow instead of fast
+# Maximum joint speeds (rad/s): from them the arm stops within 40 ms; with an object in the hand it brakes more softly.
+FASTEST_RAD_S, LADEN_RAD_S = 0.45, 0.16
+REFRESH_TICKS = 5  # the Jacobian follows the posture at this interval
+MARGIN_RAD = 0.03  # kept to joint limits; F trips at a smaller one
+
+
+class Jog:
+    """`wanted`: the twist now (m/s, rad/s, world axes). It has no end of its own."""
+
+    duration_s = math.inf
+
+    def __init__(
+        self,
+        start: Sequence[float],
+        traits: Traits,
+        jacobian: Callable[[Sequence[float]], Array],
+        wanted: Callable[[], Sequence[float]],
+        *,
+        laden: bool,
+    ) -> None:
+        self._jacobian, self._wanted = jacobian, wanted
+        self._joints, self._speeds = np.array(start, dtype=float), np.zeros(len(start))
+        margin = np.array(traits.margins(MARGIN_RAD))
+        self._lower, self._upper = np.array(traits.lower) + margin, np.array(traits.upper) - margin
+        fastest = LADEN_RAD_S if laden else FASTEST_RAD_S
+        self._fastest = np.minimum(0.5 * np.array(traits.velocity), fastest)
+        self._accelerates = min(min(traits.acceleration), LADEN_ACCELERATION_RAD_S2 if laden else math.inf)
+        self._brakes = LADEN_ACCELERATION_RAD_S2 if laden else STOP_ACCELERATION_RAD_S2
+        self._inverse: Array = np.zeros((len(start), 6))
+        self._ticks = 0
+        self.at_limit = False
+
+    def at(self, time_s: float) -> Motion:
+        """One tick further, whatever the time."""
+        aim = self._aim()
+        change = aim - self._speeds
+        harder = np.abs(aim) < np.abs(self._speeds)
+        most = np.where(harder, self._brakes, self._accelerates) * TICK_S
+        # One factor for all joints, so that the tcp keeps its direction.
+        change *= min(1.0, float((most / np.maximum(np.abs(change), 1e-12)).min()))
+        self._speeds = self._speeds + change
+        self._joints = self._joints + self._speeds * TICK_S
+        return self._joints.tolist(), self._speeds.tolist(), (change / TICK_S).tolist()
+
+    def _aim(self) -> Array:
+        """The joint speeds that give the wanted twist, within the limits."""
+        wanted = np.asarray(self._wanted(), dtype=float)
+        self.at_limit = False
+        if not wanted.any():
+            return np.zeros_like(self._speeds)
+        if self._ticks % REFRESH_TICKS == 0:
+            jacobian = self._jacobian(self._joints.tolist())
+            square = jacobian @ jacobian.T + DAMPING**2 * np.eye(6)
+            self._inverse = jacobian.T @ np.linalg.inv(square)
+        self._ticks += 1
+        aim: Array = self._inverse @ wanted
+        aim = aim * min(1.0, float((self._fastest / np.maximum(np.abs(aim), 1e-12)).min()))
+        ahead = self._joints + aim * np.abs(aim) / (2.0 * self._brakes) + aim * TICK_S
+        if ((ahead < self._lower) & (aim < 0.0)).any() or ((ahead > self._upper) & (aim > 0.0)).any():
+            self.at_limit = True
+            return np.zeros_like(aim)
+        return aim

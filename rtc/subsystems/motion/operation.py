@@ -1,0 +1,173 @@
+"""What the operator does with one arm during a primitive `Operated`: who moves it, what he wants now, what proves DONE.
+Pure: the time is an argument, the seconds of this process' clock.
+
+A message counts if it is of this grant, recent, finite, of the one who moves the arm, and only about what is his. What
+counts holds for `LOST_S`; then the arm stops. This module must not know how an arm follows a twist.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rtc.protocol.messages import Operate, Operation
+from rtc.protocol.primitive import HandMotion, Operated
+from rtc.protocol.units import in_words
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
+from rtc.subsystems.motion.arm import SpindleCommand
+from rtc.subsystems.motion.hand import Hand
+from rtc.subsystems.motion.observation import Observation
+
+LOST_S = 0.06  # a stream that is silent for this long is lost; the arm then needs up to 40 ms to stop
+STALE_S = 0.2  # a message that has seen nothing of this process for this long does nothing
+FOREVER_RAD = 1000.0  # turn of the spindle that the operator stops
+
+NO_TWIST = (0.0,) * 6
+
+
+class OperatedArm:
+    def __init__(self, motion: Operated, seen: Observation, hand: Hand) -> None:
+        self._motion, self._seen, self._hand = motion, seen, hand
+        self._caller = b""  # who moves it; empty: no one
+        self._operator = ""
+        self._latest: Operate | None = None  # that counts
+        self._at_s = -math.inf  # its arrival
+        self.cut = ""  # why the arm moves less than he wants
+        self.done = False
+        self.paused = False
+        self._turns = 0.0  # the present command of the spindle
+        self._turned_rad = 0.0  # before it
+        self._reach_m = max(motion.radius_m, self._off_m()) if motion.centre else math.inf
+
+    # --- the stream --------------------------------------------------------------------------------------
+
+    def objection(self, wanted: Operate, caller: bytes, now_s: float) -> str:
+        """Why a message does nothing; empty: it counts, and is followed from now on."""
+        if not all(map(math.isfinite, (*wanted.twist, wanted.turn, wanted.seen_at_s))):
+            return "a number of it is not finite"
+        if self._is_moved_by_another(caller, now_s):
+            return f"{self._operator} moves this arm; it is free when he lets go"
+        if (age_s := now_s - wanted.seen_at_s) > STALE_S:
+            return f"stale: it has seen nothing of this subsystem for {age_s:.2f} s; {STALE_S:g} s are allowed"
+        if wanted.hand and not self._motion.hand:
+            return "the hand is not part of this request"
+        if wanted.turn and not self._motion.spindle:
+            return "the spindle is not part of this request"
+        if self.paused and wanted.hold:
+            return "the command is paused; RESUME lets it go on"
+        self._caller, self._operator = (caller, wanted.operator) if wanted.hold else (b"", "")
+        self._latest, self._at_s = wanted, now_s
+        return ""
+
+    def _is_moved_by_another(self, caller: bytes, now_s: float) -> bool:
+        return self._caller not in (b"", caller) and now_s - self._at_s <= STALE_S
+
+    def follow(self, now_s: float) -> None:
+        """Bring hand and spindle to what he wants in this tick."""
+        if self._latest is not None and (not self._latest.hold or now_s - self._at_s > LOST_S or self.paused):
+            self._latest = None
+        wanted = self._latest
+        self._turn(wanted.turn if wanted is not None else 0.0)
+        if not self._motion.hand:
+            return
+        traits = self._seen.arm.traits
+        if wanted is not None and wanted.hand:
+            width_m = 0.0 if wanted.hand == "close" else traits.max_opening_m
+            self._move_hand(HandMotion(width_m=width_m, force_n=self._motion.grip_n, speed_m_s=traits.hand_speed_m_s))
+        elif not self._seen.fingers_rest() and not self._hand.grips:
+            self._hand.freeze()
+
+    def _move_hand(self, motion: HandMotion) -> None:
+        command = self._hand.command
+        if (command.width_m, command.force_n) != (motion.width_m, motion.force_n):
+            self._hand.move(motion)
+
+    def _turn(self, share: float) -> None:
+        if share == self._turns:
+            return
+        self._turned_rad = self.turned_rad
+        self._turns = share
+        arm, motion = self._seen.arm, self._motion
+        if not share:
+            arm.drive_spindle(None)
+            return
+        turn_rad, speed = math.copysign(FOREVER_RAD, share), abs(share) * motion.spindle_rad_s
+        arm.drive_spindle(SpindleCommand(turn_rad, speed, motion.spindle_nm))
+
+    @property
+    def turned_rad(self) -> float:
+        return self._turned_rad + (self._seen.arm.spindle().turned_rad if self._turns else 0.0)
+
+    def stop(self) -> None:
+        """The primitive ends, and with it his grant."""
+        self._latest, self._caller, self._operator = None, b"", ""
+        self._turn(0.0)
+
+    # --- what he wants -----------------------------------------------------------------------------------
+
+    def twist(self, tcp: Array) -> list[float]:
+        """The wanted velocity of the tcp (m/s, rad/s, world axes), within its speeds and inside its ball."""
+        self.cut = ""
+        wanted = self._latest
+        if wanted is None:
+            return list(NO_TWIST)
+        parts = wanted.twist
+        if wanted.frame == "tool":
+            parts = [*geometry.rotate(tcp, parts[:3]), *geometry.rotate(tcp, parts[3:])]
+        linear = _within(parts[:3], self._motion.speed_m_s)
+        return [*self._inside(linear, tcp), *_within(parts[3:], self._motion.turn_rad_s)]
+
+    def _inside(self, linear: list[float], tcp: Array) -> list[float]:
+        """The velocity without what would leave the ball: none outwards at its edge, little near it."""
+        if not self._motion.centre:
+            return linear
+        away = [a - b for a, b in zip(tcp[:3], self._motion.centre, strict=True)]
+        off_m = math.hypot(*away)
+        if off_m < 1e-6:
+            return linear
+        outwards = sum(a * v for a, v in zip(away, linear, strict=True)) / off_m
+        most = max(0.0, 5.0 * (self._reach_m - off_m))  # m/s: the edge is approached within 0.2 s
+        if outwards <= most:
+            return linear
+        self.cut = f"the edge of the neighbourhood: {in_words(round(off_m, 3), 'm')} from its centre"
+        return [v - (outwards - most) * a / off_m for a, v in zip(away, linear, strict=True)]
+
+    # --- DONE --------------------------------------------------------------------------------------------
+
+    def why_not_done(self) -> str:
+        """What the measurements show against a DONE; empty: it is proved."""
+        motion, seen = self._motion, self._seen
+        if not seen.joints_rest() or not seen.fingers_rest() or self._latest is not None:
+            return "the arm still moves: let go first"
+        if motion.done_m is not None and (off_m := self._off_m()) > motion.done_m:
+            there = f"it is {in_words(round(off_m, 4), 'm')} from where it should be"
+            return f"{there}; {in_words(motion.done_m, 'm')} is near enough"
+        if motion.done_grip_n is not None and seen.grip_n < motion.done_grip_n:
+            return f"the fingers press with {seen.grip_n:.1f} N; {motion.done_grip_n:g} N are a grip"
+        if motion.done_turn_rad is not None and self.turned_rad / motion.done_turn_rad < 1.0:
+            done, wanted = abs(self.turned_rad) / (2 * math.pi), abs(motion.done_turn_rad) / (2 * math.pi)
+            return f"the spindle has turned by {done:.2f} of {wanted:.2f} turns"
+        return ""
+
+    def _off_m(self) -> float:
+        return math.dist(self._seen.tcp()[:3], self._motion.centre)
+
+    def look(self) -> Operation:
+        """For telemetry."""
+        motion, bounded = self._motion, bool(self._motion.centre)
+        return Operation(
+            request=motion.request,
+            centre=motion.centre,
+            radius_m=self._reach_m if bounded else None,
+            off_m=self._off_m() if bounded else None,
+            done_m=motion.done_m,
+            hand=motion.hand,
+            spindle=motion.spindle,
+            operator=self._operator,
+            cut=self.cut,
+        )
+
+
+def _within(parts: list[float], most: float) -> list[float]:
+    size = math.hypot(*parts)
+    return list(parts) if size <= most else [part * most / size for part in parts]
