@@ -149,6 +149,7 @@ def _accept(context: DecisionContext, event: CommandReceived) -> Command:
         accepted_at_s=event.at_s,
         given_at_s=min(sentence.sent_at_s or event.at_s, event.at_s),
         programs=dict(state.programs),
+        saved=sentence.saved,
         previous=state.last_given.pop(event.client, ""),
         after_test=sentence.after_test,
         label=sentence.label,

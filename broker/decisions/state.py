@@ -13,7 +13,7 @@ import msgspec
 
 from broker.decisions.resources import Resources
 from rtc.programs.action_stack import ActionStack
-from rtc.protocol.messages import Breakpoint, Phase, ProgressNote, WorkerKind
+from rtc.protocol.messages import Breakpoint, Phase, ProgressNote, SavedWorld, WorkerKind
 from rtc.protocol.outcomes import Compared, Measured, OutcomeKind, Refusal, StopReason
 from rtc.protocol.primitive import Box
 from rtc.protocol.rehearsal import Rehearsal
@@ -254,6 +254,8 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """Number of jobs created so far; the next job id is one higher."""
     job: PendingJob | None = None
     """The job that a worker has, or that waits for one."""
+    saved: SavedWorld | None = None
+    """Facts that the sentence refers to, input of the elaborator."""
     parsed: msgspec.Raw = NIL
     """The whole ParsedCommand, input of the elaborator."""
     head: ParsedHead | None = None

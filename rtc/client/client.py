@@ -176,18 +176,21 @@ class Client:
         progress: bool = True,
         traceparent: str = "",
         if_tested: str = "",
+        saved: m.SavedWorld | None = None,
     ) -> CommandHandle:
         """Submit one sentence; its handle, after the cluster has journalled it.
 
         `on_progress` receives each ProgressNote, as in `run`. `progress=False`: the cluster sends none, and REPORT
         EVERY and WHEN are refused; for a client that does not wait. `traceparent`: a W3C trace context, below which
-        `rtc observe --otlp` puts the trace of the command. `if_tested`: as in `run`.
+        `rtc observe --otlp` puts the trace of the command. `if_tested`: as in `run`. `saved`: facts of a file, for SET
+        WORLD FACTS SAVED.
 
         Raises RequestDeclined if the cluster does not accept it.
         """
         handle = CommandHandle(self, text, on_progress)
         noted = handle.take_note if progress or on_progress is not None else None
-        self._submit(text, noted, handle.take_number, traceparent, handle.take_end, AboutTest(if_tested=if_tested))
+        about = AboutTest(if_tested=if_tested)
+        self._submit(text, noted, handle.take_number, traceparent, handle.take_end, about, saved)
         self.receive_until(lambda: handle.answered, ANSWER_S, "the sentence was not accepted")
         if not handle.number:
             refusal = handle.wait().outcome.refusal
@@ -410,6 +413,7 @@ class Client:
         traceparent: str = "",
         on_ended: OnEnded | None = None,
         about: AboutTest = NO_TEST,
+        saved: m.SavedWorld | None = None,
     ) -> str:
         """Send one sentence; returns the name of the request. Raises ValueError for an invalid trace context."""
         request = self._next_request()
@@ -422,6 +426,7 @@ class Client:
             source=self.source,
             progress=on_progress is not None,
             halt_if_lost=self._heartbeat is not None,
+            saved=saved,
             sent_at_s=time.monotonic(),  # a repeat after a halt keeps this time, so that the halt covers it
             if_tested=about.if_tested,
             after_test=about.after_test,

@@ -358,7 +358,7 @@ def everything(_: Parts) -> Fields:
 
 def set_value(parts: Parts) -> Fields:
     verb, name, attribute, datum = parts
-    if attribute == "ATTITUDE" and isinstance(datum, Datum):
+    if attribute in ("ATTITUDE", "ORIENTATION") and isinstance(datum, Datum):
         check_angles(datum.numbers, f"SET {attribute}")
     return {"verb": verb.value, "object": name, "attribute": attribute, **datum}
 

@@ -141,7 +141,8 @@ def serve(
         answers: list[tuple[bytes, Any]] = []
         for sender, *parts in inbox(socket, PER_TURN):
             try:
-                answers.append((sender, server.answer(read(parts), now_s())))
+                if (answer := server.answer(read(parts), now_s())) is not None:
+                    answers.append((sender, answer))
             except WireError as error:
                 dropped += 1
                 if dropped & (dropped - 1) == 0:  # logs number 1, 2, 4, 8 ...: a flood must not fill the log

@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterable
 from typing import Any
 
+import msgspec
 import zmq
 
 from rtc.protocol import messages as m
@@ -17,6 +18,7 @@ from rtc.protocol import wire
 from rtc.protocol.outcomes import ClusterError, Refusal, RtcError, WireError
 from rtc.runtime import process
 from rtc.runtime.process import now_s
+from rtc.world.model import as_changing
 
 FIRST_TRY_S, MAX_TRY_S = 0.04, 0.5  # wait per attempt: doubled after each, up to the longest
 LIMIT_S = 5.0  # longer than a restart of the server
@@ -42,9 +44,17 @@ class WorldClient:
 
     def view(self, since: int = 0, keys: Iterable[str] | None = None) -> m.View:
         """The facts newer than version `since`, all or those of some keys or locations, from one version of the world.
+        Those that an arm in motion changes are changing.
 
         Raises ClusterError without an answer within the limit.
         """
+        stored = self.stored(since, keys)
+        if not stored.changing:
+            return stored
+        return msgspec.structs.replace(stored, facts=as_changing(stored.facts, stored.changing))
+
+    def stored(self, since: int = 0, keys: Iterable[str] | None = None) -> m.View:
+        """As `view`, with the stored validity of all facts: for a reader that keeps them for its next read."""
         wanted = None if keys is None else list(keys)
         answer = self._ask(m.ReadView(request=self._request(), keys=wanted, since=since))
         return _expect(answer, m.View)

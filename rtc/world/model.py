@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+import msgspec
 
 from rtc.protocol.messages import Fact, Validity, View, WorldChange
 
@@ -25,6 +27,8 @@ MOVED = frozenset(
         *("turns", "state"),
     }
 )
+#: those of a held object that change with the motion of its hand
+CARRIED = ("frame", "seat", "angle")
 #: states of a bolt: tightened; neither tightened nor out; turned out by all its turns, so that it fastens nothing
 TIGHT, TURNED, LOOSE = BOLT_STATES = ("TIGHT", "TURNED", "LOOSE")
 UNIT_TOLERANCE = 1e-4  # tolerance of the norm of a quaternion
@@ -63,13 +67,33 @@ class World:
 
 
 def changed(old: Fact | None, change: WorldChange, version: int, source: str, at_s: float) -> Fact:
-    """The fact after the change. A change without a value keeps the old one."""
-    value, spread = change.value, change.spread
+    """The fact after the change. A change without a value keeps the old one; a doubt does not make it more certain."""
+    value, spread, validity = change.value, change.spread, change.validity
     if change.keep_value and old is not None:
         value, spread = old.value, spread or old.spread
+        if validity is Validity.SUSPECT and old.validity in (Validity.UNKNOWN, Validity.INVALID):
+            validity = old.validity
     return Fact(
-        key=change.key, value=value, validity=change.validity, version=version, source=source, at_s=at_s, spread=spread
+        key=change.key, value=value, validity=validity, version=version, source=source, at_s=at_s, spread=spread
     )
+
+
+def moved_with(facts: Mapping[str, Fact], arms: Collection[str]) -> dict[str, str]:
+    """Keys of the facts that the motion of these arms changes -> the arm: its joints, and where it carries things."""
+    moved: dict[str, str] = {}
+    for arm in arms:
+        held = facts.get(f"{arm}.holding")
+        keys = [f"{arm}.joints"]
+        if held is not None and held.value:
+            keys += [f"{held.value}.{attribute}" for attribute in CARRIED]
+        moved.update((key, arm) for key in keys if key in facts)
+    return moved
+
+
+def as_changing(facts: Iterable[Fact], changing: Collection[str]) -> list[Fact]:
+    """The facts as a reader should see them: those of these keys are changing."""
+    marks = {"validity": Validity.CHANGING}
+    return [msgspec.structs.replace(fact, **marks) if fact.key in changing else fact for fact in facts]
 
 
 def location(key: str) -> str:
@@ -105,7 +129,8 @@ def initial_facts(cell: Cell) -> list[WorldChange]:
             WorldChange(
                 key=f"{thing.name}.frame",
                 value=cell.object_pose(thing.name).tolist(),
-                spread=thing.known_within.spread if thing.known_within else None,
+                validity=Validity.UNKNOWN if thing.unsurveyed else Validity.VALID,
+                spread=thing.surveyed_spread,
             ),
             WorldChange(key=f"{thing.name}.seat", value=thing.seat or ""),
             WorldChange(key=f"{thing.name}.held_by", value=""),

@@ -15,10 +15,11 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.world import lease as leases
-from rtc.world.model import MOVED, location, problem, selected
+from rtc.world.model import MOVED, location, moved_with, problem, selected
 from rtc.world.store import Store
 
 Answer = m.View | m.Committed | m.WorldRefused
+Request = m.ReadView | m.Commit | m.WorldHistory | m.Doubt | m.Moving
 
 
 class Server:
@@ -29,8 +30,10 @@ class Server:
         self.store = store
         self._fixed = fixed
         self._key = key
+        self._moving: list[str] = []  # arms in motion, as the broker states them
 
-    def answer(self, request: m.ReadView | m.Commit | m.WorldHistory | m.Doubt, at_s: float) -> Answer:
+    def answer(self, request: Request, at_s: float) -> Answer | None:
+        """The answer; None: the request has none."""
         match request:
             case m.ReadView():
                 return self._view(request)
@@ -41,13 +44,21 @@ class Server:
                 return m.View(request=request.request, version=self.store.version, facts=facts)
             case m.Doubt():
                 return self._doubt(request, at_s)
+            case m.Moving(lease=lease):
+                if lease.job == leases.MOVING and leases.check(self._key, lease):
+                    self._moving = lease.locations
+                return None
 
     def _view(self, request: m.ReadView) -> m.View:
         version = self.store.version
         if request.since == version:
-            return m.View(request=request.request, version=version, facts=[])
+            return m.View(request=request.request, version=version, facts=[], changing=self._changing())
         since = request.since if request.since < version else 0  # a later version than ours: from another database
-        return m.View(request=request.request, version=version, facts=selected(self.store.facts, request.keys, since))
+        facts = selected(self.store.facts, request.keys, since)
+        return m.View(request=request.request, version=version, facts=facts, changing=self._changing())
+
+    def _changing(self) -> list[str]:
+        return list(moved_with(self.store.facts, self._moving)) if self._moving else []
 
     def _commit(self, request: m.Commit, at_s: float) -> m.Committed | m.WorldRefused:
         if refusal := self._refusal_of(request):
@@ -111,6 +122,7 @@ class PackedView(m.Message, frozen=True, kw_only=True, tag="View"):
     request: str
     version: int
     facts: list[msgspec.Raw]
+    changing: list[str] = msgspec.field(default_factory=list)
 
 
 class Packer:
@@ -123,7 +135,8 @@ class Packer:
         """The answer, with encoded facts if it is a View. The encoding of the whole is the same."""
         if not isinstance(answer, m.View):
             return answer
-        return PackedView(request=answer.request, version=answer.version, facts=[self._fact(f) for f in answer.facts])
+        facts = [self._fact(fact) for fact in answer.facts]
+        return PackedView(request=answer.request, version=answer.version, facts=facts, changing=answer.changing)
 
     def _fact(self, fact: m.Fact) -> msgspec.Raw:
         known = self._known.get(fact.key)

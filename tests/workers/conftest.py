@@ -28,6 +28,7 @@ from rtc.protocol.messages import (
     ElaboratorInput,
     EndReport,
     ProgressReport,
+    SavedWorld,
     Script,
     Step,
     Validity,
@@ -279,6 +280,8 @@ class Bench:
         self.programs = {kind: loader.default(kind) for kind in ("parser", "elaborator", "binder", "analyzer")}
         self.commands = 0
         self.now_s = 0.0  # of the broker; 0: no fact has an age
+        self.saved: SavedWorld | None = None  # facts of a file that come with each sentence
+        self.moving: list[Primitive] = []  # of other arms
 
     def unsurveyed(self) -> None:
         """Things may be as far from where they are believed to be as the cell file says."""
@@ -297,7 +300,13 @@ class Bench:
     def elaborate(self, sentence: str, model: CellModel | None = None) -> Script | Refusal:
         self.commands += 1
         parsed = record(sentence, self.programs["parser"].decode())
-        data = ElaboratorInput(command=f"C-{self.commands}", parsed=parsed, at_s=self.now_s)
+        data = ElaboratorInput(
+            command=f"C-{self.commands}",
+            parsed=parsed,
+            at_s=self.now_s,
+            saved=self.saved,
+            moving=self.moving,
+        )
         return elaborator.run(compiled(elaborator, self.programs["elaborator"]), model or self.model, self.world, data)
 
     def bind(self, script: Script, step: Step, bindings: dict[str, Binding] | None = None, n: int = 1) -> Any:

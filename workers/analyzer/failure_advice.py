@@ -25,6 +25,9 @@ AWAY_CM = 5.0  # by how much an arm is to move away from what it has pressed on
 BACK = "leave_back"  # row of `clears`
 
 
+DOUBTFUL = (Validity.SUSPECT, Validity.INVALID)
+
+
 IN_SLOT_M = 0.010  # a shorter way back into a slot frees nothing
 
 
@@ -79,11 +82,11 @@ def _higher_limit(task: AnalyzeTask) -> list[str]:
 
 
 def _ways_to_clear(task: AnalyzeTask, changes: Changes, *, moved: bool, misplaced: bool) -> dict[str, str]:
-    """The advice that clears the facts made suspect by these changes, by the first fact that it clears.
+    """The advice that clears the facts made suspect or invalid by these changes, by the first fact that it clears.
 
     `moved`: what is held may have moved in the hand. `misplaced`: its fingers do not help."""
     after = task.query.after(changes)
-    suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
+    suspect = [change.key for change in changes if change.validity in DOUBTFUL]
     if any(key.endswith(".holding") for key in suspect):  # what it may hold is neither looked for nor taken before that
         suspect = [key for key in suspect if not key.endswith(".frame") or after.held_by(key.rpartition(".")[0])]
     clears = task.program.clears

@@ -46,7 +46,9 @@ def held_object_changes(
     assert held is not None
     frame = geometry.normalise(held)
     validity = Validity.SUSPECT if suspect or drops or tilted or not trusted else Validity.VALID
-    moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
+    gone = drops and not opened  # the fingers have met nothing where it should be between them
+    place = Validity.INVALID if gone else validity
+    moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=place)]
     if drops or opened:
         if task.query.seat(thing):
             moved.append(WorldChange(key=f"{thing}.seat", keep_value=True, validity=Validity.SUSPECT))

@@ -10,6 +10,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import msgspec
+
 from rtc.model.cells import taught
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
@@ -30,7 +32,11 @@ def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) ->
     changes: Changes = []
     for key, value in facts.items():
         thing, _, attribute = key.rpartition(".")
-        change = WorldChange(key=key, value=value, spread=SPREADS[attribute](values) if attribute in SPREADS else None)
+        stored = next(iter(value)) if attribute == "facts" and isinstance(value, dict) else value
+        change = WorldChange(key=key, value=stored, spread=SPREADS[attribute](values) if attribute in SPREADS else None)
+        if attribute == "frame" and value is None:
+            changes += _unplaced(thing, query)
+            continue
         wrong = problem(change) or PLAUSIBLE.get(attribute, _anything)(key, value, values)
         if wrong:
             raise _refused(wrong, key, "repeat it with the correct value and unit")
@@ -112,6 +118,17 @@ def _state_of_bolt(thing: str, state: Any, query: WorldQuery, values: Values) ->
     return [WorldChange(key=f"{thing}.turns", value=turns), WorldChange(key=f"{thing}.frame", value=frame)]
 
 
+def _unplaced(thing: str, query: WorldQuery) -> Changes:
+    """The pose of an object or seat is stated to be unknown: the last belief stays as a guess."""
+    frame = WorldChange(key=f"{thing}.frame", keep_value=True, validity=Validity.UNKNOWN)
+    if query.is_seat(thing):
+        inside = [one.name for one in query.cell.objects if query.seat(one.name) == thing]
+        content = [WorldChange(key=f"{name}.frame", keep_value=True, validity=Validity.SUSPECT) for name in inside]
+        known = msgspec.structs.replace(frame, value=query.seat_frame(thing).tolist(), keep_value=False)
+        return [known, *content]
+    return [frame, WorldChange(key=f"{thing}.seat", keep_value=True, validity=Validity.UNKNOWN)]
+
+
 def _off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:
     """Why an object with a hinge cannot be at this frame; empty if it can, or has no hinge.
 
@@ -183,12 +200,12 @@ def moves_with(thing: str, seat: str, frame: Any, query: WorldQuery) -> bool:
     """
     if query.held_by(thing):
         return False
-    fact, surveyed = query.world.get(f"{thing}.frame"), query.cell.object(thing).known_within
+    fact, surveyed = query.world.get(f"{thing}.frame"), query.cell.object(thing).surveyed_spread
     if fact is None or fact.spread is None:
         return True  # stated to be exact, as its seat is
     was = query.spread(f"{seat}.frame")
     if query.world.get(f"{seat}.frame") is None and surveyed is not None:
-        was = surveyed.spread  # the survey of the object is that of its seat
+        was = surveyed  # the survey of the object is that of its seat
     if max(fact.spread[:3]) >= max(was[:3]):
         return True
     before = query.seat_frame(seat)
@@ -204,7 +221,39 @@ def seat_at(frame: Any, query: WorldQuery, within_m: float, within_rad: float = 
     return min(near, key=lambda name: away_m[name], default="")
 
 
-def _initial(_: str, __: Any, query: WorldQuery, ___: Values) -> Changes:
+def _whole(_: str, value: Any, query: WorldQuery, values: Values) -> Changes:
+    """The facts of all objects and seats as in the cell; of those in a file ({"saved": facts by key}) as there."""
+    begin = {change.key: change for change in _initial(query)}
+    if isinstance(value, dict):
+        begin |= {change.key: change for change in _saved(value["saved"], query, values)}
+    return list(begin.values())
+
+
+def _saved(facts: Mapping[str, Mapping[str, Any]], query: WorldQuery, values: Values) -> Changes:
+    """The facts of a file. What was in a hand then is in none now: its place is not sure."""
+    changes: Changes = []
+    for key, fact in facts.items():
+        change = msgspec.convert({"key": key, **fact}, WorldChange)
+        thing, _, attribute = key.rpartition(".")
+        was_held = bool(facts.get(f"{thing}.held_by", {}).get("value"))
+        if wrong := problem(change) or (
+            change.value and PLAUSIBLE.get(attribute, _anything)(key, change.value, values)
+        ):
+            raise _refused(str(wrong), key, "correct it in the file, or leave it out")
+        if change.value and (arm := taught.arm_of(attribute)):
+            refuse_if(_beyond_limits(arm, change.value, query))
+        if change.validity is Validity.CHANGING or (was_held and attribute in ("frame", "seat")):
+            change = msgspec.structs.replace(change, validity=Validity.SUSPECT)
+        if attribute in HELD:
+            change = WorldChange(key=key, value=HELD[attribute])
+        changes.append(change)
+    return changes
+
+
+HELD: dict[str, Any] = {"held_by": "", "grasp": None}  # of an object in no hand
+
+
+def _initial(query: WorldQuery) -> Changes:
     """The facts of all objects and seats as in the cell; those that it does not have lose their value."""
     arms, seats = ({part.name for part in group} for group in (query.cell.arms, query.cell.seats))
     begin = {change.key: change for change in initial_facts(query.cell) if location(change.key) not in arms}
@@ -212,7 +261,7 @@ def _initial(_: str, __: Any, query: WorldQuery, ___: Values) -> Changes:
     begin |= {
         key: WorldChange(key=key, value=query.cell.seat(location(key)).frame.pose.tolist())
         if key.endswith(".frame") and location(key) in seats
-        else WorldChange(key=key, value=None)
+        else WorldChange(key=key, value=None, validity=Validity.UNKNOWN)
         for key in query.world.facts
         if location(key) in things and key not in begin
     }
@@ -222,5 +271,5 @@ def _initial(_: str, __: Any, query: WorldQuery, ___: Values) -> Changes:
 FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes]] = {
     "frame": _placed,
     "state": _state_of_bolt,
-    "facts": _initial,
+    "facts": _whole,
 }

@@ -37,6 +37,7 @@ INPUT = BinderInput
 NEEDS_WORLD = True
 NEEDS_CELL = True
 
+NOW = "now"  # key of a stated value that stands for a fact
 STATED_BY = "OPERATOR"  # performer in the report of facts that a command states
 ANSWERED_BY = "RTC"  # performer in the report of an answer
 HELD = "still_held"  # effect of a hand that closes on what it holds
@@ -165,16 +166,16 @@ def bind_assignment(task: BindTask) -> BoundStep:
 
 def _now(task: BindTask, stated: Any) -> Any:
     """A stated value; {"now": KEY} stands for the value of that fact now. Raises Refused if it is not valid."""
-    if not isinstance(stated, dict):
+    if not isinstance(stated, dict) or NOW not in stated:
         return stated
-    fact = task.query.world.get(stated["now"])
+    fact = task.query.world.get(stated[NOW])
     if fact is not None and fact.validity is Validity.VALID:
         return fact.value
-    arm = stated["now"].partition(".")[0]
+    arm = stated[NOW].partition(".")[0]
     raise Refused.because(
         RefusalReason.SUSPECT,
-        f"{stated['now']} is {fact.validity.value if fact else 'unknown'}: where {arm} stands is not sure",
-        where=stated["now"],
+        f"{stated[NOW]} is {fact.validity.value if fact else 'unknown'}: where {arm} stands is not sure",
+        where=stated[NOW],
         clears=f"the next motion reads the joints first, such as HOLD {hand_in_words(arm)} FOR 1 SEC",
     )
 

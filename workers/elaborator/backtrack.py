@@ -80,12 +80,14 @@ def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, se
 
 def can_be_seen(key: str, candidate: TaskCandidate) -> bool:
     """Whether a camera can sense this fact before the script begins (R151). The fact is the pose of a free object or of
-    a seat, or how the arm holds an object. The poses of the plan that depend on it are restated after the look."""
+    a seat, or how the arm holds an object. The poses of the plan that depend on it are restated after the look. That
+    needs a belief near the truth: a pose that is unknown or disproved is to be located by a command of its own."""
     body, _, attribute = key.rpartition(".")
     holder = candidate.query.held_by(body)
     senses = attribute in (FRAME, GRASP) and attribute in candidate.program.senses
     fits = holder == (candidate.arm.name if attribute == GRASP else "")
-    return senses and fits and bool(candidate.query.cameras(body))
+    near = candidate.query.placed(body) and not candidate.query.mover_of(key)
+    return senses and fits and near and bool(candidate.query.cameras(body))
 
 
 # --- the poses, backwards from the goal ------------------------------------------------------------------

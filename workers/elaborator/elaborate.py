@@ -17,7 +17,7 @@ from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.programs.splice import spliced
-from rtc.protocol.messages import ElaboratorInput, Script
+from rtc.protocol.messages import ElaboratorInput, SavedWorld, Script
 from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
@@ -35,6 +35,7 @@ from workers.elaborator import (
     set_fact,
     stages,
     strategies,
+    teach,
 )
 from workers.elaborator.backtrack import Planned, can_be_seen
 from workers.elaborator.script_checks import CHECKS, why_uncertain, why_unsure_grasp, why_unsure_place
@@ -74,13 +75,21 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     assert world is not None
     try:
         as_tested.refuse_stale(data.rests_on, world)
+        if data.saved is not None:
+            teach.refuse_saved(data.parsed)
         query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
-        return _elaborated(compiled, query, data.parsed, data.owners)
+        return _elaborated(compiled, query, data.parsed, data.owners, data.saved)
     except Refused as refused:
         return refused.refusal
 
 
-def _elaborated(compiled: Compiled, query: WorldQuery, parsed: ParsedCommand, owners: Mapping[str, str]) -> Script:
+def _elaborated(
+    compiled: Compiled,
+    query: WorldQuery,
+    parsed: ParsedCommand,
+    owners: Mapping[str, str],
+    saved: SavedWorld | None = None,
+) -> Script:
     """The first feasible script of those that the decision tree has for this sentence. Raises Refused."""
     program, scripts = compiled.program, compiled.scripts
     branches = [branch for branch in program.decision_tree if branch.verb == parsed.verb and branch.enabled]
@@ -96,7 +105,7 @@ def _elaborated(compiled: Compiled, query: WorldQuery, parsed: ParsedCommand, ow
     command_fields.refuse_longer_than_limit(parsed, limits)
     _refuse_unmeasured(parsed, query)
     if parsed.kind == "data":
-        return _of_data(program, scripts[branches[0].script], parsed, query, owners)
+        return _of_data(program, scripts[branches[0].script], parsed, query, owners, saved)
     branches = [branch for branch in branches if fits_sentence(branch, parsed)] or branches
     candidates: list[TaskCandidate] = []
     for by_camera in sorted({only_looks(scripts[branch.script]) for branch in branches}):
@@ -117,12 +126,17 @@ def _elaborated(compiled: Compiled, query: WorldQuery, parsed: ParsedCommand, ow
 
 
 def _of_data(
-    program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery, owners: Mapping[str, str]
+    program: ElaboratorProgram,
+    file: ScriptFile,
+    parsed: ParsedCommand,
+    query: WorldQuery,
+    owners: Mapping[str, str],
+    saved: SavedWorld | None,
 ) -> Script:
     """The script of a sentence that states or asks facts. Raises Refused."""
     if any(step.do == "answer" for step in file.steps):
         return answers.script(file, answers.Question(program, parsed, query, owners))
-    return set_fact.script(program, file, parsed, query)
+    return set_fact.script(program, file, parsed, query, saved)
 
 
 def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:
@@ -166,7 +180,9 @@ def _most_informative(
     that clears the command; else the refusal names the obstacle that remains. From so near to a body that it may be
     touched no way round is sought, so the other arm is not the cause then."""
     first, its = min(refused, key=lambda each: _rank(each[0]))
-    other = None if LEAVING in first.detail else first.detail.get(IN_THE_WAY)
+    if LEAVING in first.detail or first.reason is RefusalReason.SUSPECT:  # the latter is waited for
+        return first
+    other = first.detail.get(IN_THE_WAY)
     if not isinstance(other, str) or not make_way.may_leave(its.candidate.query, other):
         return first
 

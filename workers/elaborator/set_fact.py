@@ -14,7 +14,7 @@ from rtc.language.alike import nearest
 from rtc.model.cells import parts
 from rtc.programs.attributes import PLAIN
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
-from rtc.protocol.messages import Script, ScriptContext, Step
+from rtc.protocol.messages import SavedWorld, Script, ScriptContext, Step
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry, hinges
@@ -27,15 +27,22 @@ from workers.planning.world_query import WorldQuery
 Thing = parts.Object | parts.Seat
 
 
-def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery) -> Script:
-    """The script for a SET command; its context holds the stated facts. Raises Refused."""
+def script(
+    program: ElaboratorProgram,
+    file: ScriptFile,
+    parsed: ParsedCommand,
+    query: WorldQuery,
+    saved: SavedWorld | None = None,
+) -> Script:
+    """The script for a SET command; its context holds the stated facts. `saved`: those of a file, which only SET WORLD
+    FACTS SAVED states. Raises Refused."""
     command_fields.refuse_unused_field(parsed, file.script, file.uses)
     if teach.is_posture(parsed):
         return _script(file, parsed, parsed.object or "", teach.posture(parsed, query))
     if strategies.is_default(program, parsed):
         return _script(file, parsed, parsed.object or "", strategies.stated(program, parsed))
     if teach.is_world(parsed, query):
-        return _script(file, parsed, parsed.object or "", teach.world(program, parsed, query))
+        return _script(file, parsed, parsed.object or "", teach.world(program, parsed, query, saved))
     things: dict[str, Thing] = {thing.name: thing for thing in query.cell.objects}
     things |= {seat.name: seat for seat in query.cell.seats}
     thing = things.get(parsed.object or "")
@@ -119,6 +126,8 @@ def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, quer
         )
     if attribute in program.settable:
         row = program.settable[attribute]
+        if attribute == "frame" and values == [UNKNOWN]:
+            return _unplaced(program, thing, query)
         if not _fits(row, parsed):
             raise _misfit(row, parsed, thing)
         make = FACTS.get(attribute)
@@ -177,6 +186,13 @@ def _frame(program: ElaboratorProgram, values: list[Any], thing: Thing, query: W
     return _pose(values[:3], attitude, thing)
 
 
+def _unplaced(program: ElaboratorProgram, thing: Thing, query: WorldQuery) -> dict[str, Any]:
+    """The pose is not known any more: no step relies on it until it is located or stated."""
+    _refuse_held(program, thing, query)
+    _refuse_fixed(thing)
+    return {f"{thing.name}.frame": None}
+
+
 def _attitude(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """An attitude, at the current position."""
     return _pose(_current_pose(thing, query)[:3], geometry.from_rpy((0, 0, 0), values)[3:], thing)
@@ -187,12 +203,7 @@ def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: Wo
     seats = [seat.name for seat in query.cell.seats]
     if values[0] not in seats:
         raise suggestions.unknown("seat", values[0], seats, where=values[0])
-    holder = query.held_by(thing.name)
-    if holder:
-        message = f"{thing.name} is held by {holder}"
-        let_go = preconditions.let_go(program.needs, query, thing.name)
-        clears = program.needs["object_free"].replace("{let_go}", let_go).replace("{object}", thing.name)
-        raise Refused.because(RefusalReason.STATE, message, clears=clears)
+    _refuse_held(program, thing, query)
     seated = query.seated_pose(values[0])
     return _pose(seated[:3], seated[3:], thing)
 
@@ -220,21 +231,34 @@ def _state(program: ElaboratorProgram, values: list[Any], thing: Thing, query: W
     return {f"{thing.name}.state": values[0]}
 
 
+def _refuse_held(program: ElaboratorProgram, thing: Thing, query: WorldQuery) -> None:
+    if holder := query.held_by(thing.name):
+        message = f"{thing.name} is held by {holder}"
+        let_go = preconditions.let_go(program.needs, query, thing.name)
+        clears = program.needs["object_free"].replace("{let_go}", let_go).replace("{object}", thing.name)
+        raise Refused.because(RefusalReason.STATE, message, clears=clears)
+
+
+def _refuse_fixed(thing: Thing) -> None:
+    if isinstance(thing, parts.Object) and thing.fixed:
+        raise Refused.because(RefusalReason.STATE, f"{thing.name} is fixed", clears="another object")
+
+
 def _current_pose(thing: Thing, query: WorldQuery) -> Array:
     return query.seat_frame(thing.name) if isinstance(thing, parts.Seat) else query.frame(thing.name)
 
 
 def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any]:
-    if isinstance(thing, parts.Object) and thing.fixed:
-        message = f"{thing.name} is fixed"
-        raise Refused.because(RefusalReason.STATE, message, clears="another object")
+    _refuse_fixed(thing)
     return {f"{thing.name}.frame": [float(n) for n in (*place, *attitude)]}
 
 
 ANGLES = ("roll", "pitch", "yaw")
+UNKNOWN = "UNKNOWN"
 FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]] = {
     "frame": _frame,
     "attitude": _attitude,
+    "orientation": _attitude,
     "seat": _seat,
     "angle": _angle,
     "state": _state,

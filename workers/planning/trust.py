@@ -15,8 +15,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.messages import Limits, Step
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.messages import Limits, Step, Validity
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.facts import TRUSTED
@@ -34,8 +34,10 @@ def distrusted(query: WorldQuery, key: str, clears: Mapping[str, str], own: str 
     """The refusal for a fact that is not trusted; None if it is trusted.
 
     `own`: the id of the running command. A fact that this command itself made suspect is accepted, because its
-    script is about to correct it.
+    script is about to correct it. A fact that another arm changes now is waited for (`IN_THE_WAY`).
     """
+    if arm := query.mover_of(key):
+        return _changing(key, arm)
     fact = query.world.get(key)
     if fact is None or fact.validity in TRUSTED or (own and fact.source.partition("/")[0] == own):
         return None
@@ -46,6 +48,17 @@ def distrusted(query: WorldQuery, key: str, clears: Mapping[str, str], own: str 
         where=key,
         clears=remedy(query, key, clears),
         detail={"validity": fact.validity.value, "source": fact.source, "version": float(fact.version)},
+    )
+
+
+def _changing(key: str, arm: str) -> Refusal:
+    location, _, attribute = key.rpartition(".")
+    return Refusal(
+        reason=RefusalReason.SUSPECT,
+        message=f"the {attribute} of {location} is changing: {arm} moves",
+        where=key,
+        clears=f"wait until {arm} is at rest",
+        detail={"validity": Validity.CHANGING.value, IN_THE_WAY: arm},
     )
 
 
@@ -61,6 +74,8 @@ def remedy(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
         row = "turns"
     if row == "frame" and "seen" in clears and _look_helps(query, location):
         row = "seat_seen" if "seat_seen" in clears and query.is_seat(location) else "seen"
+    elif row == "frame" and not query.placed(location):
+        row = "unplaced" if "unplaced" in clears else row
     words = clears.get(row, "sense {location} again")
     if "{position}" in words:
         frame = query.pose(location)

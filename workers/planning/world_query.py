@@ -11,13 +11,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from rtc.model.cells import parts
-from rtc.protocol.messages import WorldChange
+from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.primitive import Load, Primitive
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.facts import Facts
-from rtc.world.model import World
-from workers.planning import axes
+from rtc.world.model import World, moved_with
+from workers.planning import axes, sight
 from workers.planning.robot_models import CellModel
 
 UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ball of this radius
@@ -40,6 +40,17 @@ class WorldQuery(Facts):
         self.moving = moving
         self._tcps: dict[str, Array] = {}
         self._cameras: dict[str, list[parts.Camera]] = {}
+        arms = {arm for primitive in moving for arm in primitive.paths}
+        self._changing = moved_with(world.facts, arms) if arms else {}
+
+    def mover_of(self, key: str) -> str:
+        """The arm of another command whose motion changes this fact now; empty: the fact rests."""
+        return self._changing.get(key, "")
+
+    def placed(self, body: str) -> bool:
+        """Whether its pose is a belief: neither unknown nor disproved."""
+        fact = self.world.get(f"{body}.frame")
+        return fact is None or fact.validity not in (Validity.UNKNOWN, Validity.INVALID)
 
     def after(self, changes: Iterable[WorldChange]) -> WorldQuery:
         """The same query in the world after these changes."""
@@ -69,15 +80,20 @@ class WorldQuery(Facts):
         return axes.name_of(geometry.rotate(self.seat_frame(seat), self.cell.seat(seat).way_out).tolist())
 
     def cameras(self, body: str) -> list[parts.Camera]:
-        """The cameras that can see an object or seat where it is believed to be, the best one first."""
+        """The cameras that can see an object or seat where it is believed to be, the best one first. If there is no
+        such place, all cameras: any of them may find it."""
         if body not in self._cameras:
-            self._cameras[body] = self.model.sight.cameras(body, self.pose(body), self.tcp)
+            found = self.model.sight.cameras(body, self.pose(body), self.tcp)
+            if not self.placed(body) and sight.tags(self.cell, body):
+                found = [*found, *(camera for camera in self.cell.cameras if camera not in found)]
+            self._cameras[body] = found
         return self._cameras[body]
 
     def finds(self, body: str) -> bool:
         """Whether a camera can see the body where it is believed to be, and the last look has not missed it."""
         fact = self.world.get(f"{body}.sighting")
-        return (fact is None or fact.value is not None) and bool(self.cameras(body))
+        missed = fact is not None and fact.value is None and fact.validity is not Validity.UNKNOWN
+        return not missed and bool(self.cameras(body))
 
     def load(self, arm: str) -> Load | None:
         """Mass, centre of mass and inertia of the held object in the tcp frame; None if its hinge carries it."""

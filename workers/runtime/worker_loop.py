@@ -380,7 +380,7 @@ class WorldView:
         """
         if came_s > self._read_at_s or now_s() - self._read_at_s > FRESH_S:
             read_at_s = now_s()
-            self._world = self._world.updated(self._client.view(since=self._world.version))
+            self._world = self._world.updated(self._client.stored(since=self._world.version))
             self._read_at_s = read_at_s
         return self._world
 

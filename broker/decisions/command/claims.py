@@ -83,5 +83,7 @@ def start_elaboration(context: DecisionContext, command: Command) -> None:
         data["owners"] = {name: ", ".join(users) for name, users in context.state.resources.holders.items()}
     if command.rests_on:
         data["rests_on"] = command.rests_on
+    if command.saved is not None:
+        data["saved"] = command.saved
     context.create_job(command, WorkerKind.ELABORATOR, data)
     context.enter(command, Phase.ELABORATING)

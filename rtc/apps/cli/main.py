@@ -46,7 +46,7 @@ COMMANDS = {
     "cell": "cell",
     "names": "names",
     "teach": "teach",
-    "world": "world",
+    "world": "world_files",
     "load": "programs",
     "programs": "programs",
     "outcomes": "programs",

@@ -28,7 +28,13 @@ from rtc.world.spread import in_words
 BROKER_S = 1.0  # maximum wait for what the arms are doing; the facts are shown without a broker too
 MOTION = ("primitive", "started_ago_s", "time_s", "positions", "velocities", "accelerations")
 HISTORY = 1000  # maximum number of facts of one key that `at` searches
-COLOUR = {Validity.VALID: "green", Validity.SUSPECT: "bold yellow", Validity.INVALID: "red", Validity.CHANGING: "cyan"}
+COLOUR = {
+    Validity.VALID: "green",
+    Validity.UNKNOWN: "magenta",
+    Validity.SUSPECT: "bold yellow",
+    Validity.INVALID: "red",
+    Validity.CHANGING: "cyan",
+}
 
 JointUnits = Mapping[str, Sequence[str]]  # arm -> mm or deg of each joint
 
@@ -52,7 +58,7 @@ def list_facts(json: AsJson = False, run_dir: RunDir = None, key_file: With = No
     """
     with Client(run_dir, need_broker=False, key=key_file) as rtc:
         view, motions, units = rtc.world.view(), _motions(rtc), joint_units(rtc)
-    _show(changing(view.facts, motions, time.monotonic(), whole=True), json, view.version, units)
+    _show(with_motions(view.facts, motions, time.monotonic()), json, view.version, units)
 
 
 @app.command()
@@ -62,10 +68,10 @@ def get(key: Key, json: AsJson = False, run_dir: RunDir = None, key_file: With =
     Example:  rtc world get MACS-NEW.frame
     """
     with Client(run_dir, need_broker=False, key=key_file) as rtc:
-        view, motions, units = rtc.world.view(keys=[spelt(key)]), _motions(rtc), joint_units(rtc)
+        view, motions, units = rtc.world.view(keys=[spelt(key)]), [] if "." in key else _motions(rtc), joint_units(rtc)
         if not view.facts:
             raise _unknown(key, rtc.world)
-    _show(changing(view.facts, motions, time.monotonic(), whole="." not in key), json, view.version, units)
+    _show(with_motions(view.facts, motions, time.monotonic()), json, view.version, units)
 
 
 @app.command()
@@ -136,16 +142,28 @@ def at(
         now = rtc.world.view(keys=[spelt(key)] if key else None)
         if key and not now.facts:
             raise _unknown(key, rtc.world)
-        if version > now.version:
-            raise cli_error(f"there is no version {version} of the world yet; the newest is {now.version}", 2)
-        pasts = (rtc.world.history(fact.key, HISTORY) for fact in now.facts)
-        then = [old for past in pasts for old in past[:] if old.version <= version]
+        newest = at_version(rtc, version, now)
         units = joint_units(rtc)
-    newest: dict[str, Fact] = {}
-    for fact in then:
-        if fact.key not in newest or newest[fact.key].version < fact.version:
-            newest[fact.key] = fact
     _show(newest.values(), json, version, units)
+
+
+def at_version(rtc: Client, version: int, now: View) -> dict[str, Fact]:
+    """The facts of a view at an earlier version, by key. Raises typer.Exit if it is later than now."""
+    if version > now.version:
+        raise cli_error(f"there is no version {version} of the world yet; the newest is {now.version}", 2)
+    newest: dict[str, Fact] = {}
+    for known in now.facts:
+        for fact in rtc.world.history(known.key, HISTORY):
+            if fact.version <= version and (fact.key not in newest or newest[fact.key].version < fact.version):
+                newest[fact.key] = fact
+    return newest
+
+
+def refuse_live(status: Mapping[str, Any]) -> None:
+    """Raises typer.Exit, with the reason printed, while a command is in progress."""
+    if live := status["commands"]:
+        running = ", ".join(row["command"] for row in live)
+        raise cli_error(f"in progress: {running}; wait for the end, or halt: rtc halt", 2)
 
 
 @app.command()
@@ -158,9 +176,7 @@ def reset(json: AsJson = False, run_dir: RunDir = None) -> None:
     Example:  rtc world reset
     """
     with Client(run_dir) as client:
-        if live := client.status()["commands"]:
-            running = ", ".join(row["command"] for row in live)
-            raise cli_error(f"in progress: {running}; wait for the end, or halt: rtc halt", 2)
+        refuse_live(client.status())
         ended = client.run(RESET)
         seen = sorted({tag.body for tag in Cell.load(cell_of(run_dir)).tags})
     if ended.outcome.kind is not OutcomeKind.SUCCEEDED:
@@ -184,34 +200,25 @@ def _motions(rtc: Client) -> list[dict[str, Any]]:
     return found
 
 
-def changing(facts: Iterable[Fact], motions: Sequence[Mapping[str, Any]], now_s: float, *, whole: bool) -> list[Fact]:
-    """The facts, with those that a motion changes as changing. The world database has their values before it.
-
-    `whole`: with a fact ARM.motion for each moving arm among them: its path, and the time since its start."""
+def with_motions(facts: Iterable[Fact], motions: Sequence[Mapping[str, Any]], now_s: float) -> list[Fact]:
+    """The facts, with a fact ARM.motion for each moving arm among them: its path, and the time since its start."""
     facts = list(facts)
-    held = {fact.key.partition(".")[0]: fact.value for fact in facts if fact.key.endswith(".held_by")}
-    arms = {one["arm"]: one for one in motions}
-
-    def shown_as(fact: Fact) -> Fact:
-        location, _, attribute = fact.key.partition(".")
-        own = location in arms and attribute == "joints"
-        carried = held.get(location) in arms and attribute in ("frame", "seat")
-        return msgspec.structs.replace(fact, validity=Validity.CHANGING) if own or carried else fact
-
     known = {fact.key.partition(".")[0]: fact.version for fact in facts}
-    added = [
-        Fact(
-            key=f"{arm}.motion",
-            value={name: one[name] for name in MOTION},
-            validity=Validity.CHANGING,
-            version=known[arm],
-            source=one["command"],
-            at_s=now_s - (one["started_ago_s"] or 0.0),
-        )
-        for arm, one in arms.items()
-        if whole and arm in known
+    return [
+        *facts,
+        *(
+            Fact(
+                key=f"{one['arm']}.motion",
+                value={name: one[name] for name in MOTION},
+                validity=Validity.CHANGING,
+                version=known[one["arm"]],
+                source=one["command"],
+                at_s=now_s - (one["started_ago_s"] or 0.0),
+            )
+            for one in motions
+            if one["arm"] in known
+        ),
     ]
-    return [*map(shown_as, facts), *added]
 
 
 def spelt(key: str) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -219,7 +219,8 @@ class Object(CellPart, frozen=True, kw_only=True):
     kind: str
     frame: Frame = Frame()
     seat: Name | None = None
-    known_within: KnownWithin | None = None  # None: the pose is exact
+    # None: the pose is exact; "unknown": it is a guess, and a camera or SET must state it before a step relies on it
+    known_within: KnownWithin | Literal["unknown"] | None = None
     fixed: bool = False
     hinge: Hinge | None = None  # a door or lid: it turns about it, and goes nowhere else
     spindle: Spindle | None = None  # a driver
@@ -230,6 +231,15 @@ class Object(CellPart, frozen=True, kw_only=True):
     centre_of_mass_m: Vec3 = (0.0, 0.0, 0.0)  # of an object with a hinge; others have it in their origin
     shapes: list[AnyShape]
     grasp_points: list[GraspPoint] = []
+
+    @property
+    def unsurveyed(self) -> bool:
+        return self.known_within == "unknown"
+
+    @property
+    def surveyed_spread(self) -> list[float] | None:
+        """The initial spread of its pose; None: exact, or unknown."""
+        return self.known_within.spread if isinstance(self.known_within, KnownWithin) else None
 
     def grasp_point(self, name: str) -> GraspPoint:
         return named(self.grasp_points, name, f"grasp point of {self.name}")

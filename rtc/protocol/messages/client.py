@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from rtc.protocol.messages.saved import SavedWorld
 from rtc.protocol.messages.shared import PROGRAM_BYTES, Heartbeat, Hello, Message, Name, Shutdown, WorkerKind
 from rtc.protocol.outcomes import Compared, Measured, NotSucceeded, Outcome, OutcomeKind, Refusal
 
@@ -30,6 +31,7 @@ class CommandText(Message, frozen=True, kw_only=True):
     after_test: Name = ""  # of a TEST: digest of the test after which it is rehearsed; empty: in the world as it is
     label: Name = ""  # of a TEST: its number in a list of sentences, C-5, which later ones may name
     if_tested: Name = ""  # digest of a test that covers it; it is refused if what that rests on has changed
+    saved: SavedWorld | None = None  # what SAVED means in the sentence SET WORLD FACTS SAVED
 
 
 class StatusQuery(Message, frozen=True, kw_only=True):

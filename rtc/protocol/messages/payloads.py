@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from rtc.protocol.messages.saved import SavedWorld
 from rtc.protocol.messages.shared import Message
 from rtc.protocol.messages.step import Step
 from rtc.protocol.messages.subsystem import EndReport
@@ -131,7 +132,8 @@ class RestsOn(Strict, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
-    """`at_s`: when the broker asks; what a hand holds is less certain with the age of its facts. 0 = unknown."""
+    """`at_s`: when the broker asks; what a hand holds is less certain with the age of its facts. 0 = unknown.
+    `saved`: as in `CommandText`."""
 
     command: str
     parsed: ParsedCommand
@@ -139,6 +141,7 @@ class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     moving: list[Primitive] = []  # of other arms: executing, or ended and not in the world database yet
     owners: dict[str, str] = {}  # of a sentence that states or asks facts: name -> the commands that use it
     rests_on: RestsOn | None = None
+    saved: SavedWorld | None = None
 
 
 class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):

@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import Annotated, Any
 
 import msgspec
 
+from rtc.protocol.messages.saved import Spread, Validity
 from rtc.protocol.messages.shared import Message, Name
 from rtc.protocol.messages.worker import Lease
 from rtc.protocol.outcomes import Refusal
 
 SHOWN = 80  # characters of a value in `repr`
-
-
-class Validity(StrEnum):
-    UNKNOWN = "unknown"
-    VALID = "valid"
-    CHANGING = "changing"
-    SUSPECT = "suspect"
-    INVALID = "invalid"
-
-
-# The uncertainty of a pose: half-widths of its error along and about the axes of its own frame. They are
-# [x y z roll pitch yaw] (m, rad). The truth is believed to lie within these bounds.
-Spread = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
 
 
 class WorldChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -64,7 +51,15 @@ class ReadView(Message, frozen=True, kw_only=True):
 class View(Message, frozen=True, kw_only=True):
     request: str
     version: int
-    facts: list[Fact]
+    facts: list[Fact]  # with their stored validity
+    changing: list[str] = []  # keys of those that arms in motion change now, whichever facts were asked for
+
+
+class Moving(Message, frozen=True, kw_only=True):
+    """From the broker: the locations of the lease are the arms in motion now, and no others. It has no answer and
+    changes no fact: it only marks what views state as changing."""
+
+    lease: Lease
 
 
 class Commit(Message, frozen=True, kw_only=True):
@@ -103,5 +98,5 @@ class WorldRefused(Message, frozen=True, kw_only=True):
     refusal: Refusal
 
 
-ToWorld = ReadView | Commit | WorldHistory | Doubt
+ToWorld = ReadView | Commit | WorldHistory | Doubt | Moving
 FromWorld = View | Committed | WorldRefused

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rtc.apps.cli.world import changing, shown, spelt, stated, units_in
+from rtc.apps.cli.world import shown, spelt, stated, units_in, with_motions
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 
@@ -60,30 +60,20 @@ def test_the_goal_of_a_slide_is_stated_in_millimetres() -> None:
     assert stated(fact, UNITS) == "to 250 mm, 0 deg in 4.0 s, started 1.5 s ago (C-2.1@x)"
 
 
-def test_what_a_moving_arm_changes_is_shown_as_changing_with_its_path_and_start() -> None:
-    values = {
-        "RIGHT-ARM.joints": [0.0, 0.0],
-        "RIGHT-ARM.holding": "MACS-NEW",
-        "MACS-NEW.frame": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-        "MACS-NEW.held_by": "RIGHT-ARM",
-        "MACS-OLD.frame": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-        "LEFT-ARM.joints": [0.0, 0.0],
-    }
-    facts = [
-        m.Fact(key=key, value=value, validity=m.Validity.VALID, version=n, source="C-1/5", at_s=1.0)
-        for n, (key, value) in enumerate(values.items())
-    ]
+def test_a_moving_arm_has_its_path_and_the_time_of_its_start() -> None:
+    fact = m.Fact(
+        key="RIGHT-ARM.joints", value=[0.0, 0.0], validity=m.Validity.CHANGING, version=3, source="C-1/5", at_s=1.0
+    )
     still = [[0.0, 0.0], [0.0, 0.0]]
     path = {"time_s": [0.0, 4.0], "positions": [[0.0, 0.0], [1.5707963, 0.0]]}
     path |= {"velocities": still, "accelerations": still}
     motion = {"arm": "RIGHT-ARM", "command": "C-2", "primitive": "C-2.1@x", "started_ago_s": 1.5, **path}
+    elsewhere = {**motion, "arm": "LEFT-ARM"}
 
-    found = {fact.key: fact for fact in changing(facts, [motion], 10.0, whole=True)}
+    joints, found = with_motions([fact], [motion, elsewhere], 10.0)
 
-    moved = {"RIGHT-ARM.joints", "MACS-NEW.frame", "RIGHT-ARM.motion"}
-    assert {key for key, fact in found.items() if fact.validity is m.Validity.CHANGING} == moved
-    assert found["RIGHT-ARM.motion"].value["positions"] == path["positions"]
-    assert found["RIGHT-ARM.motion"].at_s == 8.5
-    assert stated(found["RIGHT-ARM.motion"], UNITS) == "to 90 0 deg in 4.0 s, started 1.5 s ago (C-2.1@x)"
-    assert len(changing(facts[:1], [motion], 10.0, whole=False)) == 1
-    assert changing(facts, [], 10.0, whole=True) == facts
+    assert joints is fact
+    assert (found.key, found.validity, found.at_s) == ("RIGHT-ARM.motion", m.Validity.CHANGING, 8.5)
+    assert found.value["positions"] == path["positions"]
+    assert stated(found, UNITS) == "to 90 0 deg in 4.0 s, started 1.5 s ago (C-2.1@x)"
+    assert with_motions([fact], [], 10.0) == [fact]

@@ -65,6 +65,7 @@ class Bench:
     def __init__(self, given: Handover | None = None) -> None:
         self.now = 100.0
         self.sockets: dict[str, Socket] = {}
+        self.to_world: list[Any] = []  # messages to the world database
         db = sqlite3.connect(":memory:", isolation_level=None)
         db.executescript(journals.SCHEMA)
         journal = Journal(db)
@@ -73,8 +74,15 @@ class Bench:
         state = State()
         store = ProgramStore(journal, state.programs)
         self.router = Router(
-            me, SETTINGS, journal, state, store, given or Handover(SETTINGS, b"k" * 32), lambda: self.now
-        )  # type: ignore[arg-type]
+            me,  # type: ignore[arg-type]
+            SETTINGS,
+            journal,
+            state,
+            store,
+            given or Handover(SETTINGS, b"k" * 32),
+            lambda: self.now,
+            send_world=self.to_world.append,
+        )
         for kind in m.WorkerKind:
             digest = store.keep(loader.default(kind))
             self.router.enqueue(ProgramInstalled(at_s=self.now, kind=kind, digest=digest))

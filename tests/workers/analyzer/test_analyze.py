@@ -306,7 +306,7 @@ def test_a_lift_that_closes_on_nothing_finds_out(bench):
     assert run.reasons == ["no_contact"]
     assert run.assessments[-1].message.endswith("closed to 1.0 mm: MACS-NEW is not between the fingers")
     assert bench.world.value("RIGHT-ARM.holding") == ""
-    assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
+    assert bench.world.get("MACS-NEW.frame").validity is Validity.INVALID
 
 
 def test_a_lost_object_is_held_no_more(bench):
@@ -316,7 +316,7 @@ def test_a_lost_object_is_held_no_more(bench):
     made = judged(bench, bound, ended(report, StopReason.OBJECT_LOST, hand_width_m=0.0))
 
     assert change(made, "RIGHT-ARM.holding").value == ""
-    assert change(made, "MACS-NEW.frame").validity is Validity.SUSPECT
+    assert change(made, "MACS-NEW.frame").validity is Validity.INVALID
     assert made.verdict == "abort"
 
 
@@ -510,7 +510,7 @@ def test_fingers_that_close_on_nothing_have_lost_it(bench):
     assert (made.verdict, made.reason) == ("abort", StopReason.NO_CONTACT)
     assert change(made, "RIGHT-ARM.holding").value == ""
     assert change(made, "MACS-NEW.held_by").value == ""
-    assert change(made, "MACS-NEW.frame").validity is Validity.SUSPECT
+    assert change(made, "MACS-NEW.frame").validity is Validity.INVALID
     assert "SET MACS-NEW FRAME" in made.clears
 
 

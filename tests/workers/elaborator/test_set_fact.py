@@ -282,7 +282,7 @@ def test_a_seat_is_an_obstacle_where_it_is_stated_to_be(bench):
 @pytest.mark.parametrize("sentence", ["SET RACK-1 MASS 3 KG", "SET RACK-1 SEAT RACK-2", "SET RACK-1 COLOUR RED"])
 def test_of_a_seat_only_its_place_is_stated(bench, sentence):
     refusal = refused(bench, sentence)
-    assert {"FRAME", "ATTITUDE"} == set(refusal.expected)
+    assert {"FRAME", "ATTITUDE", "ORIENTATION"} == set(refusal.expected)
 
 
 def test_a_seat_beyond_the_cell_is_not_believed(bench):
