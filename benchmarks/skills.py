@@ -50,6 +50,7 @@ class Scene(NamedTuple):
     displaced: str
     sentence: str
     after: int = 0  # the thing is displaced after so many of the sentences before
+    opened: bool = False  # the door stands open from the beginning
 
 
 GRASPED = ["GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"]
@@ -57,6 +58,8 @@ HELD = [*GRASPED, "EXTRACT MACS-NEW FROM RACK-1 WITH RIGHT-ARM"]
 ALIGNED = [*HELD, "CARRY MACS-NEW TO BAY-2 WITH RIGHT-ARM", "ALIGN MACS-NEW TO BAY-2 WITH RIGHT-ARM"]
 AT_DOOR = ["GRASP LEFT-END-EFF DOOR-2 LATCH-PULL"]
 OPENED = [*AT_DOOR, "OPEN DOOR-2 BY 60 DEG WITH LEFT-ARM"]
+DRIVER = ["GRASP RIGHT-END-EFF POWER-DRIVER TOOL-GRIP"]
+LOOSENED = [*DRIVER, "LOOSEN BOLT-1 BY 8 TURNS WITH RIGHT-ARM"]
 HANDOFF = "HANDOFF MACS-NEW FROM RIGHT-ARM TO LEFT-ARM"
 
 
@@ -66,6 +69,11 @@ def _of_module(before: list[str], sentence: str) -> Scene:
 
 def _of_door(before: list[str], sentence: str) -> Scene:
     return Scene("servicing", before, door.DOOR, sentence)
+
+
+def _of_bolt(before: list[str], sentence: str) -> Scene:
+    """The driver is displaced on its rack. The bolt is where the cell states it."""
+    return Scene("servicing", before, "POWER-DRIVER", sentence, opened=True)
 
 
 #: verb -> its scene
@@ -84,6 +92,9 @@ SCENES = {
     "PUSH": _of_module(ALIGNED, "PUSH MACS-NEW BY 2 CM WITH RIGHT-ARM"),
     "OPEN": _of_door(AT_DOOR, OPENED[-1]),
     "CLOSE": _of_door(OPENED, "CLOSE DOOR-2 WITH LEFT-ARM"),
+    "LOOSEN": _of_bolt(DRIVER, LOOSENED[-1]),
+    "VERIFY": _of_bolt(LOOSENED, "VERIFY BOLT-1 AT LOOSE"),
+    "TIGHTEN": _of_bolt(LOOSENED, "TIGHTEN BOLT-1 UNTIL TORQUE EXCEEDS 3.4 NM WITH RIGHT-ARM"),
 }
 
 
@@ -127,6 +138,8 @@ class Trial:
         self.bench = Bench(self.subsystem, self.model)
         self.bench.unsurveyed()
         self.sim = self.subsystem.sim
+        if scene.opened:
+            door.stand_open(self.bench)
 
     def perform(self) -> None:
         run, scene = self.run, self.scene

@@ -20,7 +20,7 @@ import pybullet
 
 from benchmarks.report import percentile, question
 from rtc.model.cells.cell import Cell
-from rtc.spatial import geometry
+from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
 from sim_mcm.arms.bullet_world import HINGED
 from tests.campaigns import advice, numbered_runs
@@ -55,6 +55,16 @@ def displace(sim: Any, offset: Sequence[float]) -> None:
     moved = geometry.compose(sim.world.objects[DOOR].home, geometry.inverse(before))
     satellite = sim.world.objects["SATELLITE"]
     sim.world.place(satellite, geometry.compose(moved, satellite.home))
+
+
+def stand_open(bench: Bench, angle_rad: float = math.radians(95.0)) -> None:
+    """Let the door stand open, in physics and as a fact."""
+    door, hinge = bench.subsystem.sim.world.objects[DOOR], bench.model.cell.object(DOOR).hinge
+    assert hinge is not None
+    frame = hinges.turned(door.home, hinge.axis, angle_rad)
+    bench.subsystem.sim.world.place(door, frame)
+    bench.set_fact(f"{DOOR}.angle", angle_rad)
+    bench.set_fact(f"{DOOR}.frame", np.asarray(frame).tolist())
 
 
 def run(model: CellModel, offset: Array, friction_nm: float) -> Run:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
 
 from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal
 from rtc.spatial import hinges
+from tests.campaigns.door import stand_open
 from tests.workers.conftest import Bench, Physical, Reporter
 from tests.workers.rehearsal.on_paper import OnPaper
 from workers.planning.robot_models import CellModel
@@ -30,11 +30,7 @@ def opened() -> Iterator[Bench]:
     """In physics, with the door open."""
     subsystem = Physical(SERVICING.cell)
     bench = Bench(subsystem, SERVICING)
-    door, hinge = subsystem.sim.world.objects["DOOR-2"], SERVICING.cell.object("DOOR-2").hinge
-    frame = hinges.turned(door.home, hinge.axis, OPEN_RAD)
-    subsystem.sim.world.place(door, frame)
-    bench.set_fact("DOOR-2.angle", OPEN_RAD)
-    bench.set_fact("DOOR-2.frame", np.asarray(frame).tolist())
+    stand_open(bench)
     yield bench
     subsystem.close()
 
