@@ -14,7 +14,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from broker.decisions import deferred_analysis, faults, halt_request, journal_loss, program_rollout, subsystem_link
+from broker.decisions import (
+    deferred_analysis,
+    faults,
+    halt_request,
+    journal_loss,
+    parsed_before,
+    program_rollout,
+    subsystem_link,
+)
 from broker.decisions.command import control, limits, pacing, stopping, termination
 from broker.decisions.command.table import stimulate
 from broker.decisions.context import START, DecisionContext
@@ -111,8 +119,20 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
         termination.end(context, command, PendingOutcome(OutcomeKind.HALTED, message, StopReason.HALT))
     else:
         state.intake_order.setdefault(command.client, {})[command.id] = False
+        _parse(context, command)
+
+
+def _parse(context: DecisionContext, command: Command) -> None:
+    """Let a parser read the sentence, or use what the same program has made of the same words before."""
+    known = parsed_before.find(context.state, command)
+    if known is None:
         context.create_job(command, WorkerKind.PARSER, {"text": command.text})
         context.enter(command, Phase.PARSING)
+        return
+    command.jobs += 1  # so that the later jobs have the same ids in either case
+    context.count("parsed_before")
+    context.enter(command, Phase.PARSING, "parsed before")
+    stimulate(context, command, Stimulus.PRODUCT, known)
 
 
 def _refusal_of(context: DecisionContext, event: CommandReceived, halt: str | None) -> Refusal | None:
@@ -210,6 +230,7 @@ def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
     program_rollout.on_job_done(context, job)
     try:
         stimulate(context, command, Stimulus.PRODUCT, event.product)
+        parsed_before.keep(context.state, command, job, event.product)
     except WireError as error:
         message = f"the {job.kind.value} returned an invalid product: {error}"
         stimulate(context, command, Stimulus.REFUSAL, Refusal(reason=RefusalReason.PROGRAM, message=message))

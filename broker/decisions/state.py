@@ -443,6 +443,8 @@ class State(msgspec.Struct, kw_only=True):
     """Client -> {command not yet taken up: parsed?}, in order."""
     accepted: int = 0
     """Highest command number so far."""
+    parsed: dict[str, msgspec.Raw] = {}
+    """Digest of a parser's program and a sentence -> its ParsedCommand, of recently parsed sentences."""
     last_given: dict[str, str] = {}
     """Client -> its latest command; the most recent client is last."""
     breakpoints: list[Breakpoint] = []

@@ -195,9 +195,9 @@ class Harness:
         self.answers(command, rehearsed(parsed or record(), **about))
         return str(self.outcome(command).rehearsal.digest)
 
-    def parsed(self, text: str = "X", **head: Any) -> str:
-        """A new command, parsed; returns its number."""
-        self.says(text)
+    def parsed(self, text: str = "", **head: Any) -> str:
+        """A new command, parsed; returns its number. Without a text its sentence is one of its own."""
+        self.says(text or f"X {self.state.accepted + 1}")
         command = f"C-{self.state.accepted}"
         self.answers(command, record(**head))
         return command

@@ -1,0 +1,32 @@
+"""Records of sentences that were parsed before: the same program makes the same record of the same words. Pure.
+
+Plans and loops repeat their sentences. A known one needs no parser, so the command goes on at once.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from broker.decisions.state import Command, PendingJob, State
+from rtc.protocol.messages import WorkerKind
+
+KEPT = 512  # maximum number of records
+CHARACTERS = 300  # maximum length of their sentences
+
+
+def find(state: State, command: Command) -> msgspec.Raw | None:
+    """The record of the command's sentence; None if a parser must make it."""
+    return state.parsed.get(_key(command.programs.get(WorkerKind.PARSER, ""), command.text))
+
+
+def keep(state: State, command: Command, job: PendingJob, product: msgspec.Raw) -> None:
+    """Keep what a parser has made. Without the digest of its program it is not known whose record it is."""
+    if job.kind is not WorkerKind.PARSER or not job.program or len(command.text) > CHARACTERS:
+        return
+    state.parsed[_key(job.program, command.text)] = product.copy()  # the original keeps its whole message alive
+    if len(state.parsed) > KEPT:
+        del state.parsed[next(iter(state.parsed))]
+
+
+def _key(program: str, text: str) -> str:
+    return f"{program} {text}"
