@@ -135,13 +135,14 @@ def test_a_halt_of_an_unknown_arm_is_not_confirmed(rtc: Run) -> None:
 
 
 def test_trace_and_why_tell_the_story(rtc: Run) -> None:
-    number = last_json(rtc("do", "STOW LEFT-ARM", "--json"))["results"][0]["command"]
+    text = "STOW LEFT-ARM MAINTAIN TIME-LIMIT 80 SEC"  # of no test before, so that a parser reads it
+    number = last_json(rtc("do", text, "--json"))["results"][0]["command"]
     trace, why = rtc("trace", number, "--json"), rtc("why", number)
 
     nodes = {note.get("node", "") for note in last_json(trace)["notes"]}
     assert {"parser@0", "elaborator@1", "binder@2"} <= nodes
     assert last_json(trace)["case"] == 1
-    assert why.stdout.startswith(f"{number} was given by the operator: STOW LEFT-ARM")
+    assert why.stdout.startswith(f"{number} was given by the operator: {text}")
     assert "decision: SUCCEEDED" in why.stdout
 
 
