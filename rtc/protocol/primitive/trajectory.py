@@ -1,4 +1,4 @@
-"""P of a primitive: positions over time, a motion of the hand, a turn of a spindle, a look, or twists of the operator."""
+"""P of a primitive: positions over time, a motion of the hand, a turn of a spindle, a look, or an operator's twists."""
 
 from __future__ import annotations
 
