@@ -76,12 +76,34 @@ def test_without_a_driver_a_bolt_is_refused_with_the_sentence_that_takes_one(ben
     assert "GRASP POWER-DRIVER" in refusal_of(bench, f"{sentence} WITH RIGHT-ARM").clears
 
 
-def test_on_paper_a_bolt_is_loose_after_it_was_loosened() -> None:
+def on_paper() -> OnPaper:
+    """With the door open, and the driver in the right hand."""
     paper = OnPaper(SERVICING)
     paper.know("DOOR-2.angle", OPEN_RAD)
     door = SERVICING.cell.object("DOOR-2")
     paper.know("DOOR-2.frame", hinges.turned(door.frame.pose, door.hinge.axis, OPEN_RAD).tolist())
     assert paper.test(DRIVER).refusal is None
+    return paper
+
+
+def test_on_paper_a_bolt_is_loose_after_it_was_loosened() -> None:
+    paper = on_paper()
     loosened = paper.test("LOOSEN BOLT-2 BY 8 TURNS WITH RIGHT-ARM")
     assert loosened.refusal is None
     assert {change.key: change.value for change in loosened.rehearsal.changes}["BOLT-2.state"] == "LOOSE"
+
+
+@pytest.mark.parametrize("loosens", ["BY 8 TURNS", "UNTIL TORQUE BELOW 0.1 NM"])
+def test_on_paper_a_bolt_is_felt_where_it_was_left(loosens: str) -> None:
+    """The driver touches the head where it is, so that nothing is predicted to be deeper than it is."""
+    paper = on_paper()
+    for sentence, state in (
+        (f"LOOSEN BOLT-2 {loosens} WITH RIGHT-ARM", "LOOSE"),
+        ("VERIFY BOLT-2 AT LOOSE", "LOOSE"),
+        ("TIGHTEN BOLT-2 UNTIL TORQUE EXCEEDS 3.4 NM WITH RIGHT-ARM", "TIGHT"),
+        ("VERIFY BOLT-2 AT TIGHT", "TIGHT"),
+    ):
+        found = paper.test(sentence)
+        assert found.refusal is None, found.refusal
+        assert paper.paper is not None
+        assert {fact.key: fact.value for fact in paper.paper.facts}["BOLT-2.state"] == state

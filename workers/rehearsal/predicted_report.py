@@ -25,6 +25,7 @@ from rtc.protocol.primitive import (
     SpindleMotion,
     TimeAbove,
     TorqueAbove,
+    TorqueBelow,
 )
 from rtc.sensing import optics
 from rtc.sensing.locate import corners
@@ -46,8 +47,7 @@ def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopRe
     made, evaluation = bound.primitive, bound.evaluation
     assert made is not None
     assert evaluation is not None
-    expected = evaluation.step.expect
-    ends = reason or (StopReason.GOAL if StopReason.GOAL in expected else expected[0])
+    ends = reason or evaluation.step.expect[0]  # the likely one comes first
     report = REPORTS[type(made.trajectory)](query, made, evaluation, ends)
     measured, limit = tripped(made, ends)
     return _replaced(
@@ -114,15 +114,18 @@ def _curve(path: JointTrajectory) -> Hermite:
 
 
 def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: EvaluationContext) -> float:
-    """When an expected touch is felt: of a held object where it is in its seat, of a finger at the grasp point. A step
-    that touches anything else states how far before its end (`beyond_m`)."""
+    """When an expected touch is felt: of a held object where it is in its seat, of a driver at the head of the bolt, of
+    a finger at the grasp point. A step that touches anything else states how far before its end (`beyond_m`)."""
     curve, fk, context = _curve(path), query.model.arms[arm].fk, evaluation.context
 
     def tcp(at_s: float) -> Array:
         return fk(curve.at(np.array([at_s]))[0, 0])
 
-    if evaluation.held and context.target:
+    if evaluation.held and query.is_seat(context.target):
         return _nearest_s(query, evaluation.held, query.seated_pose(context.target), path.duration_s, tcp)
+    if (tip := _tip(query, arm)) is not None and query.thread(context.object) is not None:
+        head = query.frame(context.object)
+        return _first_s(path.duration_s, lambda at_s: geometry.relative(head, geometry.compose(tcp(at_s), tip))[2] <= 0)
     if context.object and context.grasp_point and not evaluation.held:
         point = query.cell.object(context.object).grasp_point(context.grasp_point)
         bar = geometry.compose(query.frame(context.object), point.frame.pose)
@@ -131,6 +134,15 @@ def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: Eva
             return _first_s(path.duration_s, touches)
     beyond_m, end = evaluation.step.figures.beyond_m or 0.0, fk(path.positions[-1])
     return _first_s(path.duration_s, lambda at_s: geometry.distance(tcp(at_s), end) <= beyond_m)
+
+
+def _tip(query: WorldQuery, arm: str) -> Array | None:
+    """The tip of the spindle of the driver in the hand, in the frame of the tcp; None without a driver."""
+    driver = query.driver(arm)
+    grasp = query.grasp(driver.name) if driver is not None else None
+    if driver is None or driver.spindle is None or grasp is None:
+        return None
+    return geometry.compose(grasp, driver.spindle.frame.pose)
 
 
 def _by_finger(tcp: Callable[[float], Array], bar: Array, play_m: float, duration_s: float) -> Callable[[float], bool]:
@@ -223,12 +235,11 @@ def _between_m(query: WorldQuery, evaluation: EvaluationContext) -> float:
 
 
 def _of_spindle(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
-    """The hand follows the bolt along its thread. A torque is felt at once outwards, and inwards at the tight place."""
+    """The hand follows the bolt along its thread. A torque is felt at once outwards, and inwards at the tight place; it
+    ends at the end of the thread."""
     turn, arm = made.trajectory, query.model.arms[made.performer]
     assert isinstance(turn, SpindleMotion)
-    whole = abs(turn.turn_rad) / TURN
-    inwards = min(whole, query.turns(evaluation.context.object)) if turn.turn_rad > 0.0 else 0.0
-    share = 1.0 if reason in (StopReason.GOAL, StopReason.SLIP) else inwards / whole
+    share = 1.0 if reason in (StopReason.GOAL, StopReason.SLIP) else _turned(query, made, evaluation, reason)
     here, goal, joints = query.tcp(made.performer), evaluation.goal_pose, query.joints(made.performer)
     if goal is not None:
         there = geometry.translate(here, share * (np.asarray(goal[:3]) - here[:3]))
@@ -236,6 +247,16 @@ def _of_spindle(query: WorldQuery, made: Primitive, evaluation: EvaluationContex
         joints = joints if found is None else [float(angle) for angle in found]
     report = _at_rest(query, made.performer, made.id, reason, joints, share * abs(turn.turn_rad) / turn.speed_rad_s)
     return _replaced(report, turned_rad=share * turn.turn_rad)
+
+
+def _turned(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> float:
+    """The share of a turn of the spindle after which its torque ends it."""
+    turn, bolt = made.trajectory, evaluation.context.object
+    assert isinstance(turn, SpindleMotion)
+    thread, out = query.thread(bolt), query.turns(bolt)
+    ends = isinstance(_stop(made, reason), TorqueBelow)
+    outwards = thread.turns - out if ends and thread is not None else 0.0
+    return min(1.0, (out if turn.turn_rad > 0.0 else outwards) * TURN / abs(turn.turn_rad))
 
 
 # --- cameras -----------------------------------------------------------------------------------------------
