@@ -10,12 +10,15 @@ BIN := $(VENV)/bin
 # For tests that judge no time; the last ones are divided anew. A worker or a cluster needs 0.4 GB.
 FAST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
-.PHONY: demo setup test test-ray fast check wheel coverage bench campaigns help clean
+.PHONY: demo console setup test test-ray fast check wheel coverage bench campaigns help clean
 .DEFAULT_GOAL := help
 
 demo: $(VENV)/.ready ## set up, then show two arms at work, a halt, a door and an insertion; pictures and a film in out/
 	$(BIN)/rtc demo grasp --speed 2
 	$(BIN)/rtc demo door --speed max
+
+console: $(VENV)/.ready ## set up, then start a cluster with a page in the browser, and print its link; Ctrl-C ends both
+	$(BIN)/rtc console --up
 
 setup: $(VENV)/.ready ## set up only: the Python environment, in .venv
 	@echo "set up; next: . $(BIN)/activate"
@@ -43,7 +46,8 @@ wheel: $(VENV)/.ready ## build the wheel in dist/, install it outside the checko
 	$(BIN)/python -m pip wheel -q --disable-pip-version-check --no-deps -w dist .
 	dir=$$(mktemp -d) && trap 'rm -rf "$$dir"' EXIT && $(PYTHON) -m venv "$$dir/env" && \
 	"$$dir/env/bin/python" -m pip install -q --disable-pip-version-check --no-compile -c constraints.txt dist/*.whl && \
-	cd "$$dir" && env/bin/rtc demo grasp --speed max
+	cd "$$dir" && env/bin/python -c 'from rtc.apps.console.server import STATIC; (STATIC / "vendor.js").stat()' && \
+	env/bin/rtc demo grasp --speed max
 
 coverage: $(VENV)/.ready ## branch coverage of the tests without processes; fails below the floor of a package
 	$(FAST) -m "not slow" $(foreach package,rtc broker workers sim_mcm deploy,--cov=$(package)) --cov-branch \

@@ -37,6 +37,7 @@ COMMANDS = {
     "play": "record",
     "observe": "observe",
     "log": "log",
+    "console": "console",
     "trace": "trace",
     "why": "trace",
     "replay": "replay",

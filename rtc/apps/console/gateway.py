@@ -1,0 +1,202 @@
+"""The gateway process: one thread follows the cluster, one serves pages, one waits for the truth of a simulator.
+
+The main thread follows the cluster, and ends with it or at a signal. Everything a page sees is in the `Hub`, which
+belongs to the event loop of the thread that serves pages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import os
+import socket as sockets
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import uvicorn
+
+from rtc.apps.console import token
+from rtc.apps.console.camera_pictures import CameraPictures
+from rtc.apps.console.desk import Desk
+from rtc.apps.console.halts import Halts
+from rtc.apps.console.hub import Hub, InWords
+from rtc.apps.console.server import Access, Console
+from rtc.apps.console.truth import TruthReader
+from rtc.apps.observers.feed import Feed
+from rtc.client.client import Client
+from rtc.language.parse import Grammar
+from rtc.model.cells.cell import Cell
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import ClusterError, RtcError
+from rtc.protocol.roles import Role
+from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.process import Process, now_s
+from rtc.runtime.settings import Settings
+
+HOST = "127.0.0.1"
+
+TICK_S = 0.05
+WAIT_S = 0.25
+READ_AGAIN = 20  # commands before the start of the gateway that are shown
+START_S = 10.0
+
+
+class Given(NamedTuple):
+    """What `rtc console` was called with."""
+
+    endpoints: Endpoints
+    connect: Callable[[], Client]
+    cell: Cell
+    role: Role
+    in_words: InWords
+
+
+def listen(port: int, others: bool) -> sockets.socket:
+    """A socket on this machine only. `others`: take any free port if this one is taken. Raises OSError."""
+    made = sockets.socket(sockets.AF_INET, sockets.SOCK_STREAM)
+    made.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
+    try:
+        made.bind((HOST, port))
+    except OSError:
+        if not others:
+            made.close()
+            raise
+        made.bind((HOST, 0))
+    made.listen(64)
+    return made
+
+
+def serve(me: Process, given: Given, listening: sockets.socket, opened: Callable[[str], None]) -> None:
+    """Serve pages until `me.stopping` or the end of the cluster. `opened` gets the link."""
+    port = listening.getsockname()[1]
+    settings = given.endpoints if isinstance(given.endpoints, Settings) else None
+    secret = token.of_run(settings.path, settings.run) if settings else token.of_run(None, "")
+    access = Access(port, secret, given.role)
+    with _parts(given, access) as (console, hub, questions):
+        web = _Web(console.app(), listening, hub)
+        reader = _reader(settings, hub, web)
+        try:
+            web.start()
+            opened(f"http://{HOST}:{port}/#{access.token}")
+            _follow(me, Feed(me, given.endpoints, world=True), hub, web, questions)
+        finally:
+            if reader is not None:
+                reader.close()
+            web.stop()
+
+
+@contextlib.contextmanager
+def _parts(given: Given, access: Access) -> Iterator[tuple[Console, Hub, Desk]]:
+    """What pages use: desks with clients, halt lines, pictures."""
+    endpoints = given.endpoints
+    sentences, questions = Desk("sentences", given.connect), Desk("questions", given.connect)
+    halts = Halts(endpoints)
+    pictures = CameraPictures(endpoints.cell) if isinstance(endpoints, Settings) else None
+    try:
+        with given.connect() as client:
+            grammar = Grammar(client.program(m.WorkerKind.PARSER).body.decode())
+        hello = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
+        hub = Hub(given.cell, given.in_words, now_s, hello)
+        console = Console(hub, access, halts, sentences, questions, given.in_words.why, grammar, pictures)
+        yield console, hub, questions
+    finally:
+        if pictures is not None:
+            pictures.close()
+        sentences.close()
+        questions.close()
+        halts.close()
+
+
+def _where(endpoints: Endpoints) -> str:
+    return endpoints.address if isinstance(endpoints, KeyFile) else str(getattr(endpoints, "run_dir", ""))
+
+
+class _Web:
+    """The thread that serves pages. `call` runs a function in its event loop."""
+
+    def __init__(self, app: Any, listening: sockets.socket, hub: Hub) -> None:
+        config = uvicorn.Config(
+            app,
+            log_level="warning",
+            access_log=False,
+            ws_max_size=64 << 10,
+            timeout_graceful_shutdown=1,
+            lifespan="off",
+        )
+        self._server, self._listening, self._hub = uvicorn.Server(config), listening, hub
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._started = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="pages", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+        if not self._started.wait(START_S):
+            raise ClusterError("the console does not start")
+
+    def call(self, function: Callable[..., None], *arguments: Any) -> None:
+        if self._loop is not None and not self._loop.is_closed():
+            with contextlib.suppress(RuntimeError):  # it closes now
+                self._loop.call_soon_threadsafe(function, *arguments)
+
+    def stop(self) -> None:
+        self._server.should_exit = True
+        self._thread.join()
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        ticking = asyncio.create_task(self._tick())
+        self._started.set()
+        try:
+            await self._server.serve(sockets=[self._listening])
+        finally:
+            ticking.cancel()
+
+    async def _tick(self) -> None:
+        while True:
+            await asyncio.sleep(TICK_S)
+            self._hub.tick()
+
+
+def _reader(settings: Settings | None, hub: Hub, web: _Web) -> TruthReader | None:
+    if settings is None:
+        return None
+    return TruthReader(
+        settings,
+        functools.partial(web.call, hub.take_truth),
+        wanted=lambda: bool(hub.frames),
+        moving=lambda: bool(hub.moving),
+    )
+
+
+def _follow(me: Process, feed: Feed, hub: Hub, web: _Web, questions: Desk) -> None:
+    _read_again(hub, web, questions, _latest)
+    lost = 0
+    while not me.stopping and not feed.over():
+        if batch := list(feed.read(WAIT_S)):
+            web.call(hub.take, batch)
+        if feed.lost > lost:
+            web.call(hub.story.take_lost, feed.lost - lost, now_s())
+            lost = feed.lost
+            _read_again(hub, web, questions, functools.partial(_these, list(hub.story.live)))
+
+
+def _read_again(hub: Hub, web: _Web, questions: Desk, which: Callable[[Client], list[str]]) -> None:
+    """Let the records of these commands be read, in the thread of the questions."""
+
+    def read(client: Client) -> None:
+        for command in which(client):
+            with contextlib.suppress(RtcError):
+                web.call(hub.story.take_record, client.trace(command))
+
+    questions.submit(read)
+
+
+def _these(commands: list[str], _: Client) -> list[str]:
+    return commands
+
+
+def _latest(client: Client) -> list[str]:
+    last = int(client.status().get("commands_accepted", 0))
+    return [f"C-{n}" for n in range(max(1, last - READ_AGAIN + 1), last + 1)]

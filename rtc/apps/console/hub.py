@@ -1,0 +1,236 @@
+"""What the gateway knows of its cluster now, and the open pages that get it. For one event loop; it waits for nothing.
+
+It holds no state of its own: facts, status and commands come from the cluster again after a restart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import msgspec
+
+from rtc.apps.console.pages import FrameSlot, Mailbox
+from rtc.apps.console.pose_frame import pack
+from rtc.apps.console.scene import Bodies
+from rtc.apps.console.story import Story
+from rtc.apps.observers.feed import Received
+from rtc.drawing.scene import SceneView, believed, true_scene
+from rtc.language.completion import Names
+from rtc.model.cells.cell import Cell
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.primitive_id import command_of
+from rtc.protocol.rehearsal import Rehearsal
+
+FRAME_S = 0.033  # shortest time between two frames
+BEAT_S = 0.5  # without a change the last frame is sent again: a page that gets none has lost the link
+TRUTH_S, STILL_TRUTH_S = 0.3, 1.5  # age from which on a truth is not shown: while an arm moves, and otherwise
+#: what a page shows of the status
+STATUS = ("processes", "workers", "resources", "subsystems", "queues", "counters", "halts", "uptime_s", "cluster")
+
+
+class InWords(NamedTuple):
+    """How the command line puts things in words; handed in, because it is a package that uses this one."""
+
+    why: Callable[[m.CommandRecord], list[str]]
+    fact: Callable[[m.Fact], str]
+    names: Callable[[Callable[[], list[str]], Callable[[], list[str]]], Names]  # of places and of commands
+
+
+class Prediction(NamedTuple):
+    """The last TEST that was feasible."""
+
+    command: str
+    text: str
+    rehearsal: Rehearsal
+    poses: list[float]
+
+
+class Hub:
+    """Takes what arrives, and hands it to the pages. `now`: CLOCK_MONOTONIC (s). `life`: names this gateway's run."""
+
+    def __init__(self, cell: Cell, in_words: InWords, now: Callable[[], float], hello: Mapping[str, Any]) -> None:
+        self.cell, self.bodies, self._in_words, self._now = cell, Bodies(cell), in_words, now
+        self.hello = hello
+        self.story = Story([arm.name for arm in cell.arms], {arm.end_effector: arm.name for arm in cell.arms})
+        self.facts: dict[str, m.Fact] = {}
+        self.status: dict[str, Any] = {}
+        self.status_at_s = 0.0
+        self.prediction: Prediction | None = None
+        self.truth: m.SimTruthReply | None = None
+        self.moving: list[str] = []
+        self.frames: set[FrameSlot] = set()
+        self.boxes: set[Mailbox] = set()
+        self._arms: dict[str, m.ArmSample] = {}
+        self._measured_at_s = 0.0
+        self._truth_at_s = -1e9
+        self._frame_at_s = 0.0
+        self._number = 0
+        self._last: tuple[list[float], list[float], bool] | None = None
+
+    # --- what arrives ---------------------------------------------------------------------------------
+
+    def take(self, batch: Iterable[Received]) -> None:
+        for received in batch:
+            match received.message:
+                case m.Telemetry() as sample:
+                    self._take_sample(sample)
+                case m.View() as view:
+                    self.facts |= {fact.key: fact for fact in view.facts}
+                    if view.facts:
+                        self._post({"facts": list(map(self._fact, view.facts)), "version": view.version})
+                        self._drop_stale()
+                case m.StatusReply(status=status):
+                    self.status, self.status_at_s = status, received.at_s
+                    self._post(self._status())
+                case m.CommandRecord() as record:
+                    self.story.take_record(record)
+                case m.ProgressNote() | m.CommandEnded() | m.RequestRefused() | m.HaltRequested() as event:
+                    self.story.take(event)
+                    if isinstance(event, m.CommandEnded):
+                        self._take_test(event)
+
+    def take_truth(self, truth: m.SimTruthReply) -> None:
+        self.truth, self._truth_at_s = truth, self._now()
+        self._measured_at_s = truth.at_s or self._measured_at_s
+        self._make_frame()
+
+    def tick(self) -> None:
+        """Call it 20 times per second: sends what has changed, and the last frame again if it is old."""
+        if (change := self.story.flush()) is not None:
+            for box in self.boxes:
+                box.put(change)
+        if self._now() > self._frame_at_s + BEAT_S:
+            self._send_frame()
+
+    # --- pages ----------------------------------------------------------------------------------------
+
+    def anew(self) -> Iterator[bytes]:
+        """All texts for a page that knows nothing."""
+        yield _text({"hello": {**self.hello, "now_s": self._now()}})
+        yield from self.story.since(0)
+        yield _text({"facts": list(map(self._fact, self.facts.values())), "anew": True})
+        yield _text(self._status())
+        yield _text({"moving": self.moving})
+        yield _text(self._predicted())
+
+    def scene(self) -> bytes:
+        """Names, shapes and colours of all bodies, once for each page."""
+        cell = self.cell
+        return _text(
+            {
+                "cell": cell.name,
+                "bodies": self.bodies.rows,
+                "arms": [{"name": arm.name, "hand": arm.end_effector} for arm in cell.arms],
+                "cameras": [camera.name for camera in cell.cameras],
+                "subsystems": [one.name for one in cell.all_subsystems],
+            }
+        )
+
+    def names(self) -> Names:
+        """For completion: names of the cell, and commands in progress."""
+        return self._in_words.names(lambda: [key for key in self.facts if "." not in key], lambda: self.story.live)
+
+    # --- inside ---------------------------------------------------------------------------------------
+
+    def _take_sample(self, sample: m.Telemetry) -> None:
+        self._arms |= sample.arms
+        moving = sorted(name for name, arm in self._arms.items() if arm.primitive)
+        if moving != self.moving:
+            self.moving = moving
+            self._post({"moving": moving})
+        self.story.take_performing((name, command_of(arm.primitive)) for name, arm in sample.arms.items())
+        if not self._has_truth():  # otherwise the arms and objects of one instant, by the truth
+            self._measured_at_s = sample.at_s
+            self._make_frame()
+
+    def _has_truth(self) -> bool:
+        return self._now() < self._truth_at_s + (TRUTH_S if self.moving else STILL_TRUTH_S)
+
+    def _make_frame(self) -> None:
+        if not self.frames or self._now() < self._frame_at_s + FRAME_S:
+            return
+        truth = self.truth if self._has_truth() else None
+        arms = self._arms if truth is None else _as_measured(truth, self._arms)
+        belief = self.bodies.poses(believed(self.cell, self.facts, arms, None).scene)
+        shown = belief if truth is None else self.bodies.poses(true_scene(truth))
+        self._last = shown, belief, truth is not None
+        self._send_frame()
+
+    def _send_frame(self) -> None:
+        if self._last is None or not self.frames:
+            return
+        self._frame_at_s = self._now()
+        self._number += 1
+        shown, belief, true = self._last
+        predicted = None if self.prediction is None else self.prediction.poses
+        frame = pack(self._number, self._measured_at_s, self._frame_at_s, shown, belief, predicted, true=true)
+        for slot in self.frames:
+            slot.put(frame)
+
+    def _take_test(self, ended: m.CommandEnded) -> None:
+        rehearsal = ended.outcome.rehearsal
+        if rehearsal is None:
+            return
+        if ended.outcome.kind is OutcomeKind.SUCCEEDED:
+            facts = self.facts | {
+                one.key: m.Fact(
+                    key=one.key, value=one.value, validity=m.Validity(one.validity), version=0, source="", at_s=0.0
+                )
+                for one in rehearsal.changes
+            }
+            scene: SceneView = believed(self.cell, facts, {}, None).scene
+            self.prediction = Prediction(ended.command, ended.text, rehearsal, self.bodies.poses(scene))
+        self._post(self._predicted())
+
+    def _drop_stale(self) -> None:
+        """A prediction is gone when a fact that it relies on has changed."""
+        if self.prediction is None:
+            return
+        relies_on = self.prediction.rehearsal.relies_on
+        if any(key in self.facts and self.facts[key].version != version for key, version in relies_on.items()):
+            self.prediction = None
+            self._post(self._predicted())
+
+    def _predicted(self) -> dict[str, Any]:
+        found = self.prediction
+        if found is None:
+            return {"prediction": None}
+        return {"prediction": {"command": found.command, "text": found.text, "rehearsal": found.rehearsal}}
+
+    def _fact(self, fact: m.Fact) -> dict[str, Any]:
+        words = self._in_words.fact(fact)
+        return {
+            "key": fact.key,
+            "words": words,
+            "value": fact.value,
+            "validity": fact.validity,
+            "version": fact.version,
+            "source": fact.source,
+            "at_s": fact.at_s,
+        }
+
+    def _status(self) -> dict[str, Any]:
+        return {"status": {key: self.status[key] for key in STATUS if key in self.status}, "at_s": self.status_at_s}
+
+    def _post(self, message: Mapping[str, Any]) -> None:
+        if self.boxes:
+            text = _text(message)
+            for box in self.boxes:
+                box.put(text)
+
+
+def _text(message: Mapping[str, Any]) -> bytes:
+    return msgspec.json.encode(message)
+
+
+def _as_measured(truth: m.SimTruthReply, measured: Mapping[str, m.ArmSample]) -> dict[str, m.ArmSample]:
+    """The arms as the simulator has them, which is what it measures, at the instant of its objects."""
+    return {
+        name: msgspec.structs.replace(
+            sample, joints=truth.joints[name], tcp_pose=truth.tcp[name], hand_width_m=sum(truth.fingers[name])
+        )
+        for name, sample in measured.items()
+        if name in truth.joints
+    }

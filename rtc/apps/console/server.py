@@ -1,0 +1,286 @@
+"""The pages' side of the gateway: routes and sockets. It checks roles, and turns requests into calls.
+
+GET  /, /static/...     the page; holds nothing
+POST /session           the token of the link, for a cookie
+GET  /me, /scene        the role of pages; the bodies of the cell
+POST /check, /sentence  while a sentence is typed; submit it
+GET  /why, /picture     the chain of causes of a command; what a camera sees
+POST /halt              if the socket is not connected
+WS   /poses             frames of poses; the page acknowledges each
+WS   /story             commands, facts and status as JSON
+WS   /halt              halts, and nothing else
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from rtc.apps.console.admission import Admission, same
+from rtc.apps.console.camera_pictures import CameraPictures
+from rtc.apps.console.desk import Desk
+from rtc.apps.console.halts import Halts
+from rtc.apps.console.hub import Hub
+from rtc.apps.console.pages import FrameSlot, Mailbox
+from rtc.apps.console.sentences import check
+from rtc.client.client import Client
+from rtc.drawing.scene import true_scene
+from rtc.language.fastpath import halt_scope
+from rtc.language.parse import Grammar
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Refusal, RefusalReason, RequestDeclined, RtcError
+from rtc.protocol.roles import MAY, Role, a_role
+
+STATIC = Path(__file__).parent / "static"
+MAX_BODY = 64 << 10  # bytes of a request
+CHARACTERS = 4000  # of a sentence that is checked while it is typed
+
+
+class Access(msgspec.Struct, frozen=True):
+    """How pages are admitted, and with which role they act."""
+
+    port: int
+    token: str
+    role: Role
+
+    @property
+    def cookie(self) -> str:
+        """Its name has the port, because cookies of a host belong to all its ports."""
+        return f"rtc-console-{self.port}"
+
+    def refuses(self, endpoint: str, message: type[m.Message]) -> Refusal | None:
+        """Why this role may not send such a message; the table is that of `rtc.protocol.roles`."""
+        if message in MAY[endpoint].get(self.role, ()):
+            return None
+        words = f"this console has the role of {a_role(self.role)}, which may not do that"
+        clears = "open a console with another role: rtc console --role operator, or --with KEY"
+        return Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears=clears)
+
+
+class Console:
+    """Answers pages. `sentences` and `questions`: threads with clients of their own."""
+
+    def __init__(
+        self,
+        hub: Hub,
+        access: Access,
+        halts: Halts,
+        sentences: Desk,
+        questions: Desk,
+        why: Callable[[m.CommandRecord], list[str]],
+        grammar: Grammar,
+        pictures: CameraPictures | None,
+    ) -> None:
+        self.hub, self._access, self._halts = hub, access, halts
+        self._sentences, self._questions, self._why = sentences, questions, why
+        self._grammar, self._pictures = grammar, pictures
+        self._names = hub.names()
+
+    def app(self) -> Starlette:
+        admission = Middleware(Admission, port=self._access.port, token=self._access.token, cookie=self._access.cookie)
+        return Starlette(
+            middleware=[admission],
+            routes=[
+                Route("/", self._page),
+                Route("/session", self._session, methods=["POST"]),
+                Route("/me", self._me),
+                Route("/scene", self._scene),
+                Route("/check", self._check, methods=["POST"]),
+                Route("/sentence", self._sentence, methods=["POST"]),
+                Route("/halt", self._halt, methods=["POST"]),
+                Route("/why/{command}", self._chain),
+                Route("/picture/{camera}", self._picture),
+                WebSocketRoute("/poses", self._poses_socket),
+                WebSocketRoute("/story", self._story_socket),
+                WebSocketRoute("/halt", self._halt_socket),
+                Mount("/static", StaticFiles(directory=STATIC)),
+            ],
+        )
+
+    # --- pages and questions --------------------------------------------------------------------------
+
+    async def _page(self, request: Request) -> Response:
+        page = (STATIC / "index.html").read_text(encoding="utf-8")
+        return HTMLResponse(page.replace("{{nonce}}", request.state.nonce))
+
+    async def _session(self, request: Request) -> Response:
+        given = await _body(request)
+        if not same(str(given.get("token", "")), self._access.token):
+            return JSONResponse({"error": "this link is of another run; open the one of `rtc console`"}, 401)
+        answer = Response(status_code=204)
+        answer.set_cookie(self._access.cookie, self._access.token, httponly=True, samesite="strict", path="/")
+        return answer
+
+    async def _me(self, _: Request) -> Response:
+        return JSONResponse({"role": self._access.role})
+
+    async def _scene(self, _: Request) -> Response:
+        return Response(self.hub.scene(), media_type="application/json")
+
+    async def _check(self, request: Request) -> Response:
+        given = await _body(request)
+        text = str(given.get("text", ""))[:CHARACTERS]
+        at = min(len(text), max(0, int(given.get("at", len(text)))))
+        return JSONResponse(check(self._grammar, text, at, self._names))
+
+    async def _chain(self, request: Request) -> Response:
+        command = request.path_params["command"]
+        record = await _or_refusal(self._questions.ask(lambda client: client.trace(command)))
+        return JSONResponse({"lines": self._why(record)} if isinstance(record, m.CommandRecord) else record)
+
+    async def _picture(self, request: Request) -> Response:
+        camera, truth = request.path_params["camera"], self.hub.truth
+        if camera not in {one.name for one in self.hub.cell.cameras}:
+            return JSONResponse({"error": f"the cell has no camera {camera}"}, 404)
+        if self._pictures is None or truth is None:
+            return JSONResponse({"error": "cameras are simulated, and no simulator reports a true scene"}, 503)
+        try:
+            drawn = await asyncio.to_thread(self._pictures.take, camera, true_scene(truth))
+        except RtcError as error:
+            return JSONResponse({"error": str(error)}, 503)
+        return Response(drawn, media_type="image/jpeg")
+
+    # --- orders ---------------------------------------------------------------------------------------
+
+    async def _sentence(self, request: Request) -> Response:
+        given = await _body(request)
+        text, tested = str(given.get("text", "")), str(given.get("if_tested", ""))
+        if scope := halt_scope(text):
+            return JSONResponse({"halt": await self._order_halt(scope)})
+        if refused := self._access.refuses("front", m.CommandText):
+            return JSONResponse(_refused(refused))
+
+        def submit(client: Client) -> dict[str, str]:
+            handle = client.submit(text, on_progress=self._take_report, if_tested=tested)
+            return {"command": handle.number}
+
+        self._loop = asyncio.get_running_loop()
+        return JSONResponse(await _or_refusal(self._sentences.ask(submit)))
+
+    def _take_report(self, note: m.ProgressNote) -> None:
+        """A report of EVERY or WHEN, which the event stream lacks. In the thread of the sentences."""
+        if note.seq == 0:
+            self._loop.call_soon_threadsafe(self.hub.story.take, note)
+
+    async def _halt(self, request: Request) -> Response:
+        given = await _body(request)
+        return JSONResponse(await self._order_halt(str(given.get("scope", "ALL"))))
+
+    async def _order_halt(self, scope: str) -> dict[str, Any]:
+        if refused := self._access.refuses("halt", m.HaltOrder):
+            return {"error": refused.message}
+        return await self._halts.order(scope)
+
+    # --- sockets --------------------------------------------------------------------------------------
+
+    async def _poses_socket(self, socket: WebSocket) -> None:
+        slot = FrameSlot()
+
+        async def send() -> None:
+            while True:
+                await socket.send_bytes(await slot.take())
+
+        async def receive() -> None:
+            while True:
+                text = await socket.receive_text()
+                if text.startswith("clock"):
+                    await socket.send_text(f"{text} {asyncio.get_running_loop().time()}")
+                else:
+                    slot.acknowledged()
+
+        await socket.accept()
+        self.hub.frames.add(slot)
+        try:
+            await _both(send(), receive())
+        finally:
+            self.hub.frames.discard(slot)
+
+    async def _story_socket(self, socket: WebSocket) -> None:
+        box = Mailbox(self.hub.anew)
+
+        async def send() -> None:
+            while True:
+                await socket.send_text((await box.take()).decode())
+
+        async def receive() -> None:
+            while True:
+                asked = await socket.receive_json()
+                box.put(*self.hub.story.since(int(asked["since"])))
+
+        await socket.accept()
+        box.put(*self.hub.anew())
+        self.hub.boxes.add(box)
+        try:
+            await _both(send(), receive())
+        finally:
+            self.hub.boxes.discard(box)
+
+    async def _halt_socket(self, socket: WebSocket) -> None:
+        """Each order is a task of its own, so that the next one does not wait for the rest of the first."""
+        orders: set[asyncio.Task[None]] = set()
+
+        async def obey(asked: dict[str, Any]) -> None:
+            result = await self._order_halt(str(asked.get("scope", "ALL")))
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # the page is gone; the halt is done
+                await socket.send_json({"id": asked.get("id"), "result": result})
+
+        await socket.accept()
+        with contextlib.suppress(WebSocketDisconnect):
+            while True:
+                asked = await socket.receive_json()
+                if "ping" in asked:
+                    await socket.send_json({"pong": asked["ping"]})
+                    continue
+                task = asyncio.create_task(obey(asked))
+                orders.add(task)
+                task.add_done_callback(orders.discard)
+
+
+async def _both(*parts: Coroutine[Any, Any, None]) -> None:
+    """Until one of them ends; a page that has gone is no error."""
+    tasks = [asyncio.create_task(part) for part in parts]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    """The JSON object of a request; empty if it is none, or too long."""
+    data = b""
+    async for part in request.stream():
+        data += part
+        if len(data) > MAX_BODY:
+            return {}
+    try:
+        return msgspec.json.decode(data, type=dict[str, Any])
+    except msgspec.MsgspecError:
+        return {}
+
+
+async def _or_refusal(asked: Awaitable[Any]) -> Any:
+    """What was asked for; otherwise the refusal or the error, as JSON types."""
+    try:
+        return await asked
+    except RequestDeclined as declined:
+        return _refused(declined.refusal)
+    except (RtcError, ValueError) as error:
+        return {"error": str(error)}
+
+
+def _refused(refusal: Refusal) -> dict[str, Any]:
+    return {"refusal": msgspec.to_builtins(refusal)}

@@ -1,0 +1,191 @@
+// The sentence line: completion, the error under its word, TEST and DO. Enter does, Shift+Enter tests, Tab completes.
+import {
+  acceptCompletion, autocompletion, closeCompletion, completionStatus, defaultKeymap, EditorState, EditorView, history,
+  historyKeymap, keymap, moveCompletionSelection, placeholder, Prec, setDiagnostics, startCompletion,
+} from './vendor.js';
+import { element, emit, on, post, seconds, state } from './store.js';
+
+const KEPT = 100; // sentences that the arrow keys bring back
+const hint = document.getElementById('hint');
+const tested = document.getElementById('tested');
+let editor, checking = 0, earlier = JSON.parse(sessionStorage.getItem('sentences') ?? '[]'), at = earlier.length;
+
+export const text = () => editor.state.doc.toString();
+
+export function write(sentence) {
+  editor.dispatch({ changes: { from: 0, to: editor.state.doc.length, insert: sentence }, selection: { anchor: sentence.length } });
+  editor.focus();
+}
+
+async function complete(context) {
+  const word = context.matchBefore(/[\w%/-]*/);
+  const found = await post('/check', { text: context.state.doc.toString(), at: context.pos }).catch(() => ({ offers: [] }));
+  if (!found.offers?.length) return null;
+  return { from: word.from, options: found.offers.map((label) => ({ label, apply: `${label} ` })), filter: false };
+}
+
+async function check() {
+  const now = (checking += 1), sentence = text();
+  if (!sentence.trim()) { mark(null); say(''); return; }
+  const found = await post('/check', { text: sentence, at: sentence.length }).catch(() => ({}));
+  if (now !== checking || sentence !== text()) return; // it has been typed on
+  const refusal = found.refusal;
+  if (!refusal) { mark(null); say('Enter: do it. Shift+Enter: test it on paper first.', 'fine'); return; }
+  const open = refusal.column >= sentence.trimEnd().length;
+  mark(open ? null : refusal);
+  const next = (refusal.nearest?.length ? `Did you mean ${refusal.nearest.join(' or ')}?` : '')
+    || expected(refusal.expected);
+  if (open) say(next, 'next');
+  else say(`${refusal.message} ${next}`, 'wrong', refusal.column);
+}
+
+function expected(words) {
+  if (!words?.length) return '';
+  return words.length > 14 ? `next: one of ${words.length} words; Ctrl+Space lists them` : `next: ${words.join(', ')}`;
+}
+
+function mark(refusal) {
+  const length = editor.state.doc.length;
+  let marks = [];
+  if (refusal && refusal.column < length) {
+    const rest = text().slice(refusal.column).match(/^\S+/)?.[0].length ?? 1;
+    marks = [{ from: refusal.column, to: Math.min(length, refusal.column + rest), severity: 'error', message: refusal.message }];
+  }
+  editor.dispatch(setDiagnostics(editor.state, marks));
+}
+
+// The words stand below the place that they are about.
+function say(words, kind = '', column = 0) {
+  hint.textContent = words;
+  hint.className = kind;
+  const place = kind === 'wrong' ? editor.coordsAtPos(Math.min(column, editor.state.doc.length)) : null;
+  const left = place ? place.left - hint.parentElement.getBoundingClientRect().left : 38;
+  const room = hint.parentElement.clientWidth;
+  hint.style.paddingLeft = `${Math.max(38, Math.min(left, room - 520))}px`;
+}
+
+export async function submit(sentence, about = {}) {
+  const clean = sentence.trim();
+  if (!clean) return;
+  earlier = [...earlier.filter((one) => one !== clean), clean].slice(-KEPT);
+  at = earlier.length;
+  sessionStorage.setItem('sentences', JSON.stringify(earlier));
+  say('sent …', 'next');
+  const answer = await post('/sentence', { text: clean, ...about }).catch(() => ({ error: 'the gateway does not answer: it was not sent' }));
+  if (answer.command) {
+    state.chosen = answer.command;
+    if (text().trim() === clean) write('');
+    say(`${answer.command} accepted`, 'fine');
+    emit('chosen');
+  } else if (answer.halt) emit('halted', answer.halt);
+  else {
+    const { message, clears } = answer.refusal ?? { message: answer.error };
+    say([message, clears].filter(Boolean).join(' — '), 'wrong');
+  }
+}
+
+const testOf = (sentence) => (/^\s*(TEST|SIMULATE)\b/i.test(sentence) ? sentence : `TEST ${sentence.trim().replace(/\.$/, '')}`);
+
+export async function test(sentence) {
+  if (!sentence.trim()) return;
+  const kept = sentence;
+  await submit(testOf(sentence));
+  if (!text()) write(kept); // the sentence stays, to be done next
+}
+
+function back(by) {
+  at = Math.max(0, Math.min(earlier.length, at + by));
+  write(earlier[at] ?? '');
+}
+
+const arrow = (by) => (view) => {
+  if (completionStatus(view.state)) return moveCompletionSelection(by > 0)(view);
+  back(by);
+  return true;
+};
+
+export function openLine() {
+  const nonce = document.querySelector('meta[name=csp-nonce]').content;
+  editor = new EditorView({
+    parent: document.getElementById('editor'),
+    state: EditorState.create({
+      extensions: [
+        EditorView.cspNonce.of(nonce),
+        EditorState.transactionFilter.of((change) => (change.newDoc.lines > 1 ? [] : change)),
+        Prec.highest(keymap.of([
+          { key: 'Enter', run: (view) => { closeCompletion(view); submit(text()); return true; } },
+          { key: 'Shift-Enter', run: (view) => { closeCompletion(view); test(text()); return true; } },
+          { key: 'Tab', run: (view) => acceptCompletion(view) || (text() ? startCompletion(view) : false) },
+          { key: 'ArrowUp', run: arrow(-1) },
+          { key: 'ArrowDown', run: arrow(1) },
+          { key: 'Escape', run: (view) => { if (!closeCompletion(view)) view.contentDOM.blur(); return true; } },
+        ])),
+        history(),
+        keymap.of([...historyKeymap, ...defaultKeymap]),
+        autocompletion({ override: [complete], activateOnTyping: true, defaultKeymap: true, icons: false, interactionDelay: 0, aboveCursor: true }),
+        placeholder('GRASP RIGHT-END-EFF MACS-NEW HANDLE-A'),
+        EditorView.contentAttributes.of({ 'aria-label': 'sentence', spellcheck: 'false', autocapitalize: 'off' }),
+        EditorView.updateListener.of((update) => { if (update.docChanged) later(); }),
+      ],
+    }),
+  });
+  document.getElementById('do').addEventListener('click', () => submit(text()));
+  document.getElementById('test').addEventListener('click', () => test(text()));
+  window.addEventListener('keydown', (event) => {
+    if (event.key === '/' && !event.target.closest?.('.cm-editor, input')) { event.preventDefault(); editor.focus(); }
+  });
+  on('prediction', showTested);
+  on('rows', showRefusedTest);
+  if (state.role === 'observer') {
+    for (const name of ['do', 'test']) document.getElementById(name).disabled = true;
+    say('this console has the role of an observer: it only looks', 'next');
+  }
+  editor.focus();
+}
+
+let timer = 0;
+
+function later() {
+  clearTimeout(timer);
+  timer = setTimeout(check, 120);
+}
+
+// --- what a TEST has found ---
+
+function showTested() {
+  const found = state.prediction;
+  tested.hidden = !found;
+  if (!found) return;
+  const { rehearsal } = found, sentence = found.text.replace(/^\s*(TEST|SIMULATE)\s+/i, '');
+  const assumes = rehearsal.assumes ?? [];
+  tested.className = 'fine';
+  tested.replaceChildren(
+    element('span', { class: 'tag' }, 'tested'),
+    element('code', { title: sentence }, sentence),
+    element('span', { title: assumes.join('\n') },
+      `about ${seconds(rehearsal.predicted_s ?? 0)}${assumes.length ? `, assumes ${assumes.length} thing${assumes.length > 1 ? 's' : ''}` : ''}`),
+    element('button', { class: 'primary', title: 'refused if a fact that the test relies on has changed',
+      onclick: () => submit(sentence, { if_tested: rehearsal.digest }) }, 'Do as tested'),
+    element('button', { class: 'quiet', 'aria-label': 'close', onclick: () => { tested.hidden = true; } }, '✕'),
+  );
+}
+
+let shownTest = '';
+
+// A TEST that is not feasible: the reason, and the sentences that were tested in its place.
+function showRefusedTest() {
+  const row = state.rows.get(state.chosen);
+  const outcome = row?.outcome;
+  if (!outcome || shownTest === row.command || !/^\s*(TEST|SIMULATE)\b/i.test(row.text) || outcome.kind === 'succeeded') return;
+  shownTest = row.command;
+  tested.hidden = false;
+  tested.className = 'wrong';
+  const repairs = outcome.rehearsal?.repairs ?? [];
+  tested.replaceChildren(
+    element('span', { class: 'tag' }, 'not feasible'),
+    element('span', { class: 'reason', title: outcome.message }, outcome.refusal?.message ?? outcome.message ?? ''),
+    ...repairs.slice(0, 2).map((repair) => element('button', { title: `${repair.changes}: ${repair.sentences.join('; ')}`,
+      onclick: () => write(repair.sentences[0]) }, repair.sentences[0])),
+    element('button', { class: 'quiet', 'aria-label': 'close', onclick: () => { tested.hidden = true; } }, '✕'),
+  );
+}

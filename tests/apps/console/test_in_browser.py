@@ -1,0 +1,231 @@
+"""The console in a real browser, on a running cluster: sentences, halts, a lost link, a second page, a foreign origin.
+
+One cluster, one gateway and one browser serve all tests. Skipped where no Chromium is installed.
+"""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import io
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from rtc.apps.demos.own_cluster import own_cluster
+from rtc.client.client import Client
+from tests.apps.console.browser import Browser, Page, browser, installed
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.untimed,
+    pytest.mark.skipif(not installed(), reason="no browser: install chromium to test the page of the console"),
+]
+READY = "window.rtcConsole?.view.drawn > 0 && Object.values(rtcConsole.state.links).every(Boolean)"
+ENDED = "[...rtcConsole.state.rows.values()].some((row) => row.text === {text!r} && row.outcome?.kind === {kind!r})"
+HAND = "rtcConsole.state.scene.bodies.findIndex((body) => body.name === 'RIGHT-ARM/palm')"
+PLACE = f"Array.from(rtcConsole.view.sets.shown.slice(7 * ({HAND}), 7 * ({HAND}) + 3))"
+MOVES = "rtcConsole.state.moving.includes('RIGHT-ARM')"
+SLOW = "MOVE RIGHT-ARM TO BAY-2-FRONT"
+LAST_HALT = "rtcConsole.halts.at(-1)"
+
+
+class Gateway:
+    """`rtc console` as a process that may be killed and started again on its port."""
+
+    def __init__(self, run_dir: Path) -> None:
+        self._run_dir = run_dir
+        self.port = 0
+        self.start()
+
+    def start(self) -> None:
+        command = [sys.executable, "-P", "-m", "rtc.apps.cli.entry", "console", "--run-dir", str(self._run_dir)]
+        self.process = subprocess.Popen([*command, "--port", str(self.port)], stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.link = self.process.stdout.readline().strip()
+        found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/#.+", self.link)
+        assert found, self.link
+        self.port = int(found[1])
+
+    def end(self, how: signal.Signals = signal.SIGTERM) -> None:
+        self.process.send_signal(how)
+        self.process.wait(30)
+
+
+@pytest.fixture(scope="module")
+def run_dir() -> Iterator[Path]:
+    with own_cluster(mcm="kinematic") as path:
+        yield path
+
+
+@pytest.fixture(scope="module")
+def gateway(run_dir: Path) -> Iterator[Gateway]:
+    started = Gateway(run_dir)
+    yield started
+    started.end()
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    with browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def page(chromium: Browser, gateway: Gateway) -> Iterator[Page]:
+    opened = chromium.page(gateway.link)
+    opened.wait(READY)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def at_home(page: Page) -> None:
+    """Nothing is typed, and no link is lost."""
+    page.wait(READY)
+    page.ask("rtcConsole.write('')")
+
+
+def leave_line(page: Page) -> None:
+    page.press("Escape")
+    page.press("Escape")
+    assert page.ask("!rtcConsole.typing(document.activeElement)")
+
+
+def test_the_scene_is_drawn_and_the_token_has_left_the_address(page: Page):
+    picture = Image.open(io.BytesIO(page.screenshot("#canvas"))).convert("RGB")
+    colours = picture.getcolors(maxcolors=1 << 20)
+    assert colours is not None
+    assert len(colours) > 50
+    assert page.ask("location.hash") == ""
+    assert page.ask("document.cookie") == ""  # no script can read the token
+    assert page.problems == []
+
+
+@pytest.mark.usefixtures("at_home")
+def test_a_wrong_word_is_underlined_with_its_reason_below(page: Page):
+    page.type("GRAPS MACS-NEW")
+    page.wait("document.querySelector('#hint.wrong')?.textContent.includes('GRASP')")
+    assert page.wait("document.querySelector('.cm-lintRange-error')?.textContent") == "GRAPS"
+
+
+@pytest.mark.usefixtures("at_home")
+def test_tab_completes_a_name_of_the_cell(page: Page):
+    page.type("STOW LEFT-A")
+    page.wait("document.querySelector('.cm-tooltip-autocomplete li')?.textContent === 'LEFT-ARM'")
+    page.press("Tab")
+    page.wait("document.querySelector('.cm-content').textContent.trim() === 'STOW LEFT-ARM'")
+
+
+@pytest.mark.usefixtures("at_home")
+def test_a_sentence_is_tested_on_paper_then_done_and_seen_to_move(page: Page):
+    before = page.ask(PLACE)
+    page.type("STOW RIGHT-ARM")
+    page.press("Enter", modifiers=8)
+    page.wait("rtcConsole.state.prediction?.text === 'TEST STOW RIGHT-ARM'")
+    assert page.ask(PLACE) == before
+    page.wait("rtcConsole.view.sets.prediction !== null")
+    page.click("#tested button.primary")
+    page.wait(ENDED.format(text="STOW RIGHT-ARM", kind="succeeded"))
+    page.wait(f"Math.hypot(...({PLACE}).map((n, i) => n - {before}[i])) > 0.05")
+    page.wait("rtcConsole.state.prediction === null")  # the facts that it relied on have changed
+
+
+@pytest.mark.usefixtures("at_home")
+def test_space_halts_a_motion_while_the_page_is_busy(page: Page):
+    page.ask(f"rtcConsole.submit({SLOW!r})")
+    page.wait(MOVES)
+    leave_line(page)
+    page.ask("setTimeout(() => { const end = performance.now() + 200; while (performance.now() < end); }, 0) && 0")
+    page.press(" ")
+    page.wait(f"{LAST_HALT}?.result.moving.includes('RIGHT-ARM') && {LAST_HALT}.result.confirmed")
+    assert page.ask(f"{LAST_HALT}.result.latency_s") < 0.1
+    page.wait("document.querySelector('#halt-report.good') !== null")
+    page.wait(ENDED.format(text=SLOW, kind="halted"))
+
+
+@pytest.mark.usefixtures("at_home")
+def test_the_button_halts_and_its_command_explains_itself(page: Page):
+    page.ask(f"rtcConsole.submit({SLOW!r})")
+    page.wait(MOVES)
+    page.click("#halt")
+    page.wait(f"{LAST_HALT}?.result.moving.includes('RIGHT-ARM') && {LAST_HALT}.result.confirmed")
+    page.wait("document.querySelector('.card.open .why')?.textContent.includes('given by the operator')")
+
+
+@pytest.mark.usefixtures("at_home")
+def test_space_in_the_line_is_a_blank(page: Page):
+    count = page.ask("rtcConsole.halts.length")
+    page.type("STOW")
+    page.press(" ")
+    assert page.ask("rtcConsole.halts.length") == count
+
+
+@pytest.mark.usefixtures("at_home")
+def test_no_element_covers_the_button(page: Page):
+    page.type("GRASP ")
+    page.wait("document.querySelector('.cm-tooltip-autocomplete') !== null")
+    covered = (
+        "(() => { const r = document.querySelector('#halt').getBoundingClientRect(); return document.elementFromPoint("
+    )
+    assert page.ask(f"{covered}r.x + r.width / 2, r.y + r.height / 2).closest('#halt') !== null; }})()")
+
+
+@pytest.mark.usefixtures("at_home")
+def test_a_second_page_shows_the_same_commands_and_bodies(page: Page, chromium: Browser, gateway: Gateway):
+    second = chromium.page(f"http://127.0.0.1:{gateway.port}/")  # its cookie admits it
+    second.wait(READY)
+    rows = "[...rtcConsole.state.rows.values()].map((row) => [row.command, row.phase]).sort().join()"
+    assert second.wait(rows) == page.ask(rows)
+    second.close()
+
+
+@pytest.mark.usefixtures("at_home")
+def test_a_page_of_another_origin_can_do_nothing(chromium: Browser, gateway: Gateway, tmp_path: Path):
+    (tmp_path / "index.html").write_text("<title>another</title>")
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(tmp_path))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as other:
+        threading.Thread(target=other.serve_forever, daemon=True).start()
+        alien = chromium.page(f"http://127.0.0.1:{other.server_port}/")
+        alien.wait("document.title === 'another'")
+        here = f"127.0.0.1:{gateway.port}"
+        opens = f"new Promise((done) => {{ const s = new WebSocket('ws://{here}/halt'); "
+        assert alien.ask(f"{opens}s.onopen = () => done('open'); s.onclose = () => done('closed'); }})") == "closed"
+        sends = f"fetch('http://{here}/sentence', {{method: 'POST', credentials: 'include', body: '{{}}'}})"
+        assert alien.ask(f"{sends}.then(() => 'answer', () => 'refused')") == "refused"
+        alien.close()
+        other.shutdown()
+
+
+@pytest.mark.usefixtures("at_home")
+def test_a_lost_link_is_shown_at_once_and_no_picture_stays(page: Page, gateway: Gateway):
+    os.kill(gateway.process.pid, signal.SIGSTOP)
+    try:
+        page.wait("!document.querySelector('#banner').hidden && !document.querySelector('#unknown').hidden", 6.0)
+    finally:
+        os.kill(gateway.process.pid, signal.SIGCONT)
+    page.wait("document.querySelector('#banner').hidden && document.querySelector('#unknown').hidden")
+
+
+@pytest.mark.usefixtures("at_home")
+def test_a_killed_gateway_is_forgotten_and_its_successor_knows_the_commands(
+    page: Page, gateway: Gateway, run_dir: Path
+):
+    life = page.ask("rtcConsole.state.life")
+    gateway.end(signal.SIGKILL)
+    page.wait("!document.querySelector('#banner').hidden")
+    with Client(run_dir) as client:
+        client.run("STOW LEFT-ARM")  # while no page sees it
+    gateway.start()
+    page.wait(f"rtcConsole.state.life !== {life!r} && {READY}")
+    page.wait(ENDED.format(text="STOW LEFT-ARM", kind="succeeded"))
+    page.wait(ENDED.format(text=SLOW, kind="halted"))
+    assert page.problems == []
