@@ -8,6 +8,7 @@ setup(
         Pybind11Extension(
             "rtc.model.robot._boxes",
             ["rtc/model/robot/_boxes.cpp"],
+            depends=["rtc/model/robot/_solids.hpp"],
             cxx_std=17,
             extra_compile_args=["-O3"],
             optional=True,

@@ -1,11 +1,13 @@
-// Which pairs of bodies of a cell are certainly apart: forward kinematics and separating axes of boxes.
+// Which pairs of bodies of a cell are certainly apart: forward kinematics and separating directions.
 //
-// Each piece is represented by a box that contains it. A pair is apart only if one of 15 directions separates the two
-// boxes by more than the margin. That is a proof, because the projections of the boxes contain those of the pieces. A
-// pair without such a direction is undecided: coal decides it. Placements and pairs come from rtc/model/robot/boxes.py.
+// A pair is apart only if a direction separates the two pieces, or boxes around them, by more than the margin
+// (`_solids.hpp`). A pair without such a direction is undecided: coal decides it. Solids, placements and pairs come from
+// rtc/model/robot/boxes.py.
 //
 // A way between two configurations: a pair is apart on all of it if at its middle the gap exceeds the margin by what
 // the pair can come nearer until either end (the levers of rtc/model/robot/levers.py). Otherwise the way is halved.
+//
+// Boxes that a way does not move are placed once. Boxes in the axes of the world around both sort out most pairs.
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -18,31 +20,18 @@
 #include <utility>
 #include <vector>
 
+#include "_solids.hpp"
+
 namespace py = pybind11;
 
 namespace {
 
 using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
 using Ints = py::array_t<int, py::array::c_style | py::array::forcecast>;
+using Slots = std::vector<int>;
 
 constexpr double ROUNDING_M = 1e-5;  // more than the tolerance of coal's iterations and of sums here
-constexpr int BLOCK = 16;              // rows of a way that are tested against all pairs at once
-constexpr double PARALLEL = 1e-3;    // sine of the angle of two edges below which their cross product is left out
-
-struct Pose {
-    double r[9];  // row by row
-    double p[3];
-};
-
-Pose compose(const Pose& a, const Pose& b) {
-    Pose c;
-    for (int i = 0; i < 3; ++i) {
-        const double *row = a.r + 3 * i;
-        for (int j = 0; j < 3; ++j) c.r[3 * i + j] = row[0] * b.r[j] + row[1] * b.r[3 + j] + row[2] * b.r[6 + j];
-        c.p[i] = row[0] * b.p[0] + row[1] * b.p[1] + row[2] * b.p[2] + a.p[i];
-    }
-    return c;
-}
+constexpr int BLOCK = 8;              // rows of a way that are tested against all pairs at once
 
 Pose pose_of(const double* values) {  // twelve: rotation row by row, position
     Pose pose;
@@ -61,8 +50,8 @@ struct Joint {
 struct Box {
     int joint;  // -1: it is fixed in the world
     Pose at;    // in the axes of the joint
-    double half[3];
-    double radius;
+    Solid solid;
+    std::vector<double> levers;  // of each value of the configuration (m per rad)
 };
 
 struct Pair {
@@ -71,6 +60,20 @@ struct Pair {
 };
 
 using Open = std::vector<int>;  // pairs that are not yet proven apart, by their index in `pairs_`
+
+// A box that moves, and around each box that it must keep from but that stands still, a box in the axes of the world,
+// larger by the margin of the pair: centre and half edges (m) by axis.
+struct Mover {
+    int box;
+    Open pairs;
+    std::vector<double> centre[3], half[3];
+    std::vector<char> near;  // scratch
+
+    void clear() {
+        pairs.clear();
+        for (int i = 0; i < 3; ++i) centre[i].clear(), half[i].clear();
+    }
+};
 
 Pose moved(const Joint& joint, double q) {
     Pose turn;
@@ -90,67 +93,33 @@ Pose moved(const Joint& joint, double q) {
     return compose(joint.at, turn);
 }
 
-// A lower bound of the distance of two boxes; the first that exceeds `enough` is returned at once.
-double gap(const Box& a, const Pose& pa, const Box& b, const Pose& pb, double enough) {
-    const double d[3] = {pb.p[0] - pa.p[0], pb.p[1] - pa.p[1], pb.p[2] - pa.p[2]};
-    const double squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2], balls = a.radius + b.radius;
-    if (squared > (balls + enough) * (balls + enough)) return std::sqrt(squared) - balls;
-    double most = -balls;
-    double r[3][3], size[3][3], t[3];
-    for (int i = 0; i < 3; ++i) {
-        t[i] = d[0] * pa.r[i] + d[1] * pa.r[3 + i] + d[2] * pa.r[6 + i];
-        double reach = a.half[i];
-        for (int j = 0; j < 3; ++j) {
-            r[i][j] = pa.r[i] * pb.r[j] + pa.r[3 + i] * pb.r[3 + j] + pa.r[6 + i] * pb.r[6 + j];
-            size[i][j] = std::fabs(r[i][j]);
-            reach += b.half[j] * size[i][j];
-        }
-        most = std::max(most, std::fabs(t[i]) - reach);
-    }
-    if (most > enough) return most;
-    for (int j = 0; j < 3; ++j) {
-        const double along = std::fabs(t[0] * r[0][j] + t[1] * r[1][j] + t[2] * r[2][j]);
-        const double reach =
-            b.half[j] + a.half[0] * size[0][j] + a.half[1] * size[1][j] + a.half[2] * size[2][j];
-        most = std::max(most, along - reach);
-    }
-    if (most > enough) return most;
-    for (int i = 0; i < 3; ++i) {
-        const int i1 = (i + 1) % 3, i2 = (i + 2) % 3;
-        for (int j = 0; j < 3; ++j) {
-            const double length = std::sqrt(std::max(0.0, 1.0 - r[i][j] * r[i][j]));
-            if (length < PARALLEL) continue;
-            const int j1 = (j + 1) % 3, j2 = (j + 2) % 3;
-            const double along = std::fabs(t[i2] * r[i1][j] - t[i1] * r[i2][j]);
-            const double reach = a.half[i1] * size[i2][j] + a.half[i2] * size[i1][j] + b.half[j1] * size[i][j2] +
-                                 b.half[j2] * size[i][j1];
-            most = std::max(most, (along - reach) / length);
-        }
-    }
-    return most;
-}
-
 }  // namespace
 
 class Boxes {
    public:
-    // `parents` [joints]: -1 for the world; `slides` [joints]; `axes` [joints][3]; `placements` [joints][12];
-    // `halves` [boxes][3] (m); `pairs` [pairs][2]
-    Boxes(Ints parents, Ints slides, Doubles axes, Doubles placements, Doubles halves, Ints pairs) {
+    // `parents` [joints]: -1 for the world; `slides` [joints]; `axes` [joints][3]; `placements` [joints][12]; `pairs`
+    // [pairs][2]. `solids` [boxes][8]: half edges of the box around it, those of its own box, radii of disk and ball (m);
+    // `hulls` [boxes]: the corners of a hull, or none. Each box is to be placed before it is used.
+    Boxes(Ints parents, Ints slides, Doubles axes, Doubles placements, Ints pairs, Doubles solids,
+          const std::vector<std::vector<double>>& hulls) {
         const auto parent = parents.unchecked<1>();
         const auto slide = slides.unchecked<1>();
         const auto axis = axes.unchecked<2>();
-        const auto half = halves.unchecked<2>();
+        const auto solid = solids.unchecked<2>();
         const auto pair = pairs.unchecked<2>();
         for (py::ssize_t n = 0; n < parent.shape(0); ++n) {
             if (parent(n) >= n) throw std::invalid_argument("a joint stands before its parent");
             Joint joint{parent(n), slide(n) != 0, {axis(n, 0), axis(n, 1), axis(n, 2)}, pose_of(placements.data(n, 0))};
             joints_.push_back(joint);
         }
-        for (py::ssize_t n = 0; n < half.shape(0); ++n) {
-            Box box{-1, Pose{{1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}}, {half(n, 0), half(n, 1), half(n, 2)}, 0.0};
-            box.radius = std::sqrt(half(n, 0) * half(n, 0) + half(n, 1) * half(n, 1) + half(n, 2) * half(n, 2));
-            boxes_.push_back(box);
+        if (solid.shape(1) != 8 || hulls.size() != static_cast<size_t>(solid.shape(0)))
+            throw std::invalid_argument("eight values for each solid, and its hull");
+        for (py::ssize_t n = 0; n < solid.shape(0); ++n) {
+            Solid made{{solid(n, 0), solid(n, 1), solid(n, 2)}, 0.0, 0.0, {solid(n, 3), solid(n, 4), solid(n, 5)},
+                       solid(n, 6), solid(n, 7), hulls[n]};
+            measure(made);
+            const Pose nowhere{{1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}};
+            boxes_.push_back({-1, nowhere, made, std::vector<double>(joints_.size(), 0.0)});
         }
         for (py::ssize_t n = 0; n < pair.shape(0); ++n) ends_.emplace_back(pair(n, 0), pair(n, 1));
         at_.resize(joints_.size());
@@ -158,12 +127,15 @@ class Boxes {
         stamps_.assign(boxes_.size(), 0);
     }
 
-    // Places a box: in the axes of a joint, or in the world (-1).
-    void place(int box, int joint, Doubles placement) {
+    // Places a box: in the axes of a joint, or in the world (-1). `levers`: of each value of the configuration.
+    void place(int box, int joint, Doubles placement, Doubles levers) {
         if (joint >= static_cast<int>(joints_.size())) throw std::invalid_argument("no such joint");
         if (placement.size() != 12) throw std::invalid_argument("a placement has twelve values");
+        if (levers.size() != static_cast<py::ssize_t>(joints_.size())) throw std::invalid_argument("a lever for each joint");
         boxes_.at(box).joint = joint;
         boxes_[box].at = pose_of(placement.data());
+        boxes_[box].levers.assign(levers.data(), levers.data() + levers.size());
+        sorted_ = false;
     }
 
     // The pairs to check, by their numbers, with the margin of each (m).
@@ -175,59 +147,57 @@ class Boxes {
             const auto ends = ends_.at(number(n));
             pairs_.push_back({number(n), ends.first, ends.second, std::max(margin(n), 0.0)});
         }
+        sorted_ = false;
     }
 
-    // The numbers of the pairs that are not certainly apart at this configuration.
-    std::vector<int> undecided(Doubles q) {
-        if (q.size() != static_cast<py::ssize_t>(joints_.size())) throw std::invalid_argument("a value for each joint");
-        move(q.data());
-        std::vector<int> found;
-        for (const Pair& pair : pairs_)
-            if (!is_apart(pair, 0.0)) found.push_back(pair.number);
-        return found;
+    // The numbers of the pairs that are not certainly apart at this configuration. `slots`: the values that vary between
+    // one call and the next; it is quicker if the others are as before.
+    std::vector<int> undecided(Doubles q, const Slots& slots) {
+        begin(q, slots);
+        turn_.assign(slots_.size(), 0.0);
+        exact_ = true;
+        return numbers(all_left());
     }
 
     // The first part of a way that is not proven free: (number of the row before it, its undecided pairs); without
-    // such a part (number of the last row, none). `rows` [n][values] of the configuration at `slots`, n > 1;
-    // `levers` [pairs of `use`][values].
-    std::pair<int, std::vector<int>> way(Doubles q, Ints slots, Doubles rows, Doubles levers, int halvings) {
-        q_.assign(q.data(), q.data() + q.size());
-        slots_.assign(slots.data(), slots.data() + slots.size());
+    // such a part (number of the last row, none). `rows` [n][values] of the configuration at `slots`, n > 1, from the
+    // row `from` on.
+    std::pair<int, std::vector<int>> way(Doubles q, const Slots& slots, Doubles rows, int from, int halvings) {
+        begin(q, slots);
+        if (rows.ndim() != 2 || rows.shape(1) != static_cast<py::ssize_t>(slots_.size()) || from < 0 ||
+            rows.shape(0) < from + 2)
+            throw std::invalid_argument("rows do not fit the slots");
         rows_ = rows.data();
-        levers_ = levers.data();
-        if (rows.ndim() != 2 || rows.shape(1) != static_cast<py::ssize_t>(slots_.size()) || rows.shape(0) < 2 ||
-            levers.ndim() != 2 || levers.shape(0) != static_cast<py::ssize_t>(pairs_.size()) ||
-            levers.shape(1) != rows.shape(1) || q_.size() != joints_.size())
-            throw std::invalid_argument("values do not fit the joints, slots and pairs");
-        for (int slot : slots_)
-            if (slot < 0 || slot >= static_cast<int>(joints_.size())) throw std::invalid_argument("no such joint");
-        Open all(pairs_.size());
-        for (size_t n = 0; n < all.size(); ++n) all[n] = static_cast<int>(n);
-        undecided_.clear();
-        const int count = static_cast<int>(rows.shape(0)) - 1;
-        for (int first = 0; first < count; first += BLOCK) {
-            const int part = over_rows(first, std::min(first + BLOCK, count), all, halvings);
-            if (part < 0) continue;
-            std::vector<int> numbers;
-            for (int one : undecided_) numbers.push_back(pairs_[one].number);
-            return {part, numbers};
-        }
-        return {count, {}};
+        return first_open(from, static_cast<int>(rows.shape(0)) - 1, halvings);
+    }
+
+    // As `way`, of the straight line between two values at `slots` in `count` equal steps.
+    std::pair<int, std::vector<int>> line(Doubles q, const Slots& slots, Doubles from, Doubles to, int count, int halvings) {
+        begin(q, slots);
+        const size_t width = slots_.size();
+        if (static_cast<size_t>(from.size()) != width || static_cast<size_t>(to.size()) != width || count < 1)
+            throw std::invalid_argument("ends do not fit the slots");
+        const double *a = from.data(), *b = to.data();
+        line_.resize((count + 1) * width);
+        for (int n = 0; n <= count; ++n)
+            for (size_t k = 0; k < width; ++k) line_[n * width + k] = a[k] + (static_cast<double>(n) / count) * (b[k] - a[k]);
+        rows_ = line_.data();
+        return first_open(0, count, halvings);
     }
 
     // Boxes in the axes of the world around `boxes` on a way, [boxes][6]: low corner, high corner (m). `rows` as for
-    // `way`; `levers` [boxes][values]. No point of them moves farther than `step` (m) between two tested configurations.
-    Doubles space(Doubles q, Ints slots, Doubles rows, Ints boxes, Doubles levers, double step) {
+    // `way`. No point of them moves farther than `step` (m) between two tested configurations.
+    Doubles space(Doubles q, Ints slots, Doubles rows, Ints boxes, double step) {
         const auto slot = slots.unchecked<1>();
         const auto row = rows.unchecked<2>();
         const auto number = boxes.unchecked<1>();
-        const auto lever = levers.unchecked<2>();
         const py::ssize_t width = slot.shape(0), count = number.shape(0);
-        if (row.shape(1) != width || row.shape(0) < 2 || lever.shape(0) != count || lever.shape(1) != width || step <= 0)
+        if (row.shape(1) != width || row.shape(0) < 2 || step <= 0 || q.size() != static_cast<py::ssize_t>(joints_.size()))
             throw std::invalid_argument("values do not fit the joints, slots and boxes");
+        sorted_ = false;  // it moves what stands still on a way
         std::vector<double> found(6 * count, HUGE_VAL), near(count), at(q.data(), q.data() + q.size());
         move(at.data());
-        std::vector<bool> used(joints_.size());  // the joints that place these boxes; the others need not be moved
+        std::vector<char> used(joints_.size());  // the joints that place these boxes; the others need not be moved
         for (py::ssize_t n = 0; n < count; ++n)
             for (int joint = boxes_.at(number(n)).joint; joint >= 0; joint = joints_[joint].parent) used[joint] = true;
         for (py::ssize_t n = 0; n < count; ++n) std::fill_n(&found[6 * n + 3], 3, -HUGE_VAL);
@@ -235,7 +205,8 @@ class Boxes {
             double most = 0.0;
             for (py::ssize_t b = 0; b < count; ++b) {
                 near[b] = 0.0;
-                for (py::ssize_t k = 0; k < width; ++k) near[b] += lever(b, k) * std::fabs(row(n + 1, k) - row(n, k));
+                const std::vector<double>& lever = boxes_[number(b)].levers;
+                for (py::ssize_t k = 0; k < width; ++k) near[b] += lever.at(slot(k)) * std::fabs(row(n + 1, k) - row(n, k));
                 most = std::max(most, near[b]);
             }
             const int parts = std::max(1, static_cast<int>(std::ceil(most / step)));
@@ -247,7 +218,7 @@ class Boxes {
                     const Pose& pose = placed(number(b));
                     for (int i = 0; i < 3; ++i) {
                         double reach = 0.5 * near[b] / parts;
-                        for (int j = 0; j < 3; ++j) reach += std::fabs(pose.r[3 * i + j]) * boxes_[number(b)].half[j];
+                        for (int j = 0; j < 3; ++j) reach += std::fabs(pose.r[3 * i + j]) * boxes_[number(b)].solid.box[j];
                         found[6 * b + i] = std::min(found[6 * b + i], pose.p[i] - reach);
                         found[6 * b + 3 + i] = std::max(found[6 * b + 3 + i], pose.p[i] + reach);
                     }
@@ -268,25 +239,108 @@ class Boxes {
     std::vector<Pose> placed_;  // of the boxes, in the world, as far as stamped
     std::vector<unsigned> stamps_;
     unsigned stamp_ = 0;
-    // of one call of `way`
+    // pairs by what moves them, as long as the values at `slots_` alone change
+    bool sorted_ = false;
     std::vector<double> q_;
     std::vector<int> slots_;
+    std::vector<char> moves_;  // by joint
+    std::vector<Mover> movers_;
+    Open others_;  // pairs of which both boxes move, or neither; without those that no value at `slots_` brings nearer
+    std::vector<double> levers_;  // [pairs][slots], of their distance: none of a joint that moves both boxes
+    // of one call
+    std::vector<double> turn_;  // greatest difference of the values at `slots_` from the present ones
+    bool exact_ = true;  // try the solids too, not only the boxes around them
     const double* rows_ = nullptr;
-    const double* levers_ = nullptr;
+    std::vector<double> line_;
     Open undecided_;
 
-    void move(const double* q, const std::vector<bool>* used = nullptr) {
+    // Takes over a configuration of which the values at `slots` will change.
+    void begin(const Doubles& q, const Slots& slots) {
+        if (q.size() != static_cast<py::ssize_t>(joints_.size())) throw std::invalid_argument("a value for each joint");
+        const double* values = q.data();
+        if (sorted_ && slots == slots_) {
+            for (int slot : slots_) q_[slot] = values[slot];
+            if (std::equal(q_.begin(), q_.end(), values)) return;
+        }
+        slots_ = slots;
+        for (int slot : slots_)
+            if (slot < 0 || slot >= static_cast<int>(joints_.size())) throw std::invalid_argument("no such joint");
+        q_.assign(values, values + q.size());
+        move(values);
+        sort();
+    }
+
+    void sort() {
+        sorted_ = false;
+        exact_ = true;
+        moves_.assign(joints_.size(), false);
+        for (int slot : slots_) moves_[slot] = true;
+        for (size_t n = 0; n < joints_.size(); ++n)
+            if (joints_[n].parent >= 0 && moves_[joints_[n].parent]) moves_[n] = true;
+        std::vector<int> mover_of(boxes_.size(), -1);
+        size_t count = 0;
+        for (size_t n = 0; n < boxes_.size(); ++n) {
+            placed(static_cast<int>(n));
+            if (boxes_[n].joint < 0 || !moves_[boxes_[n].joint]) continue;
+            mover_of[n] = static_cast<int>(count);
+            if (++count > movers_.size()) movers_.emplace_back();
+            movers_[count - 1].clear();
+            movers_[count - 1].box = static_cast<int>(n);
+        }
+        movers_.resize(count);
+        others_.clear();
+        levers_.clear();
+        for (size_t n = 0; n < pairs_.size(); ++n) {
+            const Pair& pair = pairs_[n];
+            bool rigid = true;
+            for (int slot : slots_) {
+                const double la = boxes_[pair.a].levers[slot], lb = boxes_[pair.b].levers[slot];
+                levers_.push_back(la == 0.0 || lb == 0.0 ? la + lb : 0.0);
+                rigid = rigid && levers_.back() == 0.0;
+            }
+            const int a = mover_of[pair.a], b = mover_of[pair.b];
+            if ((a < 0) == (b < 0)) {
+                if (!rigid || !is_apart(pair, 0.0)) others_.push_back(static_cast<int>(n));
+                continue;
+            }
+            Mover& mover = movers_[std::max(a, b)];
+            const int other = a < 0 ? pair.a : pair.b;
+            mover.pairs.push_back(static_cast<int>(n));
+            for (int i = 0; i < 3; ++i) {
+                mover.centre[i].push_back(placed_[other].p[i]);
+                mover.half[i].push_back(half_extent(other, i) + pair.margin + ROUNDING_M);
+            }
+        }
+        for (Mover& mover : movers_) mover.near.resize(mover.pairs.size());
+        sorted_ = true;
+    }
+
+    // Half of the length of a placed box along an axis of the world (m).
+    double half_extent(int n, int axis) const {
+        const double *row = placed_[n].r + 3 * axis, *half = boxes_[n].solid.box;
+        return std::fabs(row[0]) * half[0] + std::fabs(row[1]) * half[1] + std::fabs(row[2]) * half[2];
+    }
+
+    std::vector<int> numbers(const Open& open) const {
+        std::vector<int> found;
+        for (int one : open) found.push_back(pairs_[one].number);
+        std::sort(found.begin(), found.end());
+        return found;
+    }
+
+    void move(const double* q, const std::vector<char>* used = nullptr) {
+        ++stamp_;
         for (size_t n = 0; n < joints_.size(); ++n) {
             if (used && !(*used)[n]) continue;
             const Pose own = moved(joints_[n], q[n]);
             at_[n] = joints_[n].parent < 0 ? own : compose(at_[joints_[n].parent], own);
         }
-        ++stamp_;
     }
 
+    // Where a box is now. Boxes that nothing moves keep the place that `sort` gave them.
     const Pose& placed(int n) {
-        if (stamps_[n] != stamp_) {
-            const Box& box = boxes_[n];
+        const Box& box = boxes_[n];
+        if (stamps_[n] != stamp_ && !(sorted_ && (box.joint < 0 || !moves_[box.joint]))) {
             placed_[n] = box.joint < 0 ? box.at : compose(at_[box.joint], box.at);
             stamps_[n] = stamp_;
         }
@@ -295,28 +349,64 @@ class Boxes {
 
     bool is_apart(const Pair& pair, double nearer) {
         const double enough = pair.margin + nearer + ROUNDING_M;
-        return gap(boxes_[pair.a], placed(pair.a), boxes_[pair.b], placed(pair.b), enough) > enough;
+        const Solid &a = boxes_[pair.a].solid, &b = boxes_[pair.b].solid;
+        const Pose &pa = placed(pair.a), &pb = placed(pair.b);
+        return ::is_apart(a, pa, b, pb, enough, exact_);
+    }
+
+    // The pairs of `open` that are not proven apart while no value differs from the present ones by more than `turn_`.
+    Open left(const Open& open) {
+        move(q_.data(), &moves_);
+        Open kept;
+        const size_t width = slots_.size();
+        for (int one : open) {
+            const double* lever = &levers_[one * width];
+            double nearer = 0.0;
+            for (size_t k = 0; k < width; ++k) nearer += lever[k] * turn_[k];
+            if (!is_apart(pairs_[one], nearer)) kept.push_back(one);
+        }
+        return kept;
+    }
+
+    // As `left`, of all pairs.
+    Open all_left() {
+        Open kept = left(others_);
+        for (Mover& mover : movers_) {
+            const Box& box = boxes_[mover.box];
+            const Pose& pose = placed(mover.box);
+            double reach = 0.0, half[3];
+            for (size_t k = 0; k < slots_.size(); ++k) reach += box.levers[slots_[k]] * turn_[k];
+            for (int i = 0; i < 3; ++i) half[i] = half_extent(mover.box, i) + reach;
+            const size_t count = mover.pairs.size();
+            const double *x = mover.centre[0].data(), *y = mover.centre[1].data(), *z = mover.centre[2].data();
+            const double *a = mover.half[0].data(), *b = mover.half[1].data(), *c = mover.half[2].data();
+            char* near = mover.near.data();
+            for (size_t n = 0; n < count; ++n)  // without branches, so that it is compiled to vectors
+                near[n] = (std::fabs(pose.p[0] - x[n]) <= half[0] + a[n]) & (std::fabs(pose.p[1] - y[n]) <= half[1] + b[n]) &
+                          (std::fabs(pose.p[2] - z[n]) <= half[2] + c[n]);
+            for (size_t n = 0; n < count; ++n)
+                if (near[n] && !is_apart(pairs_[mover.pairs[n]], reach)) kept.push_back(mover.pairs[n]);
+        }
+        return kept;
     }
 
     void set_row(const double* row) {
         for (size_t k = 0; k < slots_.size(); ++k) q_[slots_[k]] = row[k];
     }
 
-    // The pairs of `open` that are not proven apart while no value differs from the present ones by more than `turn`.
-    Open left(const Open& open, const std::vector<double>& turn) {
-        Open kept;
-        move(q_.data());
-        for (int one : open) {
-            const double* lever = levers_ + one * turn.size();
-            double nearer = 0.0;
-            for (size_t k = 0; k < turn.size(); ++k) nearer += lever[k] * turn[k];
-            if (!is_apart(pairs_[one], nearer)) kept.push_back(one);
+    // The first part between the rows `from` and `last` that is not proven free, as `way` returns it.
+    std::pair<int, std::vector<int>> first_open(int from, int last, int halvings) {
+        undecided_.clear();
+        for (int first = from; first < last; first += BLOCK) {
+            const int part = over_rows(first, std::min(first + BLOCK, last), nullptr, halvings);
+            if (part >= 0) return {part, numbers(undecided_)};
         }
-        return kept;
+        return {last, {}};
     }
 
     // The first part from row `first` to row `last` that is not proven free, with its pairs in `undecided_`; or -1.
-    int over_rows(int first, int last, const Open& open, int halvings) {
+    // `open`: the pairs that are not yet proven apart there; nullptr: all.
+    int over_rows(int first, int last, const Open* open, int halvings) {
         const size_t width = slots_.size();
         if (last - first == 1) {
             between(rows_ + first * width, rows_ + last * width, open, halvings);
@@ -324,26 +414,29 @@ class Boxes {
         }
         const int middle = (first + last) / 2;
         const double* row = rows_ + middle * width;
-        std::vector<double> turn(width, 0.0);
+        turn_.assign(width, 0.0);
         for (int n = first; n <= last; ++n)
-            for (size_t k = 0; k < width; ++k) turn[k] = std::max(turn[k], std::fabs(rows_[n * width + k] - row[k]));
+            for (size_t k = 0; k < width; ++k) turn_[k] = std::max(turn_[k], std::fabs(rows_[n * width + k] - row[k]));
         set_row(row);
-        const Open kept = left(open, turn);
+        exact_ = false;  // on so long a way the solids prove little more
+        const Open kept = open ? left(*open) : all_left();
         if (kept.empty()) return -1;
-        const int part = over_rows(first, middle, kept, halvings);
-        return part < 0 ? over_rows(middle, last, kept, halvings) : part;
+        const int part = over_rows(first, middle, &kept, halvings);
+        return part < 0 ? over_rows(middle, last, &kept, halvings) : part;
     }
 
     // Adds to `undecided_` the pairs that are not proven apart on the straight line between two configurations.
-    void between(const double* from, const double* to, const Open& open, int halvings) {
+    void between(const double* from, const double* to, const Open* open, int halvings) {
         const size_t width = slots_.size();
-        std::vector<double> middle(width), turn(width);
+        std::vector<double> middle(width);
+        turn_.resize(width);
         for (size_t k = 0; k < width; ++k) {
             middle[k] = 0.5 * (from[k] + to[k]);
-            turn[k] = 0.5 * std::fabs(to[k] - from[k]);
+            turn_[k] = 0.5 * std::fabs(to[k] - from[k]);
         }
         set_row(middle.data());
-        Open kept = left(open, turn);
+        exact_ = true;
+        Open kept = open ? left(*open) : all_left();
         if (halvings > 0) {
             // boxes that are too near in the middle itself are not proven apart by any halving
             const auto hopeless = [this](int one) { return !is_apart(pairs_[one], 0.0); };
@@ -351,8 +444,8 @@ class Boxes {
             add(split, kept.end());
             kept.erase(split, kept.end());
             if (kept.empty()) return;
-            between(from, middle.data(), kept, halvings - 1);
-            between(middle.data(), to, kept, halvings - 1);
+            between(from, middle.data(), &kept, halvings - 1);
+            between(middle.data(), to, &kept, halvings - 1);
             return;
         }
         add(kept.begin(), kept.end());
@@ -366,10 +459,11 @@ class Boxes {
 
 PYBIND11_MODULE(_boxes, module) {
     py::class_<Boxes>(module, "Boxes")
-        .def(py::init<Ints, Ints, Doubles, Doubles, Doubles, Ints>())
+        .def(py::init<Ints, Ints, Doubles, Doubles, Ints, Doubles, const std::vector<std::vector<double>>&>())
         .def("place", &Boxes::place)
         .def("use", &Boxes::use)
         .def("undecided", &Boxes::undecided)
         .def("way", &Boxes::way)
+        .def("line", &Boxes::line)
         .def("space", &Boxes::space);
 }

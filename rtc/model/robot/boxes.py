@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -22,66 +23,92 @@ except ImportError:  # it was installed without a compiler
 
 KINDS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteU", "JointModelP")  # one value each
 STEP_M = 0.03  # greatest displacement of a piece between two configurations of which its space is made
-HALVINGS = 4  # of a line between two configurations of a path; what is undecided then is measured
+HALVINGS = 7  # of a line between two configurations of a path; what is undecided then is measured
 
 
 class Boxes:
     """The boxes of a cell's pieces and the pairs in force. Not thread-safe."""
 
-    def __init__(self, bodies: Bodies, joints: Sequence[tuple[int, bool, Array, list[float]]]) -> None:
-        """`joints`: parent (-1: the world), whether it slides, axis, placement (rotation row by row, position)."""
+    def __init__(self, bodies: Bodies, levers: Array, joints: Sequence[tuple[int, bool, Array, list[float]]]) -> None:
+        """`levers`: [pieces][values of the configuration], kept and read by `place`. `joints`: parent (-1: the world),
+        whether it slides, axis, placement (rotation row by row, position)."""
         items = bodies.geometry.geometryObjects
         solids = [item.geometry for item in items]
         for solid in solids:
             solid.computeLocalAABB()
-        centres = [np.asarray(solid.aabb_center) for solid in solids]
-        halves = [solid.aabb_local.max_ - centre for solid, centre in zip(solids, centres, strict=True)]
-        of_centres = [pin.SE3(np.eye(3), centre) for centre in centres]
+        of_centres = [pin.SE3(np.eye(3), np.asarray(solid.aabb_center)) for solid in solids]
         in_owner = (piece.in_owner * centre for piece, centre in zip(bodies.pieces, of_centres, strict=True))
-        self._in_owner = np.array([at.homogeneous for at in in_owner])
+        self._in_owner, self._levers = np.array([at.homogeneous for at in in_owner]), levers
         parents, slides, axes, placements = zip(*joints, strict=True)
         pairs = np.array(bodies.pairs, dtype=np.int32).reshape(-1, 2)
-        self._proof = _boxes.Boxes(parents, slides, axes, placements, np.array(halves).reshape(-1, 3), pairs)
+        made, hulls = zip(*(_solid(solid) for solid in solids), strict=True)
+        self._proof = _boxes.Boxes(parents, slides, axes, placements, pairs, np.array(made), hulls)
         for n, (item, of_centre) in enumerate(zip(items, of_centres, strict=True)):
             self._put([n], item.parentJoint, (item.placement * of_centre).homogeneous[None])
 
     def place(self, pieces: list[int], parent: int, at: pin.SE3) -> None:
-        """Place the pieces of an owner, whose axes are at `at` in those of a joint of pinocchio (0: the world)."""
+        """Place the pieces of an owner, whose axes are at `at` in those of a joint of pinocchio (0: the world). Their
+        levers must be set."""
         self._put(pieces, parent, at.homogeneous @ self._in_owner[pieces])
 
     def _put(self, pieces: list[int], parent: int, boxes: Array) -> None:
         """`boxes`: their placements, [pieces][4][4]."""
         rows = np.concatenate((boxes[:, :3, :3].reshape(-1, 9), boxes[:, :3, 3]), axis=1)
         for piece, row in zip(pieces, rows, strict=True):
-            self._proof.place(piece, parent - 1, row)
+            self._proof.place(piece, parent - 1, row, self._levers[piece])
 
     def use(self, pairs: Array, margins: Array) -> None:
         """The pairs to check, by number in `Bodies.pairs`, and their margins (m)."""
         self._proof.use(pairs, margins)
 
-    def undecided(self, q: Array) -> list[int]:
-        """The pairs that are not certainly farther apart than their margins at this configuration."""
-        return self._proof.undecided(q)
+    def undecided(self, q: Array, slots: list[int]) -> list[int]:
+        """The pairs that are not certainly farther apart than their margins at this configuration.
 
-    def way(self, q: Array, slots: list[int], rows: Array, levers: Array) -> tuple[int, list[int]]:
+        `slots`: its values that vary between one call and the next; it is quicker if the others do not."""
+        return self._proof.undecided(q, slots)
+
+    def way(self, q: Array, slots: list[int], rows: Array, first: int) -> tuple[int, list[int]]:
         """The first part of a way that is not proven free: the number of the row before it, and its undecided pairs.
 
         Without such a part: the number of the last row, and no pair. `rows`: values of the configuration at `slots`,
-        [n][slots], n > 1; the others are those of `q`. `levers`: of each pair in use, [pairs][slots]. A line between
-        two rows is halved `HALVINGS` times before it counts as undecided.
+        [n][slots], of which the way begins at the row `first`; the other values are those of `q`. A line between two
+        rows is halved `HALVINGS` times before it counts as undecided.
         """
-        return self._proof.way(q, slots, rows, levers, HALVINGS)
+        return self._proof.way(q, slots, rows, first, HALVINGS)
 
-    def space(self, q: Array, slots: list[int], rows: Array, pieces: list[int], levers: Array) -> Array:
+    def line(self, q: Array, slots: list[int], start: Array, end: Array, steps: int) -> tuple[int, list[int]]:
+        """As `way`, of the straight line between two values at `slots` in equal steps."""
+        return self._proof.line(q, slots, start, end, steps, HALVINGS)
+
+    def space(self, q: Array, slots: list[int], rows: Array, pieces: list[int]) -> Array:
         """Boxes in the axes of the world around these pieces on a way, [pieces][6]: low corner, high corner (m).
 
-        `q`, `slots` and `rows` as for `way`; `levers`: of each piece, [pieces][slots]."""
-        found: Array = self._proof.space(q, slots, rows, pieces, levers, STEP_M)
+        `q`, `slots` and `rows` as for `way`."""
+        found: Array = self._proof.space(q, slots, rows, pieces, STEP_M)
         return found
 
 
-def boxes_of(bodies: Bodies) -> Boxes | None:
-    """Boxes in the initial state of a cell; None where coal decides everything."""
+def _solid(solid: coal.CollisionGeometry) -> tuple[list[float], list[float]]:
+    """Half edges of the box around a solid and of its own box, radii of the disk and of the ball that are added to it;
+    and the corners of a hull, from the centre of the box around it."""
+    centre = np.asarray(solid.aabb_center)
+    around = (np.asarray(solid.aabb_local.max_) - centre).tolist()
+    corners: list[float] = []
+    if isinstance(solid, coal.Sphere):
+        own = [0.0, 0.0, 0.0, 0.0, solid.radius]
+    elif isinstance(solid, coal.Capsule):
+        own = [0.0, 0.0, solid.halfLength, 0.0, solid.radius]
+    elif isinstance(solid, coal.Cylinder):
+        own = [0.0, 0.0, solid.halfLength, solid.radius, 0.0]
+    else:
+        own = [*around, 0.0, 0.0]
+    if isinstance(solid, coal.Convex):
+        corners = (np.asarray(solid.points()) - centre).ravel().tolist()
+    return around + own, corners
+
+
+def boxes_of(bodies: Bodies, levers: Array) -> Boxes | None:
+    """Boxes in the initial state of a cell; None where coal decides everything. `levers`: as for `Boxes`."""
     model = bodies.model
     if _boxes is None or model.nq != model.njoints - 1:
         return None
@@ -97,4 +124,4 @@ def boxes_of(bodies: Bodies) -> Boxes | None:
         joints.append(
             (model.parents[n] - 1, slides, linear if slides else angular, [*at.rotation.flat, *at.translation])
         )
-    return Boxes(bodies, joints) if joints else None
+    return Boxes(bodies, levers, joints) if joints else None

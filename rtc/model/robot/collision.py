@@ -71,6 +71,11 @@ class PathCollision:
     collision: Collision
 
 
+#: configurations [first, last) of a path, and the pairs that may be too near on the way along them
+Part = tuple[int, int, list[int]]
+Parts = Callable[[int], Part]
+NOTHING: Part = (0, 1, [])  # the part before a path
+
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
 GROUP = 3  # steps of a path that one check of coal may prove free
 MIN_M = 0.0005  # by which a pair may come nearer between two measured distances at least
@@ -136,6 +141,8 @@ class CollisionWorld:
         self._left_out: set[int] = set()  # pairs that no check finds
         self._wider = _WiderMargins(self._bodies)  # in place of boxes: prove that a group of configurations is free
         self._q = pin.neutral(self._bodies.model)
+        self._places = {name: np.array(slots.joints) for name, slots in self._bodies.arms.items()}
+        self._varying: list[int] = []  # joints of the arms that the scene checks
         self._scene: Scene | None = None
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
         self._elsewhere: dict[str, tuple[int, pin.SE3]] = {}  # bodies that coal has not yet: parent joint, pose there
@@ -144,8 +151,8 @@ class CollisionWorld:
         self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
         self._apart: SeparationCheck | None = None  # made when it is first needed
         self._table = PairTable(self._bodies)
-        self._boxes = boxes_of(self._bodies) if boxes else None
         self._measure_bodies()
+        self._boxes = boxes_of(self._bodies, self._levers) if boxes else None
         self._put_in_force(self._table.of_scene(AS_BUILT))
         self._arrange(AS_BUILT)
 
@@ -187,16 +194,17 @@ class CollisionWorld:
             parts = self._parts(slots, rows, group)
             while index < len(rows):
                 if not leaving:
-                    last, near = parts(index)
-                    found = self._first_too_near(slots, rows[index - 1 : last], near) if near else None
+                    first, last, near = parts(index)
+                    found = self._first_too_near(slots, rows[first:last], near) if near else None
                     if found is None:
                         index = last
                         continue
                     place, pair = found
-                    self._put(slots, rows[index - 1 : last], place)
+                    self._put(slots, rows[first:last], place)
                     hit = self._describe(pair)
                     if not self._touched_at(slots, rows[0], pair, hit, leaving):
-                        return PathCollision(index - 1 + math.ceil(place), hit)
+                        return PathCollision(first + math.ceil(place), hit)
+                    index = first + 1
                 left = self._at(slots, rows, index, leaving)
                 if left is not None:
                     return PathCollision(index, left)
@@ -229,26 +237,51 @@ class CollisionWorld:
         """The index of the first configuration in collision; their number if all are free.
 
         As `check_path`, but a contact at the start counts, and the bodies are not determined: for a search that makes
-        thousands of checks.
+        thousands of checks. Of a contact in the first step the index may be 0 or 1.
         """
-        count = len(configurations)
         if scene.hung:
             hit = self._first_while_turning(arm, configurations, others, scene)
-            return count if hit is None else hit.index
+            return len(configurations) if hit is None else hit.index
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
-        if self._touches_any():
-            return 0
-        parts, index = self._parts(slots, configurations, GROUP), 1
-        while index < count:
-            last, near = parts(index)
-            part = configurations[index - 1 : last]
-            if len(part) == 2 and self._any_too_near(slots, part, near):
-                return index  # wherever on this step it begins
-            if near and (found := self._first_too_near(slots, part, near)):
-                return index - 1 + math.ceil(found[0])
-            index = last
-        return count
+        return self._until(slots, configurations, self._parts(slots, configurations, GROUP))
+
+    def line_free_until(
+        self,
+        arm: str,
+        start: Array,
+        end: Array,
+        steps: int,
+        others: Mapping[str, Floats],
+        scene: Scene = AS_BUILT,
+        first: int = 1,
+    ) -> int:
+        """`free_until` of a line in joint space in equal steps. Of a collision at the configuration `first` this is the
+        result, which costs least; there may be another one before it."""
+        slots = self._bodies.arms[arm].joints
+        if not scene.hung:
+            self._set({**others, arm: start + (first / steps) * (end - start)}, scene)
+            if self._touches_any():
+                return first
+        if self._boxes is None or scene.hung:
+            return self.free_until(arm, line(start, end, steps), others, scene)
+        free, near = self._boxes.line(self._q, slots, start, end, steps)
+        if not near:
+            return steps + 1
+        rows = line(start, end, steps)
+        return self._until(slots, rows, self._parts(slots, rows, GROUP), (free, free + 2, near))
+
+    def _until(self, slots: list[int], rows: Array, parts: Parts, part: Part = NOTHING) -> int:
+        """`free_until` from this part on, which is known already."""
+        while True:
+            first, last, near = part
+            if near and last - first == 2 and self._any_too_near(slots, rows[first:last], near):
+                return first + 1  # wherever on this step it begins
+            if near and (found := self._first_too_near(slots, rows[first:last], near)):
+                return first + math.ceil(found[0])
+            if last >= len(rows):
+                return last
+            part = parts(last)
 
     def is_free(self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> bool:
         """Whether the whole path is free, as for `free_until`. A few configurations are checked first."""
@@ -272,7 +305,7 @@ class CollisionWorld:
         pieces = np.flatnonzero(self._table.carriers(scene) == self._table.number[arm]).tolist()
         slots, q = self._bodies.arms[arm], self._q.copy()
         q[slots.fingers] = 0.5 * self.cell.arm(arm).gripper.max_opening_m
-        return self._boxes.space(q, slots.joints, path, pieces, self._levers[pieces][:, slots.joints])
+        return self._boxes.space(q, slots.joints, path, pieces)
 
     def compare_arms(self, arm: str, other: str, scene: Scene) -> SeparationCheck:
         """Checks of the distance between two arms, each with what it holds in this scene. Both hands count as open."""
@@ -302,9 +335,8 @@ class CollisionWorld:
         """How far a point of what this arm holds moves at most (m per rad of each joint); zeros for an empty hand."""
         if scene is not self._scene:
             self._arrange(scene)
-        slots = self._bodies.arms[arm].joints
         pieces = [n for name, by in in_hands(scene) if by == arm for n in self._table.pieces_of[name]]
-        found: Array = self._levers[pieces][:, slots].max(axis=0, initial=0.0)
+        found: Array = self._levers[pieces].max(axis=0, initial=0.0)[self._places[arm]]
         return found
 
     def near(self, arm: str, joints: Mapping[str, Floats], scene: Scene) -> list[Collision]:
@@ -386,28 +418,28 @@ class CollisionWorld:
             hit = self._ask()
         return hit or self._left(slots, rows[index - 1], rows[index], leaving)
 
-    def _parts(self, slots: list[int], rows: Array, group: int) -> Callable[[int], tuple[int, list[int]]]:
-        """Divides the way along these configurations into parts, each with the pairs that may be too near on it.
+    def _parts(self, slots: list[int], rows: Array, group: int) -> Parts:
+        """Finds the parts of the way along these configurations on which a pair may be too near.
 
-        The function returns, for the configuration `index`, the part that begins with the one before it: (number of
-        the first configuration behind the part, pairs). `group`: steps that one check of coal may prove free.
+        The function returns the next part behind the configuration before this index; what is before the part is free.
+        `group`: steps that one check of coal may prove free.
         """
         if self._boxes is None:
             return self._coal_parts(slots, rows, group)
-        boxes, levers = self._boxes, self._levers_of_pairs(slots)[self._pairs.numbers]
+        boxes = self._boxes
 
-        def part(index: int) -> tuple[int, list[int]]:
-            free, near = boxes.way(self._q, slots, rows[index - 1 :], levers)
-            return (index + free, []) if free else (index + 1, near)
+        def part(index: int) -> Part:
+            free, near = boxes.way(self._q, slots, rows, index - 1)
+            return (free, free + 2, near) if near else (free, free + 1, near)
 
         return part
 
-    def _coal_parts(self, slots: list[int], rows: Array, group: int) -> Callable[[int], tuple[int, list[int]]]:
+    def _coal_parts(self, slots: list[int], rows: Array, group: int) -> Parts:
         """As `_parts`, without boxes. Groups of neighbouring configurations are checked at once in their middle, with a
         margin as wide as any pair can come nearer within the group (`rtc.model.robot.levers`)."""
         size, widened = group, 0
 
-        def part(index: int) -> tuple[int, list[int]]:
+        def part(index: int) -> Part:
             nonlocal size, widened
             if index >= widened:
                 size, widened = group, min(index + SECTION, len(rows))
@@ -416,7 +448,7 @@ class CollisionWorld:
                 last = min(index + size, widened)
                 near = self._near_pairs(slots, rows[index - 1 : last])
                 if len(near) <= FEW or size == 1:
-                    return last, near
+                    return index - 1, last, near
                 size = 1  # shorter groups, up to the end of this section
                 self._widen(slots, rows[index - 1 : widened], size)
 
@@ -478,7 +510,7 @@ class CollisionWorld:
             touches = bool(pin.computeCollisions(bodies.model, self._data, self._manager, self._callback, self._q))
             self._hit = self._callback.collisionPairIndex
             return touches
-        near = [pair for pair in self._boxes.undecided(self._q) if pair not in self._left_out]
+        near = [pair for pair in self._boxes.undecided(self._q, self._varying) if pair not in self._left_out]
         if near:
             self._place()
         for pair in near:
@@ -525,7 +557,7 @@ class CollisionWorld:
         data = self._geometry_data
         if self._boxes is not None:
             self._place()
-            near = self._boxes.undecided(self._q)
+            near = self._boxes.undecided(self._q, self._varying)
             return [n for n in near if pin.computeCollision(self._bodies.geometry, data, n)]
         self._tell_coal()
         pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
@@ -593,10 +625,10 @@ class CollisionWorld:
     def _set(self, joints: Mapping[str, Floats], scene: Scene) -> None:
         if scene is not self._scene:
             self._arrange(scene)
-        for name, slots in self._bodies.arms.items():
+        for name, place in self._places.items():
             if name not in joints:
                 raise ValueError(f"joints of {name} are missing: a check needs those of every arm")
-            self._q[slots.joints] = joints[name]
+            self._q[place] = joints[name]
 
     def _arrange(self, scene: Scene) -> None:
         """Applies a scene: poses, parents and openings; then active pairs and margins."""
@@ -627,16 +659,18 @@ class CollisionWorld:
         if holder:
             hand = self._bodies.arms[holder]
             parent, at = hand.hand_joint, hand.tcp * at
-        self._elsewhere[owner] = parent, at
-        if self._boxes is not None and (pieces := self._table.pieces_of.get(owner)):
-            self._boxes.place(pieces, parent, at)
-        rows = self._table.owner == self._table.number.get(owner)
-        if parent or self._levers[rows].any():
-            self._levers[rows] = levers(self._bodies.model, parent, at.translation, self._radius_m.get(owner, 0.0))
+        pieces = self._table.pieces_of.get(owner, [])
+        if parent or self._levers[pieces].any():
+            self._levers[pieces] = levers(self._bodies.model, parent, at.translation, self._radius_m.get(owner, 0.0))
             self._pair_levers.clear()
+        self._elsewhere[owner] = parent, at
+        if self._boxes is not None and pieces:
+            self._boxes.place(pieces, parent, at)
 
     def _switch(self, scene: Scene) -> None:
         """Sets the active pairs and the margins of a scene."""
+        arms = [scene.moving] if scene.moving else list(self._bodies.arms)
+        self._varying = [slot for name in arms for slot in self._bodies.arms[name].joints]
         held = in_hands(scene)
         unsure, close = tuple(scene.pose_tolerance_m.items()), tuple(scene.close.items())
         lists = map(tuple, (scene.ignore, scene.near, scene.keep_out))
@@ -687,6 +721,12 @@ class CollisionWorld:
         self._built_pose: dict[str, Floats] = {seat.name: seat.frame.pose for seat in self.cell.seats}
         self._built_pose |= {thing.name: self.cell.object_pose(thing.name) for thing in self.cell.objects}
         self._built_pose |= {region.name: region.frame.pose for region in self.cell.regions}
+
+
+def line(start: Array, end: Array, steps: int) -> Array:
+    """A line in joint space in equal steps, [steps + 1][joints]."""
+    rows: Array = start + (np.arange(steps + 1) / steps)[:, None] * (end - start)
+    return rows
 
 
 def _same_places(before: Scene, scene: Scene) -> bool:

@@ -28,6 +28,7 @@ PROJECTIONS = 12  # maximum number of steps of `turned_to`
 PROJECTED_RAD = 1e-3  # its greatest error
 DAMPING = 1e-6  # of its steps near singularities
 MOVES, MOVE_DAMPING = 4, 1e-3  # number of steps of `moved_by`, and their damping
+SAME_BRANCH_RAD = 1.5  # a larger change of a joint in `moved_by` is another branch
 REACHED_M, REACHED_RAD = 1e-4, 1e-3  # tolerance of a posture from an installed solver
 WHOLE_M, MIN_WEIGHT = 0.6, 1.0 / 3.0  # a joint that moves the hand by this much per rad, or more, has the weight 1
 SLIDE_MARGIN = 0.1  # m per rad: the margin of a joint that slides, 5 mm for 3 deg
@@ -291,6 +292,10 @@ class ArmModel:
         Regardless of limits. Near a singularity or the end of the reach the tcp moves less.
         """
         q = np.array(joints, dtype=float)
+        if self._closed_form is not None:
+            found = self.nearest_ik(geometry.translate(self.fk(q), by_m), q)
+            if found is not None and np.abs(found - q).max() < SAME_BRANCH_RAD:
+                return found
         goal = self._placement(q).copy()
         goal.translation = goal.translation + self._base.rotation.T @ np.asarray(by_m, dtype=float)
         for _ in range(MOVES):
