@@ -22,7 +22,7 @@ from workers.planning.motion import added_planners
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
 from workers.planning.motion.request import FreeWay, PlanningRequest, blocked, fault, free_posture, is_free, obstacle
-from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside, rounded
+from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside, guides, rounded
 from workers.planning.motion.timing import Timed, slower, time_path
 
 MORE_M = (0.020, 0.008)  # clearance of a freely chosen way beyond that of the request, where there is room
@@ -207,8 +207,9 @@ def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | Non
         return FreeWay(straight, [*notes, "modified: a straight line of the hand; tested: free"])
     except Refused as refused:
         notes.append(f"modified: a straight line of the hand; tested: {refused}")
+    by_way_of = guides(request, goal)
     # A hand that may touch a handle leaves on a line. What it holds may also go up and back.
-    aside = find_way_aside(roomy, goal) if not leaves or len(_ours(request)) > 1 else None
+    aside = find_way_aside(roomy, goal, by_way_of) if not leaves or len(_ours(request)) > 1 else None
     if aside is not None:
         return FreeWay(aside.path, [*notes, *aside.notes])
     if leaves:
@@ -221,7 +222,7 @@ def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | Non
     notes += asked
     if added is not None:
         return FreeWay(added.path, notes)
-    sampled = find_sampled_way(request, roomy, [goal])
+    sampled = find_sampled_way(request, roomy, [goal], by_way_of)
     if isinstance(sampled, FreeWay):
         return FreeWay(sampled.path, [*notes, *sampled.notes])
     first = fault(request, direct, least_room=True) or first

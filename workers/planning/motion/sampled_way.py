@@ -6,12 +6,13 @@ and `request.fault` judges it as any other path. With an attitude to keep, each 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 
+from rtc.model.robot.collision import line
 from rtc.model.robot.kinematics import MIN_WEIGHT
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
@@ -19,9 +20,9 @@ from workers.planning.motion import path as paths
 from workers.planning.motion.blended import lengths, widest
 from workers.planning.motion.path import CHECK_RAD, Path
 from workers.planning.motion.request import FreeWay, PlanningRequest, fault, free_posture, is_free
-from workers.planning.motion.sampling import Found, search, shorten
+from workers.planning.motion.sampling import MIN_RAD, Found, search, shorten, size
 
-SAMPLES = 600  # budget of one search; of 400 seeded problems of the default cell all but one took fewer than 500
+SAMPLES = 2000  # budget of one search
 ROOMY_SAMPLES = 80  # budget of the search with more room, before that
 ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects all but the last
 MORE_M = 0.002  # clearance of the search beyond that of the request
@@ -35,19 +36,22 @@ NARROWER = 8  # maximum number of halvings of a corner's radius, in the mean of 
 MIN_RADIUS = 0.002  # rad; a corner as narrow as this follows the lines within a millimetre
 
 
-def find_way_aside(request: PlanningRequest, goal: Array) -> FreeWay | None:
-    """A way by both ends moved aside, if one is free."""
-    for by_m, guided in _detours(request, goal, _Space(request).guides(goal)):
+def find_way_aside(request: PlanningRequest, goal: Array, guides: Sequence[Array]) -> FreeWay | None:
+    """A way by both ends moved aside, if one is free. `guides`: of `guides`."""
+    for by_m, guided in _detours(request, goal, guides):
         if is_free(request, guided):
             words = "by way of both ends, raised by {:g} m and drawn back by {:g} m".format(*by_m)
             return FreeWay(guided, [f"modified: {words}; tested: free"])
     return None
 
 
-def find_sampled_way(request: PlanningRequest, roomy: PlanningRequest, goals: Sequence[Floats]) -> FreeWay | int:
+def find_sampled_way(
+    request: PlanningRequest, roomy: PlanningRequest, goals: Sequence[Floats], guides: Sequence[Array]
+) -> FreeWay | int:
     """A rounded way to one of `goals` (rad), which are free; or the number of samples without a result.
 
-    `roomy`: the request with more clearance, or the same. The search keeps that at first, and then less."""
+    `roomy`: the request with more clearance, or the same. The search keeps that at first, and then less. `guides`: of
+    `guides`, to the first goal."""
     ends = [np.asarray(goal, dtype=float) for goal in goals]
     drawn = 0
     for attempt, asked in enumerate([roomy, *[_with_some_room(request, ends)] * ATTEMPTS]):
@@ -65,7 +69,7 @@ def find_sampled_way(request: PlanningRequest, roomy: PlanningRequest, goals: Se
             space.weights,
             seed=seed,
             samples=ROOMY_SAMPLES if attempt == 0 else SAMPLES - drawn,
-            guides=space.guides(ends[0]) if attempt < 2 else (),
+            guides=guides if attempt < 2 else (),
             project=space.project,
         )
         if not isinstance(found, Found):
@@ -82,7 +86,25 @@ def find_sampled_way(request: PlanningRequest, roomy: PlanningRequest, goals: Se
     return drawn
 
 
-def _detours(request: PlanningRequest, goal: Array, guides: list[Array]) -> Iterator[tuple[Floats, Path]]:
+def guides(request: PlanningRequest, goal: Array) -> list[Array]:
+    """Postures with the hand raised, drawn back, or both, from the start and from the goal in turn. In a cell with
+    racks and bays they often suffice."""
+    lower, upper = _limits(request)
+    found = []
+    for up_m, back_m in RAISED_AND_BACK_M:
+        for end in (request.start, goal):
+            by_m = _moved(request.arm.fk(end), up_m, back_m)
+            found.append(np.clip(request.arm.moved_by(by_m, end), lower, upper))
+    return found
+
+
+def _limits(request: PlanningRequest) -> tuple[Array, Array]:
+    """Lower and upper joint limits (rad) of a way; its start is within them."""
+    limits, margin = request.arm.limits, request.arm.margins(request.way_margin_rad)
+    return np.minimum(limits.lower + margin, request.start), np.maximum(limits.upper - margin, request.start)
+
+
+def _detours(request: PlanningRequest, goal: Array, guides: Sequence[Array]) -> Iterator[tuple[Floats, Path]]:
     """Ways by both ends moved aside, which often suffice; they keep no attitude."""
     if request.path_constraints.attitude is None:
         for by_m, first, second in zip(RAISED_AND_BACK_M, guides[::2], guides[1::2], strict=True):
@@ -106,6 +128,7 @@ class _Space:
 
     def __init__(self, request: PlanningRequest) -> None:
         self._request = request
+        self.limits = _limits(request)
         steps = request.arm.step_weights
         self.weights = OUTER + (1.0 - OUTER) * (steps - MIN_WEIGHT) / (1.0 - MIN_WEIGHT)
         self._per_rad = steps / CHECK_RAD  # as `Path.dense`
@@ -114,24 +137,6 @@ class _Space:
         self._attitude = None if request.path_constraints.attitude is None else request.path_constraints.attitude.pose
         self.steer = self._straight if self._attitude is None else self._projected
         self.join = self._joined if self._attitude is None else self._projected
-
-    @cached_property
-    def limits(self) -> tuple[Array, Array]:
-        """Lower and upper joint limits (rad); the start is within them."""
-        arm = self._request.arm
-        limits, margin = arm.limits, arm.margins(self._request.way_margin_rad)
-        return np.minimum(limits.lower + margin, self._start), np.maximum(limits.upper - margin, self._start)
-
-    def guides(self, goal: Array) -> list[Array]:
-        """Postures with the hand raised, drawn back, or both, from the start and from the goal in turn. In a cell with
-        racks and bays they often suffice."""
-        lower, upper = self.limits
-        found = []
-        for up_m, back_m in RAISED_AND_BACK_M:
-            for end in (self._start, goal):
-                back = geometry.rotate(self._request.arm.fk(end), (0.0, 0.0, -back_m))
-                found.append(np.clip(self._request.arm.moved_by(back + np.array((0.0, 0.0, up_m)), end), lower, upper))
-        return found
 
     def project(self, q: Array) -> Array | None:
         """The posture, turned to the attitude to keep; None: not found within the joint limits."""
@@ -152,40 +157,41 @@ class _Space:
         request = self._request
         if self._from_a_touch(here):
             return self._straight(here, there)
-        rows = self._rows(here, there)
-        free = request.world.is_free(request.arm.name, rows, request.joints, request.scene)
-        return ([there.copy()], True) if free and self._in_range(rows) == len(rows) else ([], False)
+        steps = self._steps(here, there)
+        free = request.world.is_free(request.arm.name, line(here, there, steps), request.joints, request.scene)
+        return ([there.copy()], True) if free and self._in_range(here, there, steps, steps + 1) > steps else ([], False)
 
     def _free_share(self, here: Array, there: Array) -> float:
         """The free share of a line in joint space, 0 to 1."""
-        request, rows = self._request, self._rows(here, there)
+        request, steps = self._request, self._steps(here, there)
+        world, arm, joints, scene = request.world, request.arm.name, request.joints, request.scene
         if self._from_a_touch(here):
-            hit = request.world.check_path(request.arm.name, rows, request.joints, request.scene)
-            free = len(rows) if hit is None else hit.index
+            hit = world.check_path(arm, line(here, there, steps), joints, scene)
+            free = steps + 1 if hit is None else hit.index
         else:
-            free = request.world.free_until(request.arm.name, rows, request.joints, request.scene)
-        free = self._in_range(rows[:free])
-        return 1.0 if free == len(rows) else BACK * max(0, free - 1) / (len(rows) - 1)
+            # the first node of a blocked line would be nearer than a tree takes
+            vain = 1 + min(steps - 1, MIN_RAD / BACK * steps / max(self._length(there - here), MIN_RAD))
+            free = world.line_free_until(arm, here, there, steps, joints, scene, int(vain))
+        free = self._in_range(here, there, steps, free)
+        return 1.0 if free > steps else BACK * max(0, free - 1) / steps
 
-    def _rows(self, here: Array, there: Array) -> Array:
-        """The line in joint space in steps of collision checks."""
-        way = there - here
-        count = max(1, int(np.ceil(np.abs(way * self._per_rad).max())))
-        rows: Array = here + (np.arange(count + 1) / count)[:, None] * way
-        return rows
+    def _steps(self, here: Array, there: Array) -> int:
+        """The number of steps of collision checks on a line in joint space."""
+        return max(1, math.ceil(size(there - here, self._per_rad)))
 
     def _from_a_touch(self, here: Array) -> bool:
         """Whether the line leaves a contact that exists at the start."""
         return self._touches_at_start and np.array_equal(here, self._start)
 
-    def _in_range(self, rows: Array) -> int:
-        """The number of rows before the first that leaves the work range. An attitude holds between two near postures
-        that keep it."""
+    def _in_range(self, here: Array, there: Array, steps: int, free: int) -> int:
+        """Of the first `free` postures of a line the number of those before the first that leaves the work range. An
+        attitude holds between two near postures that keep it."""
         request = self._request
         if request.path_constraints.work_range is None:
-            return len(rows)
+            return free
+        rows = line(here, there, steps)[:free]
         broken = (n for n, q in enumerate(rows) if request.path_constraints.violation(request.arm, q) is not None)
-        return next(broken, len(rows))
+        return next(broken, free)
 
     def _projected(self, here: Array, there: Array) -> tuple[list[Array], bool]:
         """In short steps, each projected onto the attitude to keep."""
@@ -207,7 +213,7 @@ class _Space:
         return [*chain, there.copy()], True
 
     def _length(self, way: Array) -> float:
-        return float(np.abs(way * self.weights).max())
+        return size(way, self.weights)
 
 
 def rounded(request: PlanningRequest, corners: list[Array]) -> Path | None:

@@ -7,7 +7,8 @@ and the seed is an argument. So the same problem always has the same path, at an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,8 @@ MIN_RAD = 0.05  # a shorter extension adds no node
 AROUND_RAD = 0.6  # margin of the first samples around start and goals
 WIDE_AFTER = 120  # samples after which the box covers the joint limits
 MIXED = 0.3  # share of the samples that keep each joint of an end with a probability of one half
+VAIN = 1.3  # factor of the squared distance of a node for each extension that added no node
+BATCH = 32  # samples that are drawn at once
 STUCK_AFTER = 100  # samples after which the search ends if one of the trees has not grown at all
 SHORTCUTS = 24  # maximum number of pairs of points of a path between which a line is tried
 IN_VAIN = 10  # shortcuts in a row without a gain after which the rest are left out
@@ -41,6 +44,7 @@ class _Tree:
         self._weights = weights
         self.nodes = np.empty((64 + len(roots), len(weights)))
         self._scaled = np.empty_like(self.nodes)
+        self._vain = np.ones(len(self.nodes))  # factor of the squared distance: larger where the tree did not grow
         self.parents: list[int] = []
         for root in roots:
             self._add(root, -1)
@@ -50,15 +54,19 @@ class _Tree:
     def has_grown(self) -> bool:
         return len(self.parents) > self._roots
 
-    def add_chain(self, chain: list[Array], parent: int) -> int:
+    def add_chain(self, postures: list[Array], parent: int) -> int:
         """Add postures, each the child of the one before; the last node."""
-        for q in chain:
+        for q in postures:
             parent = self._add(q, parent)
         return parent
 
     def nearest(self, q: Array) -> int:
         off = self._scaled[: len(self.parents)] - q * self._weights
-        return int(np.einsum("ij,ij->i", off, off).argmin())
+        return int((np.einsum("ij,ij->i", off, off) * self._vain[: len(off)]).argmin())
+
+    def avoid(self, n: int) -> None:
+        """Let another node be taken for the nearest one sooner: the tree could not grow from this one."""
+        self._vain[n] *= VAIN
 
     def branch(self, n: int) -> list[Array]:
         """From this node to its root."""
@@ -78,6 +86,7 @@ class _Tree:
         if n == len(self.nodes):
             self.nodes = np.concatenate((self.nodes, np.empty_like(self.nodes)))
             self._scaled = np.concatenate((self._scaled, np.empty_like(self._scaled)))
+            self._vain = np.concatenate((self._vain, np.ones_like(self._vain)))
         self.nodes[n], self._scaled[n] = q, q * self._weights
         self.parents.append(parent)
         return n
@@ -102,20 +111,12 @@ def search(
     that are taken before random ones, in turn for the tree of the start and that of the goals. `project`: projects a
     sample onto the constraints; None: it cannot.
     """
-    rng = np.random.default_rng(seed)
     ours, others = _Tree([start], weights), _Tree(goals, weights)
     ends = np.vstack([start, *goals])
-    least, most = np.maximum(ends.min(axis=0) - AROUND_RAD, lower), np.minimum(ends.max(axis=0) + AROUND_RAD, upper)
-    for n in range(samples):
+    drawn = _samples(np.random.default_rng(seed), ends, lower, upper, len(guides))
+    for n, q in enumerate(islice(chain(guides, drawn), max(0, samples))):
         if n == STUCK_AFTER and not (ours.has_grown and others.has_grown):
             return n
-        if n < len(guides):
-            q = guides[n]
-        else:
-            wide = min(1.0, n / WIDE_AFTER)
-            q = rng.uniform(least + wide * (lower - least), most + wide * (upper - most))
-            if rng.random() < MIXED:
-                q = np.where(rng.random(len(q)) < 0.5, ends[rng.integers(len(ends))], q)
         aim = project(q)
         new = None if aim is None else _extend(ours, aim, steer, weights)
         if new is not None:
@@ -127,30 +128,52 @@ def search(
     return samples
 
 
+def _samples(rng: np.random.Generator, ends: Array, lower: Array, upper: Array, first: int) -> Iterator[Array]:
+    """Random postures, counted from `first`: around these ends, and farther away as their number grows."""
+    least = np.maximum(ends.min(axis=0) - AROUND_RAD, lower)
+    most = np.minimum(ends.max(axis=0) + AROUND_RAD, upper)
+    while True:
+        wide = np.minimum(1.0, (first + np.arange(BATCH)) / WIDE_AFTER)[:, None]
+        low, high = least + wide * (lower - least), most + wide * (upper - most)
+        rows = low + rng.random(low.shape) * (high - low)
+        kept = (rng.random((BATCH, 1)) < MIXED) & (rng.random(low.shape) < 0.5)
+        yield from np.where(kept, ends[rng.integers(len(ends), size=BATCH)], rows)
+        first += BATCH
+
+
 def _extend(tree: _Tree, q: Array, steer: Steer, weights: Array) -> int | None:
     """Grow the tree towards `q` by one extension; the new node."""
     near = tree.nearest(q)
     here = tree.nodes[near]
     way = q - here
-    length = float(np.abs(way * weights).max())
+    length = size(way, weights)
     if length > REACH_RAD:
         q = here + way * (REACH_RAD / length)
-    chain, _ = steer(here, q)
-    if not chain or float(np.abs((chain[-1] - here) * weights).max()) < MIN_RAD:
+    reached, _ = steer(here, q)
+    if not reached or size(reached[-1] - here, weights) < MIN_RAD:
+        tree.avoid(near)
         return None
-    return tree.add_chain(chain, near)
+    return tree.add_chain(reached, near)
 
 
 def _connect(tree: _Tree, q: Array, steer: Steer, weights: Array) -> int | None:
     """Grow the tree towards `q` as far as it is free; the node at `q` if it arrives."""
     near = tree.nearest(q)
     here = tree.nodes[near]
-    chain, arrived = steer(here, q)
+    reached, arrived = steer(here, q)
     if arrived:
-        return tree.add_chain(chain, near)
-    if chain and float(np.abs((chain[-1] - here) * weights).max()) >= MIN_RAD:
-        tree.add_chain(chain, near)
+        return tree.add_chain(reached, near)
+    if reached and size(reached[-1] - here, weights) >= MIN_RAD:
+        tree.add_chain(reached, near)
+    else:
+        tree.avoid(near)
     return None
+
+
+def size(way: Array, weights: Array) -> float:
+    """The greatest weighted displacement of a joint; numpy's maximum takes longer for so few values."""
+    values = (way * weights).tolist()
+    return max(max(values), -min(values))
 
 
 def shorten(waypoints: list[Array], steer: Steer, weights: Array, *, seed: int) -> list[Array]:
@@ -169,11 +192,11 @@ def shorten(waypoints: list[Array], steer: Steer, weights: Array, *, seed: int) 
             continue
         slopes = [(path[n + 1] - path[n]) / (ends[n + 1] - ends[n]) for n in (i, j)]
         first, last = path[i] + (a - ends[i]) * slopes[0], path[j] + (b - ends[j]) * slopes[1]
-        if float(np.abs((last - first) * weights).max()) >= GAIN * (b - a):
+        if size(last - first, weights) >= GAIN * (b - a):
             continue
-        chain, arrived = steer(first, last)
-        if arrived and _along([first, *chain], weights)[-1] < GAIN * (b - a):
-            path, in_vain = [*path[: i + 1], first, *chain, *path[j + 1 :]], 0
+        reached, arrived = steer(first, last)
+        if arrived and _along([first, *reached], weights)[-1] < GAIN * (b - a):
+            path, in_vain = [*path[: i + 1], first, *reached, *path[j + 1 :]], 0
     return _skip(path, steer, weights)
 
 
@@ -203,9 +226,9 @@ def _skip(path: list[Array], steer: Steer, weights: Array) -> list[Array]:
     while n < len(path) - 1:
         m = len(path) - 1
         while m > n + 1:
-            chain, arrived = steer(path[n], path[m])
-            if arrived and _along([path[n], *chain], weights)[-1] <= ends[m] - ends[n]:
-                kept += chain[:-1]
+            reached, arrived = steer(path[n], path[m])
+            if arrived and _along([path[n], *reached], weights)[-1] <= ends[m] - ends[n]:
+                kept += reached[:-1]
                 break
             m = n + (m - n) // 2 if m - n > 4 else m - 1
         kept.append(path[m])

@@ -132,6 +132,7 @@ def behind_a_wall(cell, right, setting):
 
 
 def test_no_way_round_tells_the_first_obstacle_and_how_many_samples(right, cell, setting, monkeypatch):
+    monkeypatch.setattr(sampled_way, "ROOMY_SAMPLES", 2)
     monkeypatch.setattr(sampled_way, "SAMPLES", 3)
     refusal = refusal_of(plan_joint_motion, *behind_a_wall(cell, right, setting))
     assert refusal.detail["cause"] == "collision"
