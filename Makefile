@@ -74,7 +74,7 @@ clean: ## remove everything that was built, .venv too
 	rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-$(VENV)/.ready: pyproject.toml constraints.txt rtc/model/robot/_boxes.cpp
+$(VENV)/.ready: pyproject.toml constraints.txt $(wildcard rtc/model/robot/_*.[ch]pp)
 	@test -n "$(PYTHON)" || { echo "rtc needs Python 3.11 or later; name one with: make PYTHON=... $(MAKECMDGOALS)"; exit 1; }
 	@test -x $(BIN)/python || { echo "creating $(VENV) with $(PYTHON)"; $(PYTHON) -m venv $(VENV); }
 	@$(BIN)/python -c 'import sys; sys.version_info < (3, 12) or print("pybullet has no wheel for this Python: it is compiled now; this takes some minutes and needs a C++ compiler")'

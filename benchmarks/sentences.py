@@ -134,11 +134,11 @@ def checkout(commit: str | None) -> Iterator[Path | None]:
 def _copy_compiled(tree: Path, folder: Path) -> None:
     """Our compiled collision boxes if the sources are the same, else those of the other commit, built by pip."""
     package = Path("rtc/model/robot")
-    theirs, ours = tree / package / "_boxes.cpp", HERE / package / "_boxes.cpp"
-    if not theirs.exists():
+    theirs, ours = ([path.read_bytes() for path in sorted((at / package).glob("_*.?pp"))] for at in (tree, HERE))
+    if not theirs:
         return
     built = HERE
-    if theirs.read_bytes() != ours.read_bytes():
+    if theirs != ours:
         built = folder / "built"
         _run(sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(built), str(tree))
     for path in (built / package).glob("_boxes*.so"):
