@@ -243,7 +243,6 @@ def test_rtc_halt_needs_nothing_but_the_two_sockets(running: Running, tmp_path: 
 ENDS = {
     "down": lambda running: print(cluster.down(running.run_dir)[1]),  # sends SIGTERM
     "SIGINT": lambda running: running.supervisor.send_signal(signal.SIGINT),
-    "SIGHUP": lambda running: running.supervisor.send_signal(signal.SIGHUP),
     "SIGKILL": lambda running: running.supervisor.kill(),
 }
 

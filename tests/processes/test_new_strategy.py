@@ -18,7 +18,7 @@ from rtc.programs.loader import decode, default
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.outcomes import OutcomeKind
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 PLANNER = """
 def grasps(thing, cell):

@@ -37,3 +37,50 @@ def test_a_battery_of_the_second_satellite_goes_to_a_rack():
     bench = bench_of("relay", Reporter)
     do(bench, "GRASP BATTERY-OLD", "LIFT BATTERY-OLD BY 25 CM", "PLACE BATTERY-OLD ON RACK-2", "STOW LEFT-ARM")
     assert bench.world.value("BATTERY-OLD.seat") == "RACK-2"
+
+
+def off_seat_m(bench, thing, seat):
+    """How far a thing truly is from its seat (m)."""
+    truth = bench.subsystem.sim.truth()
+    return geometry.distance(truth["poses"][thing], truth["seats"][seat])
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize(
+    ("cell", "sentences", "seated"),
+    [
+        pytest.param(
+            "relay",
+            [
+                "GRASP BATTERY-OLD WITH LEFT-ARM",
+                "EXTRACT BATTERY-OLD FROM BAY-B WITH LEFT-ARM",
+                "PLACE BATTERY-OLD ON RACK-2 WITH LEFT-ARM",
+                "STOW LEFT-ARM",
+                "GRASP BATTERY-NEW WITH RIGHT-ARM",
+                "EXTRACT BATTERY-NEW FROM RACK-1 WITH RIGHT-ARM",
+                "INSERT BATTERY-NEW INTO BAY-B WITH RIGHT-ARM",
+            ],
+            {"BATTERY-OLD": "RACK-2", "BATTERY-NEW": "BAY-B"},
+            id="the battery of a second satellite is exchanged",
+        ),
+        pytest.param(
+            "truss",
+            [
+                "GRASP STRUT-1 WITH RIGHT-ARM",
+                "EXTRACT STRUT-1 FROM RACK-1 WITH RIGHT-ARM",
+                "INSERT STRUT-1 INTO UPPER-CHORD WITH RIGHT-ARM",
+            ],
+            {"STRUT-1": "UPPER-CHORD"},
+            id="a strut is put into its nodes",
+        ),
+    ],
+)
+def test_other_jobs_need_data_only_in_physics(cell, sentences, seated):
+    bench = bench_of(cell, Physical)
+    try:
+        do(bench, *sentences)
+        for thing, seat in seated.items():
+            assert off_seat_m(bench, thing, seat) < 0.003
+            assert bench.world.value(f"{thing}.seat") == seat
+    finally:
+        bench.subsystem.close()
