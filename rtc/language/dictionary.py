@@ -31,7 +31,8 @@ class VerbUse(msgspec.Struct, frozen=True, rename={"kind": "class"}):
     steps: str
     success: str
     guarded: str  # the reflexes that GUARDED adds
-    trims: str
+    trims: dict[str, str] = {}  # piece of script -> what it does: used by the scripts themselves
+    tries: dict[str, str] = {}  # the same for AND TRY
     of: str = ""  # the kind of object, for a verb with two ways
 
 
@@ -208,6 +209,11 @@ def _examples(verb: str) -> list[str]:
     return [f"  {head:<10} {sentence}" for head, sentence in zip(heads, meanings().examples[verb], strict=False)]
 
 
+def _trims(way: VerbUse) -> str:
+    own, asked = (", ".join(f"{name} ({what})" for name, what in some.items()) for some in (way.trims, way.tries))
+    return "; ".join(filter(None, (own or "none by itself", asked and f"AND TRY {asked}"))) if own or asked else "none"
+
+
 def _ways(verb: str) -> list[str]:
     lines = []
     for way in meanings().verbs.get(verb, []):
@@ -217,7 +223,7 @@ def _ways(verb: str) -> list[str]:
             "steps": way.steps,
             "success": way.success,
             "GUARDED": way.guarded,
-            "trims": way.trims,
+            "trims": _trims(way),
         }
         lines += ["", f"{verb} {way.of}"] if way.of else []
         lines += [f"  {what:<10} {value}" for what, value in rows.items()]

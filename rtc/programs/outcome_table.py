@@ -54,7 +54,7 @@ def outcomes(
         raise ProgramError(unknown("script", script, (s.script for s in elaborator.scripts)))
     for place, problem in misfits(elaborator, binder, analyzer):
         raise ProgramError(f"the programs are incompatible: {place}: {problem}")
-    return list(_rows(found, elaborator, binder, analyzer))
+    return list(rows_of(found, elaborator, binder, analyzer))
 
 
 def explained(analyzer_program: bytes, rows: list[OutcomeRow]) -> dict[str, str]:
@@ -64,9 +64,10 @@ def explained(analyzer_program: bytes, rows: list[OutcomeRow]) -> dict[str, str]
     return {name: re.sub(r"\{(\w+)\}", lambda found: found[1].upper(), classes[name].message) for name in used}
 
 
-def _rows(
+def rows_of(
     script: ScriptFile, elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: AnalyzerProgram
 ) -> Iterator[OutcomeRow]:
+    """The same of a script of spliced programs that are compatible."""
     pieces = {piece.skill: piece for piece in elaborator.pieces}
     done = [entry for entry in script.trimming_stack if entry.skill in pieces]
     reserve: Entries = dict(enumerate(elaborator.reserve if script.case >= FIRST_SKILL else (), RESERVE + 1))

@@ -8,9 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtc.programs import loader
-from rtc.programs.outcome_table import outcomes
+from rtc.programs.compatibility import misfits
+from rtc.programs.outcome_table import outcomes, rows_of
 from rtc.programs.recovery import searched
-from rtc.programs.schema import SearchModel
+from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, SearchModel
+from rtc.programs.splice import spliced
 from rtc.protocol.messages import TrimOffer
 from rtc.protocol.outcomes import OF_OPERATOR, ProgramError, StopReason
 
@@ -73,13 +75,21 @@ def test_a_recovery_leads_to_a_world_without_broken_conditions(breaks, pieces):
 
 
 @pytest.mark.parametrize("text", ["trimmers: [stack]", "trimmers: [stack, search]", "trimmers: [search]", RULES])
-def test_no_cell_is_empty_with_any_trimmer(text):
+def test_no_cell_of_any_script_is_empty_with_any_trimmer(text):
+    """Also of its trims; a step without motion has one row."""
     elaborator = loader.merge("elaborator", loader.default("elaborator"), "reserve.yaml", RESERVE.encode())
     analyzer = loader.merge("analyzer", loader.default("analyzer"), "trimmers.yaml", text.encode())
-    for script in ("grasp-centering", "lift", "place", "insert"):
-        rows = outcomes(elaborator, loader.default("binder"), analyzer, script)
-        assert all(row.response for row in rows)
-        assert {row.reason for row in rows} | OF_OPERATOR == set(StopReason)
+    whole = spliced(loader.decode(elaborator, ElaboratorProgram))
+    others = loader.decode(loader.default("binder"), BinderProgram), loader.decode(analyzer, AnalyzerProgram)
+    assert not list(misfits(whole, *others))
+    tables = {script.script: list(rows_of(script, whole, *others)) for script in whole.scripts}
+    for name, rows in tables.items():
+        assert all(row.response for row in rows), name
+        steps: dict[str, set[StopReason]] = {}
+        for row in rows:
+            steps.setdefault(row.step, set()).add(row.reason)
+        assert all(reasons | OF_OPERATOR == set(StopReason) for reasons in steps.values() if len(reasons) > 1), name
+    assert len(tables) > 50
 
 
 def test_the_table_shows_what_a_search_would_do():
