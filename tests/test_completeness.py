@@ -197,6 +197,13 @@ def uses() -> Uses:
     return found
 
 
+@cache
+def read_by_pages() -> frozenset[str]:
+    """The fields that the pages of the console read."""
+    scripts = (path.read_text() for folder in CODE for path in (ROOT / folder).rglob("*.js"))
+    return frozenset(name for text in scripts for name in re.findall(r"\.(\w+)", text))
+
+
 def literals() -> dict[str, int]:
     return uses().texts
 
@@ -243,8 +250,8 @@ def structs() -> frozenset[str]:
 
 
 def test_each_field_is_read_somewhere():
-    """By attribute, by its name as a text, or by the programs, which name figures and fields of sentences."""
-    known = uses().read | uses().texts.keys() | words_of_programs()
+    """By attribute, by its name as a text, by programs, which name figures and fields of sentences, or by a page."""
+    known = uses().read | uses().texts.keys() | words_of_programs() | read_by_pages()
     unread = [
         f"{node.name}.{line.target.id}"
         for node, _ in classes()
