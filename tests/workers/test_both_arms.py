@@ -127,6 +127,14 @@ def test_one_of_two_hands_lets_go_and_the_other_carries_on(holding, arm, other):
     assert holding.do(f"MOVE {other} BY 5 CM ALONG UP").succeeded
 
 
+@pytest.mark.parametrize(("arm", "other"), [(RIGHT, LEFT), (LEFT, RIGHT)])
+def test_stow_lets_go_of_what_the_other_hand_goes_on_holding(holding, arm, other):
+    run = holding.do(f"STOW {arm}")
+    assert run.succeeded, run.refusal or run.failure
+    assert hands(holding) == (*(MODULE if name == other else "" for name in (RIGHT, LEFT)), other)
+    assert np.allclose(holding.subsystem.joints[arm], CELL.arm(arm).stow_rad)
+
+
 @pytest.mark.parametrize("arm", [RIGHT, LEFT])
 def test_each_of_two_hands_can_be_verified(holding, arm):
     before = holding.world.value(f"{MODULE}.frame")

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import msgspec
+import numpy as np
 import pytest
 
 from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
-from rtc.protocol.primitive import TurnAbove
+from rtc.protocol.primitive import Look, TurnAbove
 from rtc.spatial import geometry, hinges
 from tests.workers.conftest import Bench, Physical, Reporter
 from workers.planning import scenes
@@ -194,14 +196,29 @@ def test_a_halted_door_goes_on_after_the_command_that_the_refusal_states(bench) 
     assert bench.do(OPEN).succeeded
 
 
-def test_a_door_let_go_after_a_halt_is_taken_again_after_its_angle_is_stated(bench) -> None:
+def let_go_after_a_halt(bench: Bench) -> float:
+    """Leaves the angle of the door in doubt; returns it (deg)."""
     bench.do(GRASP)
     bench.do(f"OPEN {DOOR} BY 30 DEG")
-    bench.subsystem.poses[DOOR] = bench.world.value(f"{DOOR}.frame")
+    bench.subsystem.poses[DOOR] = np.array(bench.world.value(f"{DOOR}.frame"))
     before = angle_deg(bench)
     bench.subsystem.instead["C-3.1"] = StopReason.HALT
     bench.do(f"OPEN {DOOR} BY 30 DEG")
     assert bench.do(f"RELEASE {DOOR}").succeeded
+    return before
+
+
+def test_a_door_let_go_after_a_halt_is_located_before_it_is_taken_again(bench) -> None:
+    before = let_go_after_a_halt(bench)
+    run = bench.do(GRASP)
+    assert run.succeeded, (run.refusal, run.failure)
+    assert isinstance(run.primitives[0].trajectory, Look)
+    assert angle_deg(bench) == pytest.approx(before, abs=0.5)
+
+
+def test_a_door_that_no_camera_sees_is_taken_again_after_its_angle_is_stated() -> None:
+    bench = Bench(Reporter(CELL), CellModel(msgspec.structs.replace(CELL, cameras=[])))
+    before = let_go_after_a_halt(bench)
     refusal = bench.do(GRASP).refusal
     assert refusal is not None
     assert refusal.reason is RefusalReason.SUSPECT

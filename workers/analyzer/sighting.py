@@ -155,7 +155,7 @@ def _in_hand(query: WorldQuery, thing: str, frame: Array, spread: list[float], v
 def _seated(task: AnalyzeTask, frame: Array, spread: list[float], validity: Validity) -> Changes:
     """The seat that the object is in. A step with `play_m` also locates it: it holds the object up to this play."""
     thing, play_m = task.evaluation.body, task.step.figures.play_m or 0.0
-    if task.query.cell.object(thing).fixed:
+    if task.query.cell.object(thing).fixed or task.query.hinge(thing) is not None:
         return []
     seat = seat_at(frame, task.query, task.step.figures.seated_m or 0.0)
     if any(task.query.seat(other.name) == seat for other in task.query.cell.objects if seat and other.name != thing):

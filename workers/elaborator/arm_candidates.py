@@ -38,13 +38,14 @@ def candidates(
     points = two_hands.free_points(query, parsed, thing, _points(program, scripts, parsed, thing))
     allowed = []
     for arm in arms:
+        about = thing or _shared(program, scripts, parsed, query, arm)
         for partner, meeting in two_hands.seconds(query, parsed, arm):
             for point in points:
-                figures = figures_of(program, parsed, query, arm, thing, point, target, partner)
+                figures = figures_of(program, parsed, query, arm, about, point, target, partner)
                 figures["meets"] = float(meeting is not None)
                 allowed.append(
                     TaskCandidate(
-                        query, program, parsed, limits, arm, thing, point, target, figures, None, None, partner, meeting
+                        query, program, parsed, limits, arm, about, point, target, figures, None, None, partner, meeting
                     )
                 )
     return sorted(allowed, key=_far)
@@ -78,6 +79,21 @@ def _thing(program: ElaboratorProgram, parsed: ParsedCommand, cell: cells.Cell) 
         if parsed.hand is not None or not hands:
             raise
         raise _neither_object_nor_hand(unknown.refusal, parsed, cell) from None
+
+
+def _shared(
+    program: ElaboratorProgram,
+    scripts: Mapping[str, ScriptFile],
+    parsed: ParsedCommand,
+    query: WorldQuery,
+    arm: parts.Arm,
+) -> parts.Object | None:
+    """What this arm and another one hold, for a verb with a script that lets go of it first; None without one."""
+    rows = (row for row in program.decision_tree if row.verb == parsed.verb)
+    if parsed.object is not None or not query.sharers(arm.name):
+        return None
+    leaves = any(two_hands.lets_go_first(scripts[row.script], of_object=True) for row in rows)
+    return query.cell.object(query.holding(arm.name)) if leaves else None
 
 
 def _neither_object_nor_hand(unknown: Refusal, parsed: ParsedCommand, cell: cells.Cell) -> Refused:

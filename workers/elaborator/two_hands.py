@@ -105,9 +105,10 @@ def free_points(
     return [point for point in points if point is None or point.name in free] or points
 
 
-def lets_go_first(script: ScriptFile) -> bool:
-    """Whether the hand of the script opens before the arm moves."""
-    return next((step.op == "open" for step in script.steps if step.op or step.to), False)
+def lets_go_first(script: ScriptFile, *, of_object: bool = False) -> bool:
+    """Whether the hand of the script opens before the arm moves; `of_object`: and lets go of an object by that."""
+    first = next((step for step in script.steps if step.op or step.to), None)
+    return first is not None and first.op == "open" and (not of_object or first.words.get("effect") == "let_go")
 
 
 def refuse_moving_alone(script: ScriptFile, candidate: TaskCandidate) -> None:

@@ -291,10 +291,10 @@ def test_no_script_is_advised_for_what_no_script_can_do(bench, sentence):
 
 
 def test_the_refusal_of_a_sentence_without_a_script_names_the_forms_with_one(bench):
-    bench.load("elaborator", "decision_tree: [{verb: STOW, script: stow, when: [{given: duration_s}]}]")
-    refusal = refusal_of(bench, "STOW LEFT-ARM")
+    bench.load("elaborator", "decision_tree: [{verb: HOLD, script: hold, when: [{given: duration_s}]}]")
+    refusal = refusal_of(bench, "HOLD LEFT-ARM")
 
-    assert refusal.clears == "STOW LEFT-ARM FOR a time in SEC"
+    assert refusal.clears == "HOLD LEFT-ARM FOR a time in SEC"
 
 
 @pytest.mark.parametrize(
