@@ -197,9 +197,7 @@ def figures_of(
     return figures
 
 
-def _shared(
-    query: WorldQuery, arm: parts.Arm | None, thing: parts.Object | None, partner: parts.Arm | None
-) -> bool:
+def _shared(query: WorldQuery, arm: parts.Arm | None, thing: parts.Object | None, partner: parts.Arm | None) -> bool:
     """Whether two hands hold the object: the second one of the command, or without one any other hand."""
     if thing is None or arm is None:
         return False
