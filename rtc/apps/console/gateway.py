@@ -93,13 +93,14 @@ def _parts(given: Given, access: Access) -> Iterator[tuple[Console, Hub, Desk]]:
     endpoints = given.endpoints
     sentences, questions = Desk("sentences", given.connect), Desk("questions", given.connect)
     halts = Halts(endpoints)
-    pictures = CameraPictures(endpoints.cell) if isinstance(endpoints, Settings) else None
+    settings = endpoints if isinstance(endpoints, Settings) else None
+    pictures = CameraPictures(settings.cell) if settings is not None else None
     try:
         with given.connect() as client:
             grammar = Grammar(client.program(m.WorkerKind.PARSER).body.decode())
         hello = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
         hub = Hub(given.cell, given.in_words, now_s, hello)
-        console = Console(hub, access, halts, sentences, questions, given.in_words.why, grammar, pictures)
+        console = Console(hub, access, halts, sentences, questions, given.in_words.why, grammar, pictures, settings)
         yield console, hub, questions
     finally:
         if pictures is not None:

@@ -67,6 +67,7 @@ class Hub:
         self._truth_at_s = -1e9
         self._frame_at_s = 0.0
         self._number = 0
+        self._rows: dict[str, Any] = {}
         self._last: tuple[list[float], list[float], bool] | None = None
 
     # --- what arrives ---------------------------------------------------------------------------------
@@ -101,6 +102,9 @@ class Hub:
         if (change := self.story.flush()) is not None:
             for box in self.boxes:
                 box.put(change)
+        if (rows := self._arm_rows()) != self._rows:
+            self._rows = rows
+            self._post({"arms": rows})
         if self._now() > self._frame_at_s + BEAT_S:
             self._send_frame()
 
@@ -112,7 +116,7 @@ class Hub:
         yield from self.story.since(0)
         yield _text({"facts": list(map(self._fact, self.facts.values())), "anew": True})
         yield _text(self._status())
-        yield _text({"moving": self.moving})
+        yield _text({"moving": self.moving, "arms": self._arm_rows()})
         yield _text(self._predicted())
 
     def scene(self) -> bytes:
@@ -122,7 +126,11 @@ class Hub:
             {
                 "cell": cell.name,
                 "bodies": self.bodies.rows,
-                "arms": [{"name": arm.name, "hand": arm.end_effector} for arm in cell.arms],
+                "arms": [
+                    {"name": arm.name, "hand": arm.end_effector, "tcp": f"{arm.name}/{arm.tcp_link}"}
+                    for arm in cell.arms
+                ],
+                "carried": {camera.arm: camera.name for camera in cell.cameras if camera.arm},
                 "cameras": [camera.name for camera in cell.cameras],
                 "subsystems": [one.name for one in cell.all_subsystems],
             }
@@ -193,6 +201,18 @@ class Hub:
             self.prediction = None
             self._post(self._predicted())
 
+    def _arm_rows(self) -> dict[str, Any]:
+        """Of each arm what a page shows in figures: grant and request of the operator, forces, width of the hand."""
+        return {
+            name: {
+                "primitive": arm.primitive,
+                "wrench": [round(value, 1) for value in arm.wrench],
+                "hand_width_m": round(arm.hand_width_m, 4),
+                "operation": _rounded(arm.operation),
+            }
+            for name, arm in self._arms.items()
+        }
+
     def _predicted(self) -> dict[str, Any]:
         found = self.prediction
         if found is None:
@@ -219,6 +239,13 @@ class Hub:
             text = _text(message)
             for box in self.boxes:
                 box.put(text)
+
+
+def _rounded(operation: m.Operation | None) -> m.Operation | None:
+    """With the distance to a tenth of a millimetre, so that an arm at rest changes nothing."""
+    if operation is None or operation.off_m is None:
+        return operation
+    return msgspec.structs.replace(operation, off_m=round(operation.off_m, 4))
 
 
 def _text(message: Mapping[str, Any]) -> bytes:

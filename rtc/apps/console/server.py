@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 from collections.abc import Awaitable, Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from rtc.apps.console.camera_pictures import CameraPictures
 from rtc.apps.console.desk import Desk
 from rtc.apps.console.halts import Halts
 from rtc.apps.console.hub import Hub
+from rtc.apps.console.operating import OperatorStream
 from rtc.apps.console.pages import FrameSlot, Mailbox
 from rtc.apps.console.sentences import check
 from rtc.client.client import Client
@@ -42,7 +44,9 @@ from rtc.language.parse import Grammar
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason, RequestDeclined, RtcError
 from rtc.protocol.roles import MAY, Role, a_role
+from rtc.runtime.settings import Settings
 
+NOT_HERE = 4404  # close code of a socket
 STATIC = Path(__file__).parent / "static"
 MAX_BODY = 64 << 10  # bytes of a request
 CHARACTERS = 4000  # of a sentence that is checked while it is typed
@@ -82,10 +86,12 @@ class Console:
         why: Callable[[m.CommandRecord], list[str]],
         grammar: Grammar,
         pictures: CameraPictures | None,
+        settings: Settings | None,
     ) -> None:
         self.hub, self._access, self._halts = hub, access, halts
         self._sentences, self._questions, self._why = sentences, questions, why
-        self._grammar, self._pictures = grammar, pictures
+        self._grammar, self._pictures, self._settings = grammar, pictures, settings
+        self._operators = itertools.count(1)
         self._names = hub.names()
 
     def app(self) -> Starlette:
@@ -105,6 +111,7 @@ class Console:
                 WebSocketRoute("/poses", self._poses_socket),
                 WebSocketRoute("/story", self._story_socket),
                 WebSocketRoute("/halt", self._halt_socket),
+                WebSocketRoute("/operate", self._operate_socket),
                 Mount("/static", StaticFiles(directory=STATIC)),
             ],
         )
@@ -246,6 +253,22 @@ class Console:
                 task = asyncio.create_task(obey(asked))
                 orders.add(task)
                 task.add_done_callback(orders.discard)
+
+    async def _operate_socket(self, socket: WebSocket) -> None:
+        await socket.accept()
+        if self._settings is None or self._access.role is not Role.OPERATOR:
+            why = "arms are moved by hand only from the cluster's own machine, by an operator"
+            return await socket.close(NOT_HERE, why)
+        name = f"console page {next(self._operators)}"
+        stream = OperatorStream(self._settings, self.hub.cell, name, socket.send_json)
+        try:
+            while True:
+                asked = await socket.receive_json()
+                await stream.send(str(asked.pop("arm", "")), asked)
+        except (WebSocketDisconnect, RuntimeError):  # the page is gone
+            pass
+        finally:
+            await stream.close()
 
 
 async def _both(*parts: Coroutine[Any, Any, None]) -> None:

@@ -21,6 +21,7 @@ function sendAnotherWay(scope) {
 
 export async function halt(scope = 'ALL') {
   const calledMs = performance.now();
+  emit('halting');
   const first = links.halt?.order(scope);
   show('sent', `HALT ${scope} sent`, 'waiting for rest');
   button.classList.add('pressed');

@@ -104,6 +104,7 @@ class Story extends Link {
     }
     if (message.status) { state.status = message.status; state.statusAt = message.at_s; emit('status'); }
     if (message.moving) { state.moving = message.moving; emit('moving'); }
+    if (message.arms) { state.arms = message.arms; emit('arms'); }
     if ('prediction' in message) { state.prediction = message.prediction; emit('prediction'); }
   }
 
@@ -139,12 +140,19 @@ class Halt extends Link {
   }
 }
 
+class Operate extends Link {
+  constructor() { super('operate'); }
+
+  take(data) { emit('operated', JSON.parse(data)); }
+}
+
 export const links = {};
 
 export function openLinks() {
   links.halt = new Halt();
   links.poses = new Poses();
   links.story = new Story();
+  if (state.role === 'operator') links.operate = new Operate();
   setInterval(() => links.halt.ping(), 500);
   setInterval(() => links.poses.askClock(), 2000);
   setInterval(() => { links.halt.watch(); if (!document.hidden) links.poses.watch(); }, 250);

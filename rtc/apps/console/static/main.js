@@ -1,6 +1,7 @@
 // Start of the page: admission by the token of the link, then the sockets, the scene, the line and the panels.
 import { armHalt, halt, halts, typing } from './halt.js';
 import { links, openLinks } from './links.js';
+import { answers, hold, holding, release, sent, watchHold } from './operate.js';
 import { choose, openPanels } from './panels.js';
 import { dress, openScene, redraw, view } from './scene.js';
 import { openLine, submit, write } from './sentence.js';
@@ -87,6 +88,7 @@ async function start() {
   state.scene = await (await fetch('/scene')).json();
   document.getElementById('cell').textContent = state.scene.cell;
   document.title = `${state.scene.cell} – rtc console`;
+  watchHold();
   openPanels();
   openTracks();
   openLine();
@@ -97,6 +99,6 @@ async function start() {
 }
 
 // For tests and the curious: the state of the page and of its scene.
-window.rtcConsole = { state, view, links, halts, halt, submit, write, choose, nowS, typing };
+window.rtcConsole = { state, view, links, halts, halt, submit, write, choose, nowS, typing, hold, holding, release, answers, sent };
 
 start();

@@ -1,9 +1,10 @@
 // The panels at the side: commands with their causes, facts, cameras, the system.
 import { halt } from './halt.js';
+import { openRequests } from './requests.js';
 import { submit, write } from './sentence.js';
-import { element, emit, nowS, on, post, seconds, state } from './store.js';
+import { element, emit, nowS, on, seconds, state } from './store.js';
 
-const PANELS = [['commands', 'Commands'], ['world', 'World'], ['cameras', 'Cameras'], ['system', 'System']];
+const PANELS = [['commands', 'Commands'], ['requests', 'Requests'], ['world', 'World'], ['cameras', 'Cameras'], ['system', 'System']];
 const panels = {};
 let active = 'commands';
 
@@ -24,6 +25,8 @@ export function openPanels() {
   });
   openWorld();
   openCameras();
+  openRequests(panels.requests);
+  on('request', () => choose('requests'));
   on('rows', commands);
   on('chosen', (show) => { if (show) choose('commands'); loadWhy(); commands(); });
   on('facts', world);
@@ -247,5 +250,3 @@ function system() {
 function mark(word) {
   return element('span', { class: `validity ${['ready', 'connected'].includes(word) ? 'valid' : 'suspect'}` }, word);
 }
-
-export { post };

@@ -1,8 +1,8 @@
 // The scene: bodies made once from the gateway's description, then moved by frames of poses. It knows no robot.
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, CapsuleGeometry, Color, CylinderGeometry, DirectionalLight, GridHelper,
-  Group, HemisphereLight, Mesh, MeshLambertMaterial, OrbitControls, PerspectiveCamera, Scene, SphereGeometry, Vector3,
-  WebGLRenderer,
+  Group, HemisphereLight, Mesh, MeshLambertMaterial, OrbitControls, PerspectiveCamera, Quaternion, Scene, SphereGeometry,
+  TransformControls, Vector3, WebGLRenderer,
 } from './vendor.js';
 import { links } from './links.js';
 import { element, emit, nowS, on, seconds, state } from './store.js';
@@ -154,6 +154,7 @@ function apply(data) {
     ghost(body.belief, belief, shown, at, view.shown.belief);
     ghost(body.prediction, prediction, shown, at, view.shown.prediction);
   });
+  settle();
   if (!fitted) { fitted = true; look('overview'); }
   return true;
 }
@@ -264,6 +265,57 @@ function moveLabels() {
     label.style.transform = `translate(${x.toFixed(0)}px, ${y.toFixed(0)}px)`;
     label.hidden = spot.z > 1 || x < 0 || y < 0 || x > clientWidth || y > clientHeight;
   }
+}
+
+// --- the gizmo: an arm that the operator moves follows it while it is dragged ---
+
+let grip = null;
+
+// `by`: {hold(want), release(), speed()}. Null as arm removes it.
+export function gizmo(arm, by) {
+  if (grip) {
+    grip.controls.detach();
+    scene.remove(grip.controls.getHelper(), grip.proxy);
+    grip.controls.dispose();
+    grip = null;
+    wanted = true;
+  }
+  if (!arm || !scene) return;
+  const body = bodyAt(state.scene.arms.find((one) => one.name === arm).tcp);
+  const proxy = new Group(), handles = new TransformControls(camera, canvas);
+  handles.setSize(0.75);
+  handles.attach(proxy);
+  scene.add(proxy, handles.getHelper());
+  grip = { arm, body, proxy, controls: handles };
+  handles.addEventListener('change', () => { wanted = true; });
+  handles.addEventListener('dragging-changed', ({ value }) => {
+    controls.enabled = !value;
+    if (value) by.hold(() => ({ twist: towards(proxy, body.shownAs, by.speed()), frame: 'world' }));
+    else by.release();
+  });
+  settle();
+}
+
+export const gizmoOf = () => grip && { arm: grip.arm, mode: (mode) => grip.controls.setMode(mode), at: onCanvas(grip.proxy) };
+
+function onCanvas(object) {
+  const box = canvas.getBoundingClientRect(), spot = object.position.clone().project(camera);
+  return [box.left + (spot.x + 1) / 2 * box.width, box.top + (1 - spot.y) / 2 * box.height];
+}
+
+function settle() {
+  if (!grip || grip.controls.dragging) return;
+  grip.proxy.position.copy(grip.body.shownAs.position);
+  grip.proxy.quaternion.copy(grip.body.shownAs.quaternion);
+}
+
+// The velocity that leads from where the hand is to where the gizmo is, within the speeds.
+function towards(goal, hand, [linear, turn]) {
+  const way = goal.position.clone().sub(hand.position).multiplyScalar(2.5).clampLength(0, linear);
+  const rest = goal.quaternion.clone().multiply(new Quaternion().copy(hand.quaternion).invert());
+  if (rest.w < 0) rest.set(-rest.x, -rest.y, -rest.z, -rest.w);
+  const spin = new Vector3(rest.x, rest.y, rest.z).multiplyScalar(5).clampLength(0, turn);
+  return [way.x, way.y, way.z, spin.x, spin.y, spin.z];
 }
 
 export function bodyAt(name) {

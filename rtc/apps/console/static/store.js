@@ -6,9 +6,9 @@ export const state = {
   scene: null, role: '', life: '', n: 0,
   rows: new Map(), // command -> row
   lines: [], // halts, refusals, reports
-  facts: new Map(), status: {}, statusAt: 0, moving: [], prediction: null,
+  arms: {}, facts: new Map(), status: {}, statusAt: 0, moving: [], prediction: null,
   chosen: '', // the command whose details are shown
-  links: { poses: false, story: false, halt: false },
+  links: { poses: false, story: false, halt: false, operate: false },
   measuredAt: 0, // when the shown poses were measured, by the clock of the gateway (s)
   frameAt: -Infinity, // when the last frame arrived, by performance.now (ms)
 };
