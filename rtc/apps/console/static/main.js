@@ -24,7 +24,7 @@ async function admitted() {
 }
 
 function refuse(words) {
-  document.querySelector('main').replaceChildren(element('div', { class: 'refused' }, element('h1', {}, 'No access'), element('p', {}, words)));
+  document.querySelector('main').replaceChildren(element('div', { class: 'no-access' }, element('h1', {}, 'No access'), element('p', {}, words)));
   return false;
 }
 

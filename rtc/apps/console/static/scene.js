@@ -109,8 +109,9 @@ export function look(name) {
   middle.addVectors(low, high).multiplyScalar(0.5);
   if (!Number.isFinite(middle.x) || bodies.length === 0) middle.set(0, 0, 0.5);
   const radius = Math.max(0.6, low.distanceTo(high) / 2);
+  middle.z += 0.1 * radius; // arms reach up
   controls.target.copy(middle);
-  camera.position.copy(new Vector3(...VIEWS[name]).normalize().multiplyScalar(radius * 2.3).add(middle));
+  camera.position.copy(new Vector3(...VIEWS[name]).normalize().multiplyScalar(radius * 2.7).add(middle));
   controls.update();
   wanted = true;
 }
@@ -262,8 +263,9 @@ function moveLabels() {
   for (const { label, body } of named) {
     spot.copy(body.shownAs.position).project(camera);
     const x = (spot.x + 1) / 2 * clientWidth, y = (1 - spot.y) / 2 * clientHeight;
-    label.style.transform = `translate(${x.toFixed(0)}px, ${y.toFixed(0)}px)`;
-    label.hidden = spot.z > 1 || x < 0 || y < 0 || x > clientWidth || y > clientHeight;
+    const inside = (value, low, high) => Math.max(low, Math.min(high, value));
+    label.style.transform = `translate(${inside(x, 0, clientWidth - 90).toFixed(0)}px, ${inside(y, 62, clientHeight).toFixed(0)}px)`;
+    label.hidden = spot.z > 1;
   }
 }
 

@@ -75,7 +75,8 @@ function drawBar(key, lane, row, now) {
   bar.style.width = `max(6px, ${right - left}%)`;
   const stamp = `${row.last_seq} ${row.ended_at_s ?? ''} ${own.length}`;
   bar.title = `${row.command}  ${row.text}\n${row.step ?? ''}${row.outcome?.message ? `\n${row.outcome.message}` : ''}`;
-  bar.className = `bar ${row.outcome?.kind ?? row.phase}`;
+  const paper = /^\s*(TEST|SIMULATE)\b/i.test(row.text) ? ' paper' : '';
+  bar.className = `bar ${row.outcome?.kind ?? row.phase}${paper}`;
   bar.setAttribute('aria-label', bar.title);
   const begin = Math.max(from, now - WINDOW_S), wide = Math.max(1e-3, to - begin);
   const part = (at) => `${(100 * Math.max(0, at - begin)) / wide}%`;
