@@ -15,7 +15,7 @@ from rtc.apps.console.pose_frame import pack
 from rtc.apps.console.scene import Bodies
 from rtc.apps.console.story import Story
 from rtc.apps.observers.feed import Received
-from rtc.drawing.scene import SceneView, believed, true_scene
+from rtc.drawing.scene import believed, true_scene
 from rtc.language.completion import Names
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
@@ -188,8 +188,10 @@ class Hub:
                 )
                 for one in rehearsal.changes
             }
-            scene: SceneView = believed(self.cell, facts, {}, None).scene
-            self.prediction = Prediction(ended.command, ended.text, rehearsal, self.bodies.poses(scene))
+            scene = believed(self.cell, facts, {}, None).scene
+            changed = {one.key.rpartition(".")[0] for one in rehearsal.changes}
+            poses = self.bodies.poses(scene, only=changed)
+            self.prediction = Prediction(ended.command, ended.text, rehearsal, poses)
         self._post(self._predicted())
 
     def _drop_stale(self) -> None:

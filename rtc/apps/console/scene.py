@@ -6,8 +6,9 @@ A body is a link of an arm, a seat or an object. Poses are [x y z qx qy qz qw] (
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -22,7 +23,7 @@ from rtc.model.cells.urdf import Urdf
 from rtc.spatial import geometry
 
 GREY = (0.6, 0.62, 0.66, 1.0)
-Pose = Sequence[float]
+NOWHERE = [math.nan] * 7
 
 
 class Body(msgspec.Struct, frozen=True, kw_only=True):
@@ -44,8 +45,10 @@ class Bodies:
         self.rows += [_of_shapes(seat.name, "seat", seat.shapes) for seat in cell.seats]
         self.rows += [_of_shapes(thing.name, "object", thing.shapes) for thing in cell.objects]
 
-    def poses(self, scene: SceneView) -> list[float]:
-        """Seven numbers for each body, one after another. What the scene lacks is as the cell begins."""
+    def poses(self, scene: SceneView, only: Collection[str] | None = None) -> list[float]:
+        """Seven numbers for each body, one after another. What the scene lacks is as the cell begins.
+
+        `only`: arms, seats and objects whose bodies get poses; those of others are not numbers."""
         found: list[float] = []
         for arm in self.cell.arms:
             half = 0.5 * arm.gripper.max_opening_m
@@ -56,6 +59,9 @@ class Bodies:
             found += scene.seats.get(seat.name) or seat.frame.pose.tolist()
         for thing in self.cell.objects:
             found += scene.poses.get(thing.name) or self.cell.object_pose(thing.name).tolist()
+        for n, row in enumerate(self.rows if only is not None else ()):
+            if only is not None and row.owner not in only:
+                found[7 * n : 7 * n + 7] = NOWHERE
         return found
 
 

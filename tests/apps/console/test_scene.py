@@ -51,6 +51,14 @@ def test_fingers_objects_and_seats_follow_the_scene(cell):
     assert geometry.distance(a, b) == pytest.approx(0.04)
 
 
+def test_a_prediction_has_poses_of_what_it_changes_only(cell):
+    bodies = Bodies(cell)
+    arm = cell.arms[0].name
+    poses = np.array(bodies.poses(SceneView(), only={arm})).reshape(-1, 7)
+    known = {row.owner for row, pose in zip(bodies.rows, poses, strict=True) if not np.isnan(pose).any()}
+    assert known == {arm}
+
+
 def test_a_frame_has_its_sets_one_after_another():
     frame = pack(7, 1.5, 2.5, [1.0] * 7, [2.0] * 7, [3.0] * 7, true=True)
     assert HEADER.unpack_from(frame) == (7, TRUE | PREDICTED, 1.5, 2.5)

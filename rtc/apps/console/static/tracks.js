@@ -1,7 +1,7 @@
 // One track per arm and one for the cameras: commands as bars over time, their steps, trims and outcomes.
 import { element, emit, nowS, on, state } from './store.js';
 
-const WINDOW_S = 60, AHEAD_S = 12;
+const WINDOW_S = 45, AHEAD_S = 8;
 const SYMBOL = { succeeded: '✓', failed: '✕', refused: '⊘', halted: '■', halt_not_confirmed: '■', aborted: '■', lost_subsystem: '✕' };
 const GOOD_ENDS = new Set(['goal', 'contact', 'found', '']);
 const holder = document.getElementById('tracks');
@@ -15,8 +15,8 @@ export function openTracks() {
     return { name, track };
   });
   const scale = element('div', { class: 'scale' });
-  for (let back = WINDOW_S; back >= -10; back -= 10) {
-    const tick = element('span', {}, back === 0 ? 'now' : back > 0 ? `−${back} s` : '');
+  for (let back = 40; back >= 0; back -= 10) {
+    const tick = element('span', {}, back ? `−${back} s` : 'now');
     tick.style.left = `${percent(-back)}%`;
     scale.append(tick);
   }
