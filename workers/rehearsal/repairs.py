@@ -1,7 +1,8 @@
 """Repairs of a sentence that is not feasible: sentences that were rehearsed in its place, and are feasible. Pure.
 
 First sentences one name away: another hand or grasp point. Then the sentence after another one: those that the advice
-of the refusal contains, and those that the elaborator's program lists. Last another seat or place.
+of the refusal contains, and those that the elaborator's program lists. Last another seat or place, and another hand if
+the sentence is about the hand itself.
 """
 
 from __future__ import annotations
@@ -56,9 +57,15 @@ Option = tuple[list[str], str]
 
 
 def _options(sentence: Infeasible, program: ElaboratorProgram) -> Iterator[Option]:
-    """First those that keep what the sentence is to achieve; another seat or place is last."""
+    """First those that keep what the sentence is to achieve; another seat or place is last. Another hand does the same
+    to an object; of a sentence about the hand itself it is another goal."""
+    own = sentence.parsed.object is None
+    if not own:
+        yield from _one_name_away(sentence, _other_hands)
     yield from _one_name_away(sentence, _same_goal)
     yield from _one_sentence_before(sentence, program)
+    if own:
+        yield from _one_name_away(sentence, _other_hands)
     yield from _one_name_away(sentence, _elsewhere)
 
 
@@ -70,14 +77,18 @@ def _one_name_away(sentence: Infeasible, others: Callable[[Infeasible, str], Ite
             yield [text], f"{other} instead of {word}"
 
 
+def _other_hands(sentence: Infeasible, word: str) -> Iterable[str]:
+    if word not in ARM_OF_WORD:
+        return []
+    arms = [arm.name for arm in sentence.query.cell.arms]
+    same_form = [other for other, arm in ARM_OF_WORD.items() if arm in arms and (other == arm) == (word in arms)]
+    further = [hand_in_words(arm) for arm in arms if arm not in OWN_WORDS]
+    return [other for other in (*same_form, *further) if ARM_OF_WORD.get(other) != ARM_OF_WORD[word]]
+
+
 def _same_goal(sentence: Infeasible, word: str) -> Iterable[str]:
-    """Other hands and grasp points in the place of this word, and known names in that of an unknown one."""
+    """Other grasp points in the place of this word, and known names in that of an unknown one."""
     cell = sentence.query.cell
-    arms = [arm.name for arm in cell.arms]
-    if word in ARM_OF_WORD:
-        same_form = [other for other, arm in ARM_OF_WORD.items() if arm in arms and (other == arm) == (word in arms)]
-        further = [hand_in_words(arm) for arm in arms if arm not in OWN_WORDS]
-        return [other for other in (*same_form, *further) if ARM_OF_WORD.get(other) != ARM_OF_WORD[word]]
     if sentence.refusal.reason is RefusalReason.NAME and word in sentence.refusal.message.split():
         return sentence.refusal.nearest or sentence.refusal.expected
     things = [thing for thing in cell.objects if thing.name == sentence.parsed.object]

@@ -78,3 +78,11 @@ def test_the_number_of_trials_is_limited(monkeypatch):
 
 def test_a_verb_without_a_script_is_not_repaired():
     assert offered(OnPaper(), "GIVE RIGHT-ARM TO OPERATOR") == []
+
+
+def test_another_hand_is_the_last_repair_of_a_sentence_about_the_hand_itself():
+    paper = OnPaper()
+    paper.test("GRASP LEFT-END-EFF MACS-OLD HANDLE-B")
+    found = sentences(offered(paper, "STOW LEFT-ARM"))
+    assert found[0] == ["LIFT MACS-OLD BY 15 CM WITH LEFT-ARM", "STOW LEFT-ARM"]
+    assert found[-1] == ["STOW RIGHT-ARM"]
