@@ -161,13 +161,16 @@ class Boxes {
 
     // The first part of a way that is not proven free: (number of the row before it, its undecided pairs); without
     // such a part (number of the last row, none). `rows` [n][values] of the configuration at `slots`, n > 1, from the
-    // row `from` on.
-    std::pair<int, std::vector<int>> way(Doubles q, const Slots& slots, Doubles rows, int from, int halvings) {
+    // row `from` on. `off` [n - 1][values]: how far the way may be off the straight line between two rows; or empty.
+    std::pair<int, std::vector<int>> way(Doubles q, const Slots& slots, Doubles rows, int from, int halvings, Doubles off) {
         begin(q, slots);
         if (rows.ndim() != 2 || rows.shape(1) != static_cast<py::ssize_t>(slots_.size()) || from < 0 ||
             rows.shape(0) < from + 2)
             throw std::invalid_argument("rows do not fit the slots");
+        if (off.size() && off.size() != (rows.shape(0) - 1) * rows.shape(1))
+            throw std::invalid_argument("a value for each line between two rows");
         rows_ = rows.data();
+        off_ = off.size() ? off.data() : nullptr;
         return first_open(from, static_cast<int>(rows.shape(0)) - 1, halvings);
     }
 
@@ -182,6 +185,7 @@ class Boxes {
         for (int n = 0; n <= count; ++n)
             for (size_t k = 0; k < width; ++k) line_[n * width + k] = a[k] + (static_cast<double>(n) / count) * (b[k] - a[k]);
         rows_ = line_.data();
+        off_ = nullptr;
         return first_open(0, count, halvings);
     }
 
@@ -250,7 +254,7 @@ class Boxes {
     // of one call
     std::vector<double> turn_;  // greatest difference of the values at `slots_` from the present ones
     bool exact_ = true;  // try the solids too, not only the boxes around them
-    const double* rows_ = nullptr;
+    const double *rows_ = nullptr, *off_ = nullptr;
     std::vector<double> line_;
     Open undecided_;
 
@@ -409,7 +413,7 @@ class Boxes {
     int over_rows(int first, int last, const Open* open, int halvings) {
         const size_t width = slots_.size();
         if (last - first == 1) {
-            between(rows_ + first * width, rows_ + last * width, open, halvings);
+            between(first, rows_ + first * width, rows_ + last * width, open, halvings);
             return undecided_.empty() ? -1 : first;
         }
         const int middle = (first + last) / 2;
@@ -417,6 +421,12 @@ class Boxes {
         turn_.assign(width, 0.0);
         for (int n = first; n <= last; ++n)
             for (size_t k = 0; k < width; ++k) turn_[k] = std::max(turn_[k], std::fabs(rows_[n * width + k] - row[k]));
+        if (off_) {
+            std::vector<double> most(width, 0.0);
+            for (int n = first; n < last; ++n)
+                for (size_t k = 0; k < width; ++k) most[k] = std::max(most[k], off_[n * width + k]);
+            for (size_t k = 0; k < width; ++k) turn_[k] += most[k];
+        }
         set_row(row);
         exact_ = false;  // on so long a way the solids prove little more
         const Open kept = open ? left(*open) : all_left();
@@ -425,14 +435,14 @@ class Boxes {
         return part < 0 ? over_rows(middle, last, &kept, halvings) : part;
     }
 
-    // Adds to `undecided_` the pairs that are not proven apart on the straight line between two configurations.
-    void between(const double* from, const double* to, const Open* open, int halvings) {
+    // Adds to `undecided_` the pairs that are not proven apart between two configurations of the line behind row `n`.
+    void between(int n, const double* from, const double* to, const Open* open, int halvings) {
         const size_t width = slots_.size();
         std::vector<double> middle(width);
         turn_.resize(width);
         for (size_t k = 0; k < width; ++k) {
             middle[k] = 0.5 * (from[k] + to[k]);
-            turn_[k] = 0.5 * std::fabs(to[k] - from[k]);
+            turn_[k] = 0.5 * std::fabs(to[k] - from[k]) + (off_ ? off_[n * width + k] : 0.0);
         }
         set_row(middle.data());
         exact_ = true;
@@ -444,8 +454,8 @@ class Boxes {
             add(split, kept.end());
             kept.erase(split, kept.end());
             if (kept.empty()) return;
-            between(from, middle.data(), &kept, halvings - 1);
-            between(middle.data(), to, &kept, halvings - 1);
+            between(n, from, middle.data(), &kept, halvings - 1);
+            between(n, middle.data(), to, &kept, halvings - 1);
             return;
         }
         add(kept.begin(), kept.end());

@@ -23,6 +23,7 @@ except ImportError:  # it was installed without a compiler
 
 KINDS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteU", "JointModelP")  # one value each
 STEP_M = 0.03  # greatest displacement of a piece between two configurations of which its space is made
+STRAIGHT: Array = np.empty((0, 0))  # a way along the lines between its rows
 HALVINGS = 7  # of a line between two configurations of a path; what is undecided then is measured
 
 
@@ -67,14 +68,15 @@ class Boxes:
         `slots`: its values that vary between one call and the next; it is quicker if the others do not."""
         return self._proof.undecided(q, slots)
 
-    def way(self, q: Array, slots: list[int], rows: Array, first: int) -> tuple[int, list[int]]:
+    def way(self, q: Array, slots: list[int], rows: Array, first: int, off: Array = STRAIGHT) -> tuple[int, list[int]]:
         """The first part of a way that is not proven free: the number of the row before it, and its undecided pairs.
 
         Without such a part: the number of the last row, and no pair. `rows`: values of the configuration at `slots`,
-        [n][slots], of which the way begins at the row `first`; the other values are those of `q`. A line between two
-        rows is halved `HALVINGS` times before it counts as undecided.
+        [n][slots], of which the way begins at the row `first`; the other values are those of `q`. `off`: how far the
+        way may be off the straight line between two rows, [n - 1][slots]; or empty. A line between two rows is halved
+        `HALVINGS` times before it counts as undecided.
         """
-        return self._proof.way(q, slots, rows, first, HALVINGS)
+        return self._proof.way(q, slots, rows, first, HALVINGS, off)
 
     def line(self, q: Array, slots: list[int], start: Array, end: Array, steps: int) -> tuple[int, list[int]]:
         """As `way`, of the straight line between two values at `slots` in equal steps."""

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from rtc.model.cells import cell as cells
 from rtc.model.robot import bodies
-from rtc.model.robot.boxes import boxes_of
+from rtc.model.robot.boxes import STRAIGHT, boxes_of
 from rtc.model.robot.collision_pairs import Pairs, PairTable
 from rtc.model.robot.collision_scene import AS_BUILT, Scene, in_hands
 from rtc.model.robot.levers import ball, levers, of_pairs
@@ -76,9 +76,10 @@ Part = tuple[int, int, list[int]]
 Parts = Callable[[int], Part]
 NOTHING: Part = (0, 1, [])  # the part before a path
 
+TURNING_STEPS = 4  # interpolation steps between configurations while a hung object turns
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
 GROUP = 3  # steps of a path that one check of coal may prove free
-MIN_M = 0.0005  # by which a pair may come nearer between two measured distances at least
+MIN_M = 2e-5  # by which a pair may come nearer between two measured distances at least
 FEW = 5  # pairs that are followed along a group
 SECTION = 120  # configurations of a path with the same wider margins
 PROBES = 7  # configurations of a path that may show at once that it is blocked
@@ -159,7 +160,8 @@ class CollisionWorld:
     def check(self, joints: Mapping[str, Floats], scene: Scene = AS_BUILT) -> Collision | None:
         """The first pair found that is too near, or None. `joints`: rad, of all arms. Raises ValueError."""
         self._set(joints, scene)
-        self._turn_hung(scene)
+        if scene.hung:
+            self._turn_hung(scene)
         return self._ask()
 
     def check_path(
@@ -168,22 +170,23 @@ class CollisionWorld:
         configurations: Sequence[Floats] | Array,
         others: Mapping[str, Floats],
         scene: Scene = AS_BUILT,
-        group: int = GROUP,
+        off: Array = STRAIGHT,
     ) -> PathCollision | None:
-        """The first configuration of an arm in collision, or None. `others`: joints (rad) of the arms at rest.
-        `group`: configurations that one check may prove free.
+        """The first configuration of an arm in collision, or None. `others`: joints (rad) of the arms at rest. `off`:
+        how far the path may be off the line between two configurations, [configurations - 1][joints]; or empty.
 
         A pair that is too near at the start may separate: along the path its distance must not decrease by more than
         `DEEPER_M`. After separation it is checked like all others. So a world model with an error of millimetres can
         start a path in contact, but a path never moves deeper into contact.
 
         Boxes around the bodies prove most of the path free (`rtc.model.robot.boxes`). Elsewhere the pairs that they
-        leave undecided are followed by their distances. So the whole path is free, not only the configurations.
+        leave undecided are followed by their distances. So the whole path is free, not only the configurations
+        (decision 0081). Of a collision between two configurations the later one is returned.
         """
         if not len(configurations):
             return None
         if scene.hung:
-            return self._first_while_turning(arm, configurations, others, scene)
+            return self._first_while_turning(arm, configurations, others, scene, off)
         self._set({**others, arm: configurations[0]}, scene)
         slots, rows = self._bodies.arms[arm].joints, np.asarray(configurations, dtype=float)
         leaving: dict[int, float] = {}  # pair -> greatest distance so far
@@ -191,20 +194,24 @@ class CollisionWorld:
         try:
             self._q[slots] = rows[0]
             leaving.update(self._let_leave() if self._touches_any() else {})
-            parts = self._parts(slots, rows, group)
+            parts = self._parts(slots, rows, GROUP, off)
             while index < len(rows):
-                if not leaving:
-                    first, last, near = parts(index)
-                    found = self._first_too_near(slots, rows[first:last], near) if near else None
-                    if found is None:
-                        index = last
-                        continue
+                first, last, near = parts(index)
+                if leaving:  # step by step; the pairs that leave are followed by `_at`
+                    near = [pair for pair in near if pair not in leaving] if first < index else []
+                    first, last = index - 1, index + 1
+                found = self._first_too_near(slots, rows[first:last], near, off[first : last - 1]) if near else None
+                if found is not None:
                     place, pair = found
                     self._put(slots, rows[first:last], place)
                     hit = self._describe(pair)
                     if not self._touched_at(slots, rows[0], pair, hit, leaving):
                         return PathCollision(first + math.ceil(place), hit)
-                    index = first + 1
+                    index = first + 1  # the other pairs of this step once more
+                    continue
+                if not leaving:
+                    index = last
+                    continue
                 left = self._at(slots, rows, index, leaving)
                 if left is not None:
                     return PathCollision(index, left)
@@ -331,14 +338,6 @@ class CollisionWorld:
         """Radius of a ball around the origin of a seat, object or region that contains it; 0 without shapes."""
         return self._radius_m.get(name, 0.0)
 
-    def load_levers(self, arm: str, scene: Scene) -> Array:
-        """How far a point of what this arm holds moves at most (m per rad of each joint); zeros for an empty hand."""
-        if scene is not self._scene:
-            self._arrange(scene)
-        pieces = [n for name, by in in_hands(scene) if by == arm for n in self._table.pieces_of[name]]
-        found: Array = self._levers[pieces].max(axis=0, initial=0.0)[self._places[arm]]
-        return found
-
     def near(self, arm: str, joints: Mapping[str, Floats], scene: Scene) -> list[Collision]:
         """All pairs of a link of this arm and another body that are nearer than the clearance of the scene. The link is
         first; what the arm holds is left out."""
@@ -375,7 +374,8 @@ class CollisionWorld:
             for n in rows:
                 if n not in found:
                     self._q[slots] = configurations[n]
-                    self._turn_hung(scene)
+                    if scene.hung:
+                        self._turn_hung(scene)
                     self._place()
                     found[n] = min(map(self._describe, pairs), key=lambda one: one.distance_m)
             return min(found, key=lambda n: found[n].distance_m)
@@ -387,21 +387,44 @@ class CollisionWorld:
     # --- inside ------------------------------------------------------------------------------------------
 
     def _first_while_turning(
-        self, arm: str, configurations: Sequence[Floats] | Array, others: Mapping[str, Floats], scene: Scene
+        self,
+        arm: str,
+        configurations: Sequence[Floats] | Array,
+        others: Mapping[str, Floats],
+        scene: Scene,
+        off: Array = STRAIGHT,
     ) -> PathCollision | None:
         """As `check_path`, with objects that turn about their hinges. A contact at the start counts."""
         self._set({**others, arm: configurations[0]}, scene)
-        for index, configuration in enumerate(configurations):
-            self._q[self._bodies.arms[arm].joints] = configuration
+        slots, rows = self._bodies.arms[arm].joints, np.asarray(configurations, dtype=float)
+        for index in range(len(rows)):
+            self._q[slots] = rows[index]
             self._turn_hung(scene)
             if hit := self._ask():
                 return PathCollision(index, hit)
+            if found := self._too_near_while_turning(slots, rows[index : index + 2], off[index : index + 1], scene):
+                return PathCollision(index + 1, found)
+        return None
+
+    def _too_near_while_turning(self, slots: list[int], step: Array, off: Array, scene: Scene) -> Collision | None:
+        """What is too near on a step of `_first_while_turning`. What hangs is checked at `TURNING_STEPS` places of it:
+        the levers of a hand and of what turns with it bound their distance too badly for a proof."""
+        if len(step) < 2:
+            return None
+        _, _, near = self._parts(slots, step, 1, off)(1)
+        hung = self._table.touches(scene.hung)
+        found = self._first_too_near(slots, step, [pair for pair in near if not hung[pair]], off)
+        if found is not None:
+            self._put(slots, step, found[0])
+            return self._describe(found[1])
+        for n in range(1, TURNING_STEPS):
+            self._put(slots, step, n / TURNING_STEPS)
+            if hit := self._ask():
+                return hit
         return None
 
     def _turn_hung(self, scene: Scene) -> None:
         """Turns the hung objects of a scene to the hands that hold them at the present configuration."""
-        if not scene.hung:
-            return
         pin.forwardKinematics(self._bodies.model, self._data, self._q)
         for name, hung in scene.hung.items():
             hand = self._bodies.arms[hung.arm]
@@ -418,23 +441,23 @@ class CollisionWorld:
             hit = self._ask()
         return hit or self._left(slots, rows[index - 1], rows[index], leaving)
 
-    def _parts(self, slots: list[int], rows: Array, group: int) -> Parts:
+    def _parts(self, slots: list[int], rows: Array, group: int, off: Array = STRAIGHT) -> Parts:
         """Finds the parts of the way along these configurations on which a pair may be too near.
 
         The function returns the next part behind the configuration before this index; what is before the part is free.
         `group`: steps that one check of coal may prove free.
         """
         if self._boxes is None:
-            return self._coal_parts(slots, rows, group)
+            return self._coal_parts(slots, rows, group, off)
         boxes = self._boxes
 
         def part(index: int) -> Part:
-            free, near = boxes.way(self._q, slots, rows, index - 1)
+            free, near = boxes.way(self._q, slots, rows, index - 1, off)
             return (free, free + 2, near) if near else (free, free + 1, near)
 
         return part
 
-    def _coal_parts(self, slots: list[int], rows: Array, group: int) -> Parts:
+    def _coal_parts(self, slots: list[int], rows: Array, group: int, off: Array) -> Parts:
         """As `_parts`, without boxes. Groups of neighbouring configurations are checked at once in their middle, with a
         margin as wide as any pair can come nearer within the group (`rtc.model.robot.levers`)."""
         size, widened = group, 0
@@ -443,14 +466,14 @@ class CollisionWorld:
             nonlocal size, widened
             if index >= widened:
                 size, widened = group, min(index + SECTION, len(rows))
-                self._widen(slots, rows[index - 1 : widened], size)
+                self._widen(slots, rows[index - 1 : widened], size, off[index - 1 : widened - 1])
             while True:
                 last = min(index + size, widened)
                 near = self._near_pairs(slots, rows[index - 1 : last])
                 if len(near) <= FEW or size == 1:
                     return index - 1, last, near
                 size = 1  # shorter groups, up to the end of this section
-                self._widen(slots, rows[index - 1 : widened], size)
+                self._widen(slots, rows[index - 1 : widened], size, off[index - 1 : widened - 1])
 
         return part
 
@@ -459,12 +482,20 @@ class CollisionWorld:
         self._q[slots] = 0.5 * (rows[(len(rows) - 1) // 2] + rows[len(rows) // 2])
         return self._wider.pairs_within(self._data, self._q)
 
-    def _first_too_near(self, slots: list[int], rows: Array, pairs: list[int]) -> tuple[float, int] | None:
-        """Where on the way along these configurations a pair is nearer than its margin: (number of the configuration,
-        with a fraction between two; pair)."""
-        steps = self._levers_of_pairs(slots)[pairs] @ np.abs(rows[1:] - rows[:-1]).T
+    def _first_too_near(
+        self, slots: list[int], rows: Array, pairs: list[int], off: Array = STRAIGHT
+    ) -> tuple[float, int] | None:
+        """Where on the way along these configurations a pair may be nearer than its margin: (number of the
+        configuration, with a fraction between two; pair)."""
+        levers = self._levers_of_pairs(slots)[pairs]
+        steps = levers @ np.abs(rows[1:] - rows[:-1]).T
         reach = np.hstack((np.zeros((len(pairs), 1)), np.cumsum(steps, axis=1))).tolist()
-        places = ((self._where_too_near(slots, rows, pair, far), pair) for pair, far in zip(pairs, reach, strict=True))
+        nearer = levers @ off.max(axis=0) if len(off) else np.zeros(len(pairs))
+        least = np.maximum(self._pairs.margin[pairs], 0.0) + nearer
+        places = (
+            (self._where_too_near(slots, rows, pair, far, margin), pair)
+            for pair, far, margin in zip(pairs, reach, least.tolist(), strict=True)
+        )
         return min(((place, pair) for place, pair in places if place is not None), default=None)
 
     def _any_too_near(self, slots: list[int], rows: Array, pairs: list[int]) -> bool:
@@ -475,11 +506,12 @@ class CollisionWorld:
         self._place()
         return any(self._distance_m(pair) < max(float(self._pairs.margin[pair]), 0.0) for pair in pairs)
 
-    def _where_too_near(self, slots: list[int], rows: Array, pair: int, reach: list[float]) -> float | None:
+    def _where_too_near(
+        self, slots: list[int], rows: Array, pair: int, reach: list[float], margin: float
+    ) -> float | None:
         """`_first_too_near` of one pair. `reach`: how much nearer it can be at each configuration than at the first.
 
         What its distance exceeds its margin by is free on the way, as far as the pair can come nearer by that."""
-        margin = max(float(self._pairs.margin[pair]), 0.0)
         at = 0.0
         while True:
             n = min(bisect_right(reach, at), len(reach) - 1)
@@ -497,6 +529,8 @@ class CollisionWorld:
         """Moves all pieces to a place on the way along these configurations."""
         n = min(int(place), len(rows) - 2)
         self._q[slots] = rows[n] + (place - n) * (rows[n + 1] - rows[n])
+        if self._scene is not None and self._scene.hung:
+            self._turn_hung(self._scene)
         self._place()
 
     def _distance_m(self, pair: int) -> float:
@@ -531,10 +565,10 @@ class CollisionWorld:
     def _ask(self) -> Collision | None:
         return self._describe(self._hit) if self._touches_any() else None
 
-    def _widen(self, slots: list[int], configurations: Array, group: int) -> None:
+    def _widen(self, slots: list[int], configurations: Array, group: int, off: Array) -> None:
         """Sets the wider margins: by as much as each pair can come nearer within half a group of this many steps."""
-        steps = np.abs(configurations[1:] - configurations[:-1]).max(axis=0, initial=0.0)
-        nearer = 0.5 * group * (self._levers_of_pairs(slots) @ steps)
+        steps = 0.5 * group * np.abs(configurations[1:] - configurations[:-1]).max(axis=0, initial=0.0)
+        nearer = self._levers_of_pairs(slots) @ (steps + off.max(axis=0) if len(off) else steps)
         self._wider.put_in_force(self._pairs, self._table.as_matrix(self._pairs.margin + nearer + WIDER_M))
 
     def _levers_of_pairs(self, slots: list[int]) -> Array:

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 from rtc.model.robot import bodies
+from rtc.model.robot.boxes import STRAIGHT
 from rtc.model.robot.collision import GROUP, CollisionWorld
 from rtc.model.robot.collision_scene import AS_BUILT
 from rtc.model.robot.levers import ball, levers, of_pairs
@@ -58,7 +59,7 @@ def test_a_group_that_is_proven_free_is_free(cell, home):
         start = np.asarray(home[arm.name]) + rng.uniform(-1.2, 1.2, 6)
         path = start + np.outer(np.arange(30), rng.uniform(-0.025, 0.025, 6))
         world.check({**home, arm.name: start}, AS_BUILT)
-        world._widen(slots, path, GROUP)
+        world._widen(slots, path, GROUP, STRAIGHT)
         for n in range(1, len(path), GROUP):
             group = path[n : n + GROUP]
             world._q[slots] = group[len(group) // 2]

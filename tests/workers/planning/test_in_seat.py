@@ -94,23 +94,3 @@ def test_a_carry_keeps_clear_of_the_seat_that_it_leads_to(bench):
     assert "RACK-1" in scene.near
     assert MODULE not in scene.near  # it keeps its distance from all other bodies, on the straight part too
     assert "RACK-1" not in before_contact(request, request.start).scene.near
-
-
-def test_a_carried_body_is_checked_in_steps_of_its_own(bench):
-    """Its corners reach farther than the hand."""
-    for sentence in (f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A", f"LIFT {MODULE} BY 15 CM"):
-        assert bench.do(sentence).succeeded
-    query = WorldQuery(MODEL, bench.world)
-    world = MODEL.collision
-
-    levers = world.load_levers(RIGHT, scenes.scene_of(query, RIGHT, Limits()))
-
-    assert not world.load_levers(LEFT, scenes.scene_of(query, RIGHT, Limits())).any()
-    corners = geometry.compose(query.grasp(MODULE), (0.10, 0.12, 0.08, 0.0, 0.0, 0.0, 1.0))[:3]
-    last = MODEL.arms[RIGHT]
-    here, there = query.joints(RIGHT), list(query.joints(RIGHT))
-    for joint in range(6):
-        turned = list(there)
-        turned[joint] += 0.01
-        at = [geometry.compose(last.fk(q), (*corners, 0.0, 0.0, 0.0, 1.0))[:3] for q in (here, turned)]
-        assert np.linalg.norm(at[1] - at[0]) <= 0.01 * levers[joint]

@@ -30,9 +30,6 @@ LEAP_RAD = 0.60  # a larger joint step between knots means a singularity or anot
 METRES_PER_RAD = 0.25  # so that 0.25 m/s means 1 rad/s where the hand only turns
 MIN_STEP_M = 1e-6  # least distance between two via points in s
 CHECK_RAD = 0.025  # joint step between collision checks, weighted below; some 2 cm at the hand
-# The corner of a carried body reaches farther than the hand, and may cross an edge between two checks. Twice the
-# clearance of a freely chosen path: so the body meets nothing between two checks that keep this clearance.
-LADEN_M = 0.010
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,18 +62,13 @@ class Path:
         q = self.knots[0] + s[:, None] * slope
         return q, np.zeros(q.shape) + slope, np.zeros(q.shape)
 
-    def dense(
-        self, step_rad: float = CHECK_RAD, weights: Array | float = 1.0, levers: Array | None = None
-    ) -> tuple[Array, Array]:
+    def dense(self, step_rad: float = CHECK_RAD, weights: Array | float = 1.0) -> tuple[Array, Array]:
         """(s, joints) at a spacing for collision checks.
 
         Between neighbours each joint, times its weight, moves at most `step_rad`. `weights`: `ArmModel.step_weights`.
-        `levers`: m per rad, of what the arm holds; no point of it moves more than `LADEN_M` between neighbours.
         """
         turned = np.abs(self.knots[1:] - self.knots[:-1])
         counts = (turned * weights).max(axis=1) / step_rad
-        if levers is not None:
-            counts = np.maximum(counts, turned @ levers / LADEN_M)
         pieces = np.maximum(1, np.ceil(counts)).astype(int)
         if len(pieces) == 1:
             s = even(0.0, self.length, int(pieces[0]))
@@ -85,6 +77,11 @@ class Path:
         nth = np.arange(len(steps)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
         s = np.append(nth * steps + np.repeat(self.s[:-1], pieces), self.length)
         return s, self.joints_at(s)
+
+    def off_chords(self, s: Array) -> Array:
+        """Upper bounds of the distance between the path and its chords between these s, [len(s) - 1][joints]; empty for
+        a line. `s`: as of `dense`."""
+        return np.empty((0, 0)) if self.curve is None else self.curve.off_chords(s)
 
 
 def even(first: float, last: float, count: int) -> Array:

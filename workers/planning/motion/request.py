@@ -9,7 +9,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from rtc.model.robot.collision import GROUP, Collision, CollisionWorld
+from rtc.model.robot.collision import Collision, CollisionWorld
 from rtc.model.robot.collision_scene import AS_BUILT, Scene
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal
@@ -19,7 +19,7 @@ from workers.planning.motion.constraints import FREE, PathConstraints
 from workers.planning.motion.path import CHECK_RAD, Path
 from workers.planning.motion.timing import NO_SPEED_LIMITS, SpeedLimits
 
-LADEN_GROUP = 9  # configurations that one check may prove free, where a load makes their spacing narrow
+FINER, FINEST_RAD = 4, CHECK_RAD / 100  # steps of a path whose chords are too near, but perhaps not the path
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,16 +82,16 @@ def fault(
 
     `least_room`: of two bodies that come too near, state where they are nearest.
     """
-    return _fault_of(request, way, _dense(request, way, step_rad), least_room)
+    return _fault_of(request, way, step_rad, way.dense(step_rad, request.arm.step_weights), least_room)
 
 
 def obstacle(request: PlanningRequest, way: Path) -> Refusal | None:
     """Like `fault`, but found sooner: a problem along a path, not always the first; None if the path is free."""
-    s, configurations = dense = _dense(request, way, CHECK_RAD)
+    s, configurations = dense = way.dense(CHECK_RAD, request.arm.step_weights)
     hit = request.world.probe(request.arm.name, configurations, request.joints, request.scene)
     if hit is not None:
         return _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)
-    return _fault_of(request, way, dense)
+    return _fault_of(request, way, CHECK_RAD, dense)
 
 
 def is_free(request: PlanningRequest, way: Path) -> bool:
@@ -100,12 +100,14 @@ def is_free(request: PlanningRequest, way: Path) -> bool:
 
 
 def _fault_of(
-    request: PlanningRequest, way: Path, dense: tuple[Array, Array], least_room: bool = False
+    request: PlanningRequest, way: Path, step_rad: float, dense: tuple[Array, Array], least_room: bool = False
 ) -> Refusal | None:
     """`fault` of a path that is given in steps of collision checks: (s, joints)."""
     s, configurations = dense
-    group = LADEN_GROUP if request.scene.held else GROUP
-    hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene, group)
+    off = way.off_chords(s)
+    hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene, off)
+    if hit is not None and hit.collision.distance_m > hit.collision.margin_m and step_rad > FINEST_RAD:
+        return fault(request, way, step_rad / FINER, least_room=least_room)  # perhaps its chords alone are too near
     free = configurations if hit is None else configurations[: hit.index]
     margin = request.way_margin_rad - 1e-9
     within = len(free) == 0 or request.arm.limit_margin_rad(free) >= margin  # one vectorized check; usually true
@@ -117,12 +119,6 @@ def _fault_of(
     if hit is not None and least_room and hit.collision.distance_m > 0.0:
         hit = request.world.least_room(request.arm.name, configurations, request.joints, request.scene, hit)
     return None if hit is None else _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)
-
-
-def _dense(request: PlanningRequest, way: Path, step_rad: float) -> tuple[Array, Array]:
-    """The path in steps of collision checks, which are shorter with a load: as `Path.dense`."""
-    levers = request.world.load_levers(request.arm.name, request.scene) if request.scene.held else None
-    return way.dense(step_rad, request.arm.step_weights, levers)
 
 
 def _at(problem: Refusal, fraction: float) -> Refusal:

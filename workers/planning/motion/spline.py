@@ -47,6 +47,12 @@ class Spline:
             found = 2 * c + t * 6 * d
         return found
 
+    def off_chords(self, s: Array) -> Array:
+        """As `Path.off_chords`. The second derivative of a piece is greatest at one of its ends."""
+        bend = np.abs(self(s, 2))
+        found: Array = np.maximum(bend[1:], bend[:-1]) * (np.diff(s) ** 2 / 8)[:, None]
+        return found
+
     def _piece(self, s: Array) -> tuple[Array, Array]:
         """Of each s: the distance from the beginning of its piece, and the powers of that piece."""
         piece = np.searchsorted(self._s[1:-1], s, side="right")

@@ -9,7 +9,7 @@ import pytest
 
 from rtc.spatial import geometry
 from tests.workers.refusals import refusal_of
-from workers.planning.motion.path import joint_line, task_line, through
+from workers.planning.motion.path import joint_line, spline_through, task_line, through
 
 
 def level(x, y, z):
@@ -117,3 +117,21 @@ def test_a_singularity_on_the_way_is_reported_as_such(right):
     assert refusal.detail["joint"] in ("joint_4", "joint_6")
     assert refusal.detail["sigma_min"] < 0.05
     assert math.degrees(refusal.detail["leap_rad"]) > 30
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.002, 0.02, 0.2, None])
+def test_a_path_is_no_farther_off_its_chords_than_stated(right, home, radius):
+    rng = np.random.default_rng(7)
+    corners = [np.array(home["RIGHT-ARM"]) + rng.uniform(-0.6, 0.6, 6) for _ in range(5)]
+    rounded = through(corners, None if radius is None else np.full(3, radius))
+    for path in (rounded, spline_through(corners), joint_line(corners[0], corners[1])):
+        s, joints = path.dense(0.04, right.step_weights)
+        stated, fine = path.off_chords(s), np.linspace(0.0, 1.0, 21)
+        most = []
+        for n in range(len(s) - 1):
+            chord = joints[n] + fine[:, None] * (joints[n + 1] - joints[n])
+            off = np.abs(path.joints_at(s[n] + fine * (s[n + 1] - s[n])) - chord).max(axis=0)
+            assert (off <= (stated[n] if len(stated) else 0.0) + 1e-9).all()
+            most.append(off.max())
+        if len(stated) and radius is None:
+            assert stated.max() < 5 * max(most)  # it is no idle bound
