@@ -23,13 +23,13 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from benchmarks.load.verdict import JournalReader
 from benchmarks.report import finish, question
-from broker.decisions.events import JobFinished
-from broker.persistence.journal import Journal
+from broker.decisions.events import Event, JobFinished
 from rtc.apps.demos.grasp import GRASPS, LIFTS, PLACES, STOWS
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.outcomes import Outcome, OutcomeKind
 from rtc.runtime.chaos import Chaos
 from rtc.runtime.process_table import processes
 from rtc.spatial import geometry
@@ -61,18 +61,21 @@ def main() -> None:
     with own_cluster(speed="max") as run_dir:
         chaos = Chaos(run_dir, rng)
         began_s = time.monotonic()
-        kinds = commanded(run_dir, chaos, given.commands, given.every, rng)
-        outcomes, took_s = Counter(kind.value for kind in kinds), time.monotonic() - began_s
+        journal = JournalReader(run_dir)
+        journal.follow()
+        ended = commanded(run_dir, chaos, given.commands, given.every, rng)
+        outcomes, took_s = Counter(one.kind.value for one in ended), time.monotonic() - began_s
         until_s = time.monotonic() + BACK_S
         while chaos.missing and time.monotonic() < until_s:
             chaos.returned()
             time.sleep(LOOK_S)
         with Client(run_dir) as rtc:
             away_m = away_from_truth(rtc)
-        finished = analyses(run_dir)
+        journal.close()
+        finished = analyses(journal.events)
         faults = compared(finished, written(run_dir))
-    for fault in faults:
-        print(f"  {fault}")
+    for line in [*(one.message for one in ended if one.kind is not OutcomeKind.SUCCEEDED), *faults]:
+        print(f"  {line}")
     metrics = {
         "commands": sum(outcomes.values()),
         "succeeded": outcomes[OutcomeKind.SUCCEEDED.value],
@@ -80,6 +83,7 @@ def main() -> None:
         "not_back": len(chaos.missing),
         "analyses": len(finished),
         "analyses_repeated": sum(one.attempt > 1 for one in finished),
+        "journal_missed": journal.missed,
         "faults": len(faults),
         "away_from_truth_mm": 1e3 * away_m,
         "took_s": took_s,
@@ -88,7 +92,7 @@ def main() -> None:
     sys.exit(bool(faults) or away_m > AWAY_M)
 
 
-def commanded(run_dir: Path, chaos: Chaos, commands: int, every_s: float, rng: random.Random) -> list[OutcomeKind]:
+def commanded(run_dir: Path, chaos: Chaos, commands: int, every_s: float, rng: random.Random) -> list[Outcome]:
     """The outcomes of this many commands, half of them for each arm, with kills in between."""
     with ThreadPoolExecutor(len(ROUND)) as arms:
         done = [arms.submit(_one_arm, run_dir, sentences, commands // len(ROUND)) for sentences in ROUND]
@@ -100,21 +104,20 @@ def commanded(run_dir: Path, chaos: Chaos, commands: int, every_s: float, rng: r
                 chaos.strike("worker", rng.choice(names))
             chaos.returned()
             time.sleep(LOOK_S)
-        return [kind for arm in done for kind in arm.result()]
+        return [outcome for arm in done for outcome in arm.result()]
 
 
-def _one_arm(run_dir: Path, sentences: list[str], commands: int) -> list[OutcomeKind]:
+def _one_arm(run_dir: Path, sentences: list[str], commands: int) -> list[Outcome]:
     with Client(run_dir) as rtc:
-        return [rtc.run(sentences[n % len(sentences)]).outcome.kind for n in range(commands)]
+        return [rtc.run(sentences[n % len(sentences)]).outcome for n in range(commands)]
 
 
-def analyses(run_dir: Path) -> list[JobFinished]:
+def analyses(events: list[Event]) -> list[JobFinished]:
     """The analyses that the broker has received, the first answer of each job."""
     found: dict[str, JobFinished] = {}
-    for batch in Journal.read_only(run_dir / "journal.db").batches(0):
-        for event in batch:
-            if isinstance(event, JobFinished) and "verdict" in msgspec.msgpack.decode(event.product):
-                found.setdefault(event.job, event)
+    for event in events:
+        if isinstance(event, JobFinished) and "verdict" in msgspec.msgpack.decode(event.product):
+            found.setdefault(event.job, event)
     return list(found.values())
 
 
