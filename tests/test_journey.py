@@ -12,6 +12,7 @@ import pytest
 
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol import messages as m
+from rtc.protocol.knots import Knots
 from rtc.protocol.sentence import ParsedCommand
 
 TEXT = (Path(__file__).parents[1] / "docs" / "journey.md").read_text()
@@ -46,7 +47,7 @@ def test_the_messages_come_in_the_order_of_the_journey() -> None:
 @pytest.mark.parametrize("block", [b for b in BLOCKS if b["type"] != "JobBatch"], ids=lambda block: block["type"])
 def test_a_message_of_the_page_is_one_of_today(block: dict[str, Any]) -> None:
     kind = ParsedCommand if block["type"] == "ParsedCommand" else getattr(m, block["type"])
-    read = msgspec.json.decode(json.dumps(block), type=kind)
+    read = msgspec.json.decode(json.dumps(block), type=kind, dec_hook=lambda _, rows: Knots.of(rows))
     assert unknown_keys(block, read) == []
 
 

@@ -129,9 +129,9 @@ def _motion(arm: str, motion: ArmMotion, now: float) -> dict[str, Any]:
         "primitive": motion.primitive,
         "started_ago_s": now - motion.started_s if motion.started_s else None,
         "time_s": path.time_s,
-        "positions": path.positions,
-        "velocities": path.velocities,
-        "accelerations": path.accelerations,
+        "positions": list(path.positions),
+        "velocities": list(path.velocities),
+        "accelerations": list(path.accelerations),
     }
 
 

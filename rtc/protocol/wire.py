@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 import msgspec
 
+from rtc.protocol.knots import Knots
 from rtc.protocol.outcomes import WireError
 
 PROTOCOL = b"RTC1"
@@ -25,14 +26,27 @@ MAX_BATCH_BYTES = 192 << 10  # maximum size of an array; below the frame limit o
 NAME_CHARACTERS = 1_000  # maximum length of a name read from an invalid message; valid ones are shorter
 
 
-def _plain(value: Any) -> float:
-    """A number of numpy as one of Python: one that slips into a report must not end the process that sends it."""
+def _to_wire(value: Any) -> Any:
+    """Knots as their bytes. A number of numpy as one of Python: one that slips into a report must not end the process
+    that sends it."""
+    if isinstance(value, Knots):
+        return value.data
     if isinstance(value, numbers.Real):
         return float(value)
     raise TypeError(f"no message may contain a {type(value).__name__}")
 
 
-_encoder = msgspec.msgpack.Encoder(enc_hook=_plain)
+def _from_wire(kind: type, value: Any) -> Any:
+    if kind is Knots and isinstance(value, bytes):
+        return Knots(value)
+    raise ValueError(f"expected bytes, got {type(value).__name__}")
+
+
+def _decoder(kind: Any) -> Callable[[bytes | msgspec.Raw], Any]:
+    return msgspec.msgpack.Decoder(kind, dec_hook=_from_wire).decode
+
+
+_encoder = msgspec.msgpack.Encoder(enc_hook=_to_wire)
 _NO_MESSAGE = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError, OverflowError)
 
 
@@ -56,7 +70,7 @@ def reader(union: Any) -> Callable[[Sequence[bytes]], Any]:
 
     Raises `WireError`: not two frames, another protocol version, malformed bytes, a type not in the union.
     """
-    decode = msgspec.msgpack.Decoder(union).decode
+    decode = _decoder(union)
 
     def read(parts: Sequence[bytes]) -> Any:
         body = _body(parts)
@@ -147,7 +161,7 @@ def name_in(parts: Sequence[bytes]) -> str:
 
 def decoder(kind: Any) -> Callable[[bytes | msgspec.Raw], Any]:
     """A function from bytes to `kind`, for parts of a message (job inputs and products)."""
-    decode = msgspec.msgpack.Decoder(kind).decode
+    decode = _decoder(kind)
 
     def read(data: bytes | msgspec.Raw) -> Any:
         try:

@@ -29,6 +29,10 @@ FREE = (
     "stated",
     "fits",
     "limits",
+    "offers",
+    "owners",
+    "relies_on",
+    "extra",
 )  # maps with any keys, or with parts
 
 

@@ -47,6 +47,7 @@ FUNCTIONS: dict[WorkerKind, Any] = {
     WorkerKind.ANALYZER: analyzer,
 }
 TICKS = {WorkerKind.PARSER: 2, WorkerKind.ELABORATOR: 15, WorkerKind.BINDER: 15, WorkerKind.ANALYZER: 5}  # of a job
+read_primitive = wire.decoder(Primitive)
 COMPILED: dict[WorkerKind, Any] = {}  # shared: the programs never change here
 
 
@@ -161,7 +162,7 @@ class OneProcess:
             case do.LoadPart():
                 self._later(1, self._loaded(effect))
             case do.SendPrimitive():
-                primitive = msgspec.msgpack.decode(effect.primitive, type=Primitive)
+                primitive = read_primitive(effect.primitive)
                 if effect.subsystem == CAMERAS.name:
                     self._look(primitive)
                     return

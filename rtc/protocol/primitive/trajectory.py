@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from rtc.protocol.knots import Knots
 from rtc.protocol.primitive.limits import FARTHEST_M, MAX_S, Vector
 from rtc.protocol.strict import Strict
 
@@ -16,15 +17,16 @@ MAX_TURN_RAD = 1000.0  # maximum turn of a spindle
 class JointTrajectory(Strict, frozen=True, kw_only=True, tag="joint-trajectory"):
     """P for an arm: knots, joined by quintic Hermite polynomials. Starts and ends at rest.
 
-    `positions[k][j]` rad at `time_s[k]`; velocities rad/s, accelerations rad/s^2 of the same shape.
+    `positions[k][j]` rad at `time_s[k]`; velocities rad/s, accelerations rad/s^2 of the same shape. The constructor
+    takes lists of rows too.
     `space`: the space in which the path is a line; the knots are joint values in both cases.
     """
 
     space: Literal["joint", "task"]
     time_s: Vector
-    positions: list[Vector]
-    velocities: list[Vector]
-    accelerations: list[Vector]
+    positions: Knots
+    velocities: Knots
+    accelerations: Knots
 
     def __post_init__(self) -> None:
         n = len(self.time_s)
@@ -32,11 +34,15 @@ class JointTrajectory(Strict, frozen=True, kw_only=True, tag="joint-trajectory")
             raise ValueError("a trajectory needs two knots or more, the first at time 0")
         if any(b <= a for a, b in zip(self.time_s, self.time_s[1:], strict=False)):
             raise ValueError("time_s must rise from knot to knot")
-        dof = len(self.positions[0]) if self.positions else 0
         for name in ("positions", "velocities", "accelerations"):
             rows = getattr(self, name)
-            if len(rows) != n or set(map(len, rows)) != {dof}:
-                raise ValueError(f"{name} must hold {n} knots of {dof} joints")
+            if not isinstance(rows, Knots):
+                rows = Knots.of(rows)
+                msgspec.structs.force_setattr(self, name, rows)
+                if len(rows) != n:
+                    raise ValueError(f"{name} must hold {n} knots")
+            if rows.in_rows(n).columns != self.positions.columns:
+                raise ValueError(f"{name} must hold {n} knots of {self.positions.columns} joints")
 
     @property
     def duration_s(self) -> float:

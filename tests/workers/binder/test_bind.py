@@ -13,6 +13,7 @@ from rtc.language import dictionary
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.kinematics import ArmModel
 from rtc.programs import loader
+from rtc.protocol import wire
 from rtc.protocol.messages import Binding, BoundStep, Script, Step, StepFigures, StepWords, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
@@ -573,7 +574,7 @@ def test_the_same_input_gives_the_same_primitive(bench):
 
     first, second = (bench.bind(script, script.steps[0]) for _ in range(2))
 
-    assert msgspec.json.encode(first) == msgspec.json.encode(second)
+    assert wire.encode(first) == wire.encode(second)
 
 
 def test_the_way_of_the_elaborator_is_not_tested_again(bench, monkeypatch):

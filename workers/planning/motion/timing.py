@@ -21,6 +21,7 @@ import toppra.constraint
 from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
 from rtc.plugins import registry
+from rtc.protocol.knots import Knots
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import JointTrajectory, Load
 from rtc.spatial.geometry import Array
@@ -96,10 +97,14 @@ class Timed:
         return JointTrajectory(
             space=self.space,
             time_s=self.time_s.tolist(),
-            positions=self.positions.tolist(),
-            velocities=self.velocities.tolist(),
-            accelerations=self.accelerations.tolist(),
+            positions=_knots(self.positions),
+            velocities=_knots(self.velocities),
+            accelerations=_knots(self.accelerations),
         )
+
+
+def _knots(rows: Array) -> Knots:
+    return Knots(rows.astype("<f8", copy=False).tobytes()).in_rows(len(rows))
 
 
 def time_path(arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, load: Load | None = None) -> Timed:
