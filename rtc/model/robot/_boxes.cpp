@@ -16,6 +16,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <optional>
 #include <stdexcept>
 #include <utility>
 #include <vector>
@@ -31,6 +32,7 @@ using Ints = py::array_t<int, py::array::c_style | py::array::forcecast>;
 using Slots = std::vector<int>;
 
 constexpr double ROUNDING_M = 1e-5;  // more than the tolerance of coal's iterations and of sums here
+constexpr double HALF_TURN = 1e-9;    // sine of the angle beside a half turn or none
 constexpr int BLOCK = 8;              // rows of a way that are tested against all pairs at once
 
 Pose pose_of(const double* values) {  // twelve: rotation row by row, position
@@ -93,6 +95,18 @@ Pose moved(const Joint& joint, double q) {
     return compose(joint.at, turn);
 }
 
+std::vector<Joint> joints_of(const Ints& parents, const Ints& slides, const Doubles& axes, const Doubles& placements) {
+    const auto parent = parents.unchecked<1>();
+    const auto slide = slides.unchecked<1>();
+    const auto axis = axes.unchecked<2>();
+    std::vector<Joint> joints;
+    for (py::ssize_t n = 0; n < parent.shape(0); ++n) {
+        if (parent(n) >= n) throw std::invalid_argument("a joint stands before its parent");
+        joints.push_back({parent(n), slide(n) != 0, {axis(n, 0), axis(n, 1), axis(n, 2)}, pose_of(placements.data(n, 0))});
+    }
+    return joints;
+}
+
 }  // namespace
 
 class Boxes {
@@ -102,16 +116,9 @@ class Boxes {
     // `hulls` [boxes]: the corners of a hull, or none. Each box is to be placed before it is used.
     Boxes(Ints parents, Ints slides, Doubles axes, Doubles placements, Ints pairs, Doubles solids,
           const std::vector<std::vector<double>>& hulls) {
-        const auto parent = parents.unchecked<1>();
-        const auto slide = slides.unchecked<1>();
-        const auto axis = axes.unchecked<2>();
+        joints_ = joints_of(parents, slides, axes, placements);
         const auto solid = solids.unchecked<2>();
         const auto pair = pairs.unchecked<2>();
-        for (py::ssize_t n = 0; n < parent.shape(0); ++n) {
-            if (parent(n) >= n) throw std::invalid_argument("a joint stands before its parent");
-            Joint joint{parent(n), slide(n) != 0, {axis(n, 0), axis(n, 1), axis(n, 2)}, pose_of(placements.data(n, 0))};
-            joints_.push_back(joint);
-        }
         if (solid.shape(1) != 8 || hulls.size() != static_cast<size_t>(solid.shape(0)))
             throw std::invalid_argument("eight values for each solid, and its hull");
         for (py::ssize_t n = 0; n < solid.shape(0); ++n) {
@@ -467,7 +474,83 @@ class Boxes {
     }
 };
 
+// An arm alone: postures at which its tip has an attitude.
+class Arm {
+   public:
+    // As for `Boxes`. `tip` [12]: placement of the tip in the axes of the last joint.
+    Arm(Ints parents, Ints slides, Doubles axes, Doubles placements, Doubles tip)
+        : joints_(joints_of(parents, slides, axes, placements)), at_(joints_.size()) {
+        if (tip.size() != 12) throw std::invalid_argument("a placement has twelve values");
+        tip_ = pose_of(tip.data());
+    }
+
+    // A posture near `q` at which the tip has the attitude `goal` [9] within `tolerance` (rad); else none. `damping`: of
+    // the steps, which are at most `steps`.
+    std::optional<std::vector<double>> turned_to(std::vector<double> q, Doubles goal, int steps, double tolerance, double damping) {
+        if (q.size() != joints_.size() || goal.size() != 9) throw std::invalid_argument("values do not fit the joints");
+        for (int step = 0; step < steps; ++step) {
+            const Pose tip = place(q);
+            const Vector error = rotation_to(tip.r, goal.data());
+            if (dot(error, error) < tolerance * tolerance) return q;
+            add_step(q, tip, error, damping);
+        }
+        return std::nullopt;
+    }
+
+   private:
+    std::vector<Joint> joints_;
+    std::vector<Pose> at_;  // of the joints
+    Pose tip_;
+
+    Pose place(const std::vector<double>& q) {
+        for (size_t n = 0; n < joints_.size(); ++n) {
+            const Pose own = moved(joints_[n], q[n]);
+            at_[n] = joints_[n].parent < 0 ? own : compose(at_[joints_[n].parent], own);
+        }
+        return compose(at_.back(), tip_);
+    }
+
+    // A damped step of least squares; `error` in the axes of the tip.
+    void add_step(std::vector<double>& q, const Pose& tip, Vector error, double damping) const {
+        std::vector<Vector> columns(joints_.size(), Vector{0, 0, 0});
+        double s[3][3] = {{damping, 0, 0}, {0, damping, 0}, {0, 0, damping}};
+        for (int n = static_cast<int>(joints_.size()) - 1; n >= 0; n = joints_[n].parent) {
+            if (joints_[n].slides) continue;
+            const double *r = at_[n].r, *axis = joints_[n].axis;
+            double world[3], c[3];
+            for (int i = 0; i < 3; ++i) world[i] = r[3 * i] * axis[0] + r[3 * i + 1] * axis[1] + r[3 * i + 2] * axis[2];
+            for (int i = 0; i < 3; ++i) c[i] = tip.r[i] * world[0] + tip.r[3 + i] * world[1] + tip.r[6 + i] * world[2];
+            columns[n] = {c[0], c[1], c[2]};
+            for (int i = 0; i < 3; ++i)
+                for (int j = 0; j < 3; ++j) s[i][j] += c[i] * c[j];
+        }
+        const Vector x{s[0][0], s[0][1], s[0][2]}, y{s[1][0], s[1][1], s[1][2]}, z{s[2][0], s[2][1], s[2][2]};
+        const Vector yz = cross(y, z), zx = cross(z, x), xy = cross(x, y);  // the inverse of a symmetric matrix
+        const double size = dot(x, yz);
+        const Vector found{dot(yz, error) / size, dot(zx, error) / size, dot(xy, error) / size};
+        for (size_t n = 0; n < q.size(); ++n) q[n] += dot(columns[n], found);
+    }
+
+    // The rotation vector from one attitude to another, in the axes of the first.
+    static Vector rotation_to(const double* from, const double* to) {
+        double r[3][3];
+        for (int i = 0; i < 3; ++i)
+            for (int j = 0; j < 3; ++j) r[i][j] = from[i] * to[j] + from[3 + i] * to[3 + j] + from[6 + i] * to[6 + j];
+        const Vector twice{r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]};
+        const double sine = 0.5 * std::sqrt(dot(twice, twice)), cosine = 0.5 * (r[0][0] + r[1][1] + r[2][2] - 1.0);
+        const double angle = std::atan2(sine, cosine);
+        if (sine > HALF_TURN) return (0.5 * angle / sine) * twice;
+        if (cosine > 0.0) return 0.5 * twice;
+        int i = 0;  // a half turn: its axis is the longest column of r + 1
+        for (int j = 1; j < 3; ++j)
+            if (r[j][j] > r[i][i]) i = j;
+        Vector axis{r[0][i] + (i == 0), r[1][i] + (i == 1), r[2][i] + (i == 2)};
+        return (angle / std::sqrt(dot(axis, axis))) * axis;
+    }
+};
+
 PYBIND11_MODULE(_boxes, module) {
+    py::class_<Arm>(module, "Arm").def(py::init<Ints, Ints, Doubles, Doubles, Doubles>()).def("turned_to", &Arm::turned_to);
     py::class_<Boxes>(module, "Boxes")
         .def(py::init<Ints, Ints, Doubles, Doubles, Ints, Doubles, const std::vector<std::vector<double>>&>())
         .def("place", &Boxes::place)

@@ -1,6 +1,10 @@
 from collections.abc import Sequence
 from typing import Any
 
+class Arm:
+    def __init__(self, parents: Any, slides: Any, axes: Any, placements: Any, tip: Any) -> None: ...
+    def turned_to(self, q: Any, goal: Any, steps: int, tolerance: float, damping: float) -> list[float] | None: ...
+
 class Boxes:
     def __init__(
         self, parents: Any, slides: Any, axes: Any, placements: Any, pairs: Any, solids: Any, hulls: Any

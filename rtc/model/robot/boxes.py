@@ -111,14 +111,28 @@ def _solid(solid: coal.CollisionGeometry) -> tuple[list[float], list[float]]:
 
 def boxes_of(bodies: Bodies, levers: Array) -> Boxes | None:
     """Boxes in the initial state of a cell; None where coal decides everything. `levers`: as for `Boxes`."""
-    model = bodies.model
-    if _boxes is None or model.nq != model.njoints - 1:
+    joints = _joints_of(bodies.model)
+    return Boxes(bodies, levers, joints) if joints else None
+
+
+def arm_of(model: pin.Model, tip: pin.Frame) -> _boxes.Arm | None:
+    """The kinematics of an arm alone, compiled; None where pinocchio does it all. `tip`: on its last joint."""
+    joints = _joints_of(model)
+    if not joints:
         return None
+    parents, slides, axes, placements = zip(*joints, strict=True)
+    return _boxes.Arm(parents, slides, axes, placements, [*tip.placement.rotation.flat, *tip.placement.translation])
+
+
+def _joints_of(model: pin.Model) -> list[tuple[int, bool, Array, list[float]]]:
+    """The joints of a model, as for `Boxes`; none without a compiler, or with a joint that it does not know."""
+    if _boxes is None or model.nq != model.njoints - 1:
+        return []
     joints = []
     for n in range(1, model.njoints):
         joint, at = model.joints[n], model.jointPlacements[n]
         if joint.idx_q != n - 1 or not joint.shortname().startswith(KINDS):
-            return None
+            return []
         data = joint.createData()
         joint.calc(data, np.zeros(model.nq))
         linear, angular = np.split(np.asarray(data.S).ravel(), 2)
@@ -126,4 +140,4 @@ def boxes_of(bodies: Bodies, levers: Array) -> Boxes | None:
         joints.append(
             (model.parents[n] - 1, slides, linear if slides else angular, [*at.rotation.flat, *at.translation])
         )
-    return Boxes(bodies, levers, joints) if joints else None
+    return joints

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.model.cells import cell as cells
-from rtc.model.robot import numeric_ik, puma_ik
+from rtc.model.robot import boxes, numeric_ik, puma_ik
 from rtc.plugins import registry
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason
 from rtc.spatial import geometry
@@ -107,6 +107,7 @@ class ArmModel:
         self._per_rad = np.where(self._chain.slides, SLIDE_MARGIN, 1.0)
         turning_about_z = all(model.joints[i].shortname() == "JointModelRZ" for i in range(1, model.njoints))
         placements = [model.jointPlacements[i].homogeneous for i in range(1, model.njoints)]
+        self._compiled = boxes.arm_of(model, tip)
         self._closed_form = puma_ik.recognise(placements) if turning_about_z else None
         sweeps = _sweeps(placements, tip.placement.translation, self._chain.slides)
         #: by joint: the weight of its displacement along a path, because some joints move the hand less
@@ -278,6 +279,9 @@ class ArmModel:
         """
         turn = self._base.rotation.T @ geometry.to_matrix(attitude)[:3, :3]
         q = np.array(joints, dtype=float)
+        if self._compiled is not None:
+            found = self._compiled.turned_to(q, turn.ravel(), PROJECTIONS, PROJECTED_RAD, DAMPING)
+            return None if found is None else np.array(found)
         for _ in range(PROJECTIONS):
             error = pin.log3(self._tip_rotation(q).T @ turn)
             if error @ error < PROJECTED_RAD * PROJECTED_RAD:

@@ -16,6 +16,7 @@ from rtc.model.cells.cell import Cell
 from rtc.model.robot import compiled
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import AttachedBody, Held, Scene
+from rtc.model.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 
 CELLS = ("swapout", "servicing", "panda", "gantry")
@@ -187,3 +188,24 @@ def least_room_m(solid: coal.CollisionGeometry, at: coal.Transform3s, box: np.nd
             result = coal.DistanceResult()
             found.append(coal.distance(solid, at, outside, coal.Transform3s(), coal.DistanceRequest(), result))
     return min(found)
+
+
+@needs_boxes
+@pytest.mark.parametrize("name", CELLS)
+def test_a_posture_is_turned_to_an_attitude_as_by_pinocchio(name, monkeypatch):
+    cell = Cell.load(name)
+    rng, found = np.random.default_rng(6), 0
+    for arm in (ArmModel.of(cell, one.name) for one in cell.arms):
+        for _ in range(60):
+            q = rng.uniform(arm.limits.lower, arm.limits.upper)
+            attitude = geometry.from_rpy((0.0, 0.0, 0.0), rng.uniform(-3.0, 3.0, 3))
+            ours = arm.turned_to(attitude, q)
+            with monkeypatch.context() as patch:
+                patch.setattr(arm, "_compiled", None)
+                theirs = arm.turned_to(attitude, q)
+            assert (ours is None) == (theirs is None)
+            if ours is not None and theirs is not None:
+                found += 1
+                assert np.allclose(ours, theirs, atol=1e-6)
+                assert geometry.angle(arm.fk(ours), attitude) < 2e-3
+    assert found > 20
