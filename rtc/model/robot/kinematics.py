@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -107,6 +108,7 @@ class ArmModel:
         self._per_rad = np.where(self._chain.slides, SLIDE_MARGIN, 1.0)
         turning_about_z = all(model.joints[i].shortname() == "JointModelRZ" for i in range(1, model.njoints))
         placements = [model.jointPlacements[i].homogeneous for i in range(1, model.njoints)]
+        self._in_base = lru_cache(maxsize=4)(self._turn_in_base)  # a search asks for one attitude thousands of times
         self._compiled = boxes.arm_of(model, tip)
         self._closed_form = puma_ik.recognise(placements) if turning_about_z else None
         sweeps = _sweeps(placements, tip.placement.translation, self._chain.slides)
@@ -277,11 +279,11 @@ class ArmModel:
 
         Regardless of limits. None: not found in `PROJECTIONS` steps.
         """
-        turn = self._base.rotation.T @ geometry.to_matrix(attitude)[:3, :3]
-        q = np.array(joints, dtype=float)
+        turn = self._in_base(tuple(attitude[3:]))
         if self._compiled is not None:
-            found = self._compiled.turned_to(q, turn.ravel(), PROJECTIONS, PROJECTED_RAD, DAMPING)
+            found = self._compiled.turned_to(joints, turn, PROJECTIONS, PROJECTED_RAD, DAMPING)
             return None if found is None else np.array(found)
+        q = np.array(joints, dtype=float)
         for _ in range(PROJECTIONS):
             error = pin.log3(self._tip_rotation(q).T @ turn)
             if error @ error < PROJECTED_RAD * PROJECTED_RAD:
@@ -339,6 +341,11 @@ class ArmModel:
         pin.framesForwardKinematics(self.model, self._data, joints)
         rotation: Array = self._data.oMf[self._tcp].rotation
         return rotation
+
+    def _turn_in_base(self, attitude: tuple[float, ...]) -> Array:
+        """The rotation of this quaternion of the world in the axes of the base."""
+        turn: Array = self._base.rotation.T @ geometry.to_matrix((0.0, 0.0, 0.0, *attitude))[:3, :3]
+        return np.ascontiguousarray(turn)
 
     def _placement(self, joints: Floats) -> pin.SE3:
         pin.framesForwardKinematics(self.model, self._data, np.asarray(joints, dtype=float))
