@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from toppra import SplineInterpolator
 
 from rtc.protocol.outcomes import Refused
 from rtc.spatial import geometry
@@ -44,13 +43,6 @@ def _ways(request: PlanningRequest, goal: Array) -> Iterator[Path]:
             first, second = (request.arm.nearest_ik(pose, q) for pose, (_, q) in zip(moved, ends, strict=True))
             if back == up == 0.0 or first is None or second is None:
                 continue
-            yield _spline([request.start, first, second, goal])
-            yield _spline([request.start, first, goal])
-            yield _spline([request.start, second, goal])
-
-
-def _spline(waypoints: list[Array]) -> Path:
-    knots = np.array(waypoints)
-    steps = np.maximum(np.abs(np.diff(knots, axis=0)).max(axis=1), 1e-6)
-    s = np.concatenate(((0.0,), np.cumsum(steps))) / steps.sum()
-    return Path("joint", s, knots, SplineInterpolator(s, knots, bc_type="natural"))
+            yield paths.spline_through([request.start, first, second, goal])
+            yield paths.spline_through([request.start, first, goal])
+            yield paths.spline_through([request.start, second, goal])
