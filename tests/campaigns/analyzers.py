@@ -5,7 +5,9 @@
 Two arms grasp, lift, put back and stow their modules in physics, as fast as the simulation goes. At random times, on
 average every 0.3 seconds, SIGKILL kills one analyzer. At the end the journal is compared with the world database. Each
 analysis that the broker has received wrote its changes as one version, with the values of its answer; no version is of
-another job; each job has written once. Last the facts are compared with the truth of the simulator.
+another job; each job has written once. An analyzer that is killed after its commit has its job repeated in the world
+that it has changed: the answer then states what is left to change, and nothing is written again. Last the facts are
+compared with the truth of the simulator.
 """
 
 from __future__ import annotations
@@ -137,6 +139,7 @@ def compared(finished: list[JobFinished], world: list[Written]) -> list[str]:
     faults = [f"{job} has written {count} times" for job, count in counts.items() if count != 1]
     versions = {one.job: one for one in world}
     answered = {event.job: msgspec.msgpack.decode(event.product).get("changes", []) for event in finished}
+    repeated = {event.job for event in finished if event.attempt > 1}
     for job, changes in answered.items():
         if not changes:
             continue
@@ -144,7 +147,8 @@ def compared(finished: list[JobFinished], world: list[Written]) -> list[str]:
             faults.append(f"{job} has changes, and has written nothing")
             continue
         stated = {change["key"] for change in changes}
-        if stated != versions[job].values.keys():
+        wrote = {*versions[job].values}
+        if stated != wrote and not (job in repeated and stated < wrote):
             faults.append(f"{job} has written {sorted(versions[job].values)}, and answered {sorted(stated)}")
         for change in changes:
             if not change.get("keep_value"):
