@@ -130,7 +130,10 @@ class Hub:
                     {"name": arm.name, "hand": arm.end_effector, "tcp": f"{arm.name}/{arm.tcp_link}"}
                     for arm in cell.arms
                 ],
-                "carried": {camera.arm: camera.name for camera in cell.cameras if camera.arm},
+                "eyes": {
+                    camera.name: {"arm": camera.arm, "xyz": camera.xyz, "looks_at": camera.looks_at}
+                    for camera in cell.cameras
+                },
                 "cameras": [camera.name for camera in cell.cameras],
                 "subsystems": [one.name for one in cell.all_subsystems],
             }

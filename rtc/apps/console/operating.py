@@ -1,7 +1,7 @@
 """The stream of one page's operator to the arms: each message goes on at once, and each answer goes back to the page.
 
-It invents nothing: the page names the grant and the newest measurement that it has drawn, so a page that lags behind
-is refused as stale by the subsystem. When the page has gone, what it held is let go. For one event loop.
+It invents nothing: the page names the grant and the newest time of the subsystem that it has received, so a page that
+lags behind is refused as stale there. When the page has gone, what it held is let go. For one event loop.
 """
 
 from __future__ import annotations
@@ -83,4 +83,5 @@ class OperatorStream:
         while True:
             with contextlib.suppress(WireError):
                 answer = _read(await socket.recv_multipart())
-                await self._answered({"arm": arm, "refused": answer.refused, "cut": answer.cut})
+                found = {"arm": arm, "at_s": answer.at_s, "refused": answer.refused, "cut": answer.cut}
+                await self._answered(found)

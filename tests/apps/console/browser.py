@@ -40,6 +40,7 @@ class Page:
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._numbers = socket, itertools.count(1)
         self.problems: list[str] = []
+        self._pressed = False
         for domain in ("Page", "Runtime", "Log"):
             self._call(f"{domain}.enable")
 
@@ -89,10 +90,9 @@ class Page:
         self.mouse("mouseReleased", end)
 
     def mouse(self, kind: str, at: tuple[float, float]) -> None:
-        buttons = 0 if kind == "mouseReleased" else 1
-        self._call(
-            "Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], button="left", buttons=buttons, clickCount=1
-        )
+        self._pressed = kind == "mousePressed" or (self._pressed and kind != "mouseReleased")
+        given: dict[str, Any] = {"button": "none" if kind == "mouseMoved" else "left", "buttons": int(self._pressed)}
+        self._call("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], clickCount=1, **given)
 
     def screenshot(self, selector: str = "") -> bytes:
         """A PNG of the window, or of one element."""

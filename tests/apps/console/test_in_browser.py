@@ -156,7 +156,9 @@ def test_space_halts_a_motion_while_the_page_is_busy(page: Page):
 def test_the_button_halts_and_its_command_explains_itself(page: Page):
     page.ask(f"rtcConsole.submit({SLOW!r})")
     page.wait(MOVES)
+    count = page.ask("rtcConsole.halts.length")
     page.click("#halt")
+    page.wait(f"rtcConsole.halts.length > {count}")
     page.wait(f"{LAST_HALT}?.result.moving.includes('RIGHT-ARM') && {LAST_HALT}.result.confirmed")
     page.wait("document.querySelector('.card.open .why')?.textContent.includes('given by the operator')")
 

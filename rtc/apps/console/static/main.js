@@ -3,7 +3,7 @@ import { armHalt, halt, halts, typing } from './halt.js';
 import { links, openLinks } from './links.js';
 import { answers, hold, holding, release, sent, watchHold } from './operate.js';
 import { choose, openPanels } from './panels.js';
-import { dress, openScene, redraw, view } from './scene.js';
+import { dress, grip, openScene, redraw, view } from './scene.js';
 import { openLine, submit, write } from './sentence.js';
 import { element, nowS, on, post, seconds, state } from './store.js';
 import { openTracks } from './tracks.js';
@@ -88,17 +88,17 @@ async function start() {
   state.scene = await (await fetch('/scene')).json();
   document.getElementById('cell').textContent = state.scene.cell;
   document.title = `${state.scene.cell} – rtc console`;
+  openScene(state.scene); // before the requests, which put a gizmo into it
   watchHold();
   openPanels();
   openTracks();
   openLine();
-  openScene(state.scene);
   on('links', watch);
   setInterval(watch, 200);
   watch();
 }
 
 // For tests and the curious: the state of the page and of its scene.
-window.rtcConsole = { state, view, links, halts, halt, submit, write, choose, nowS, typing, hold, holding, release, answers, sent };
+window.rtcConsole = { state, view, links, halts, halt, submit, write, choose, nowS, typing, hold, holding, release, answers, sent, grip };
 
 start();

@@ -1,8 +1,9 @@
 // Hold to move: a stream of twists to one arm while something is held, and nothing otherwise. It knows no request.
 import { links } from './links.js';
-import { emit, on, state } from './store.js';
+import { emit, nowS, on, state } from './store.js';
 
 const PERIOD_MS = 25; // the arm stops 60 ms after the latest message
+const OLD_S = 0.5; // no one moves an arm by a picture that is older
 
 let held = null; // {arm, want}: what is held now; `want()` gives twist, hand, turn
 let timer = 0;
@@ -14,7 +15,13 @@ export const sent = { count: 0 };
 function send(hold) {
   const { arm, grant, want } = held;
   // The grant is that of the beginning: a hold does not go over to the next request.
-  const message = { arm, primitive: grant, seen_at_s: state.measuredAt, hold, ...(hold ? want() : {}) };
+  const seen = Math.max(state.measuredAt, answers[arm]?.at_s ?? 0); // of the subsystem: the latest that has arrived
+  const old = nowS() - state.measuredAt;
+  if (hold && !(old < OLD_S)) {
+    emit('operated', { ...answers[arm], arm, refused: `the picture is ${old.toFixed(1)} s old`, cut: '' });
+    hold = false;
+  }
+  const message = { arm, primitive: grant, seen_at_s: seen, hold, ...(hold ? want() : {}) };
   sent.count += 1;
   links.operate.send(JSON.stringify(message));
 }
@@ -23,7 +30,7 @@ export function hold(arm, want) {
   release();
   const grant = state.arms[arm]?.primitive;
   if (!grant) return;
-  answers[arm] = { refused: '', cut: '' };
+  answers[arm] = { at_s: answers[arm]?.at_s ?? 0, refused: '', cut: '' };
   held = { arm, grant, want };
   send(true);
   timer = setInterval(() => send(true), PERIOD_MS);

@@ -1,6 +1,6 @@
 // Requests to the operator: what he is asked to do, how far he is, and the means to do it. One card per operated arm.
 import { answers, hold, holding, release } from './operate.js';
-import { gizmo } from './scene.js';
+import { bodyAt, gizmo, grip } from './scene.js';
 import { submit } from './sentence.js';
 import { element, emit, on, state } from './store.js';
 
@@ -24,7 +24,7 @@ const operated = () => Object.entries(state.arms).filter(([, arm]) => arm.operat
 function update() {
   const now = operated();
   const tab = document.getElementById('tab-requests');
-  tab.textContent = now.length ? `Requests (${now.length})` : 'Requests';
+  tab.textContent = now.length ? `Requests ${now.length}` : 'Requests';
   tab.classList.toggle('wanted', now.length > 0);
   const known = new Set(now.map(([name, arm]) => `${name} ${arm.primitive}`));
   for (const [key, card] of cards) if (!known.has(key)) { card.box.remove(); cards.delete(key); gizmo(null); }
@@ -41,7 +41,7 @@ function update() {
   }
   const empty = holder.querySelector('.empty');
   if (now.length) empty?.remove();
-  else if (!empty) holder.append(element('p', { class: 'empty' }, 'nothing is asked of the operator. GIVE RIGHT-ARM hands an arm over; VIA OPERATOR-INTERVENTION asks for each step.'));
+  else if (!empty) holder.append(element('p', { class: 'empty' }, 'nothing is asked of the operator. GIVE RIGHT-ARM TO OPERATOR hands an arm over; VIA OPERATOR-INTERVENTION asks for each step.'));
 }
 
 function bar(name) {
@@ -109,7 +109,7 @@ function make(arm, sample) {
     picture(arm),
     off.row, force.row, torque.row,
     element('div', { class: 'options' }, 'speed', choice(Object.keys(SPEEDS), speed, (value) => { speed = value; }),
-      'axes', choice(['world', 'tool'], frame, (value) => { frame = value; }), element('span', {}, 'hold to move; or drag in the scene')),
+      'axes', choice(['world', 'tool'], frame, (value) => { frame = value; }), 'gizmo', choice(['translate', 'rotate'], 'translate', (mode) => grip()?.mode(mode))),
     pad, tools, note,
     element('div', { class: 'answer' }, element('button', { class: 'primary', onclick: () => submit('DONE') }, 'DONE'), why,
       element('button', { onclick: () => submit(`CANNOT "${why.value.replaceAll('"', "'") || 'no reason given'}"`) }, 'CANNOT')));
@@ -120,15 +120,31 @@ function make(arm, sample) {
 function picture(arm) {
   const cameras = state.scene.cameras;
   if (!cameras.length) return '';
-  const image = element('img', { alt: 'picture of the request' });
+  const image = element('img', { alt: 'picture of the request', hidden: true });
+  image.addEventListener('load', () => { image.hidden = false; });
   const take = async (name) => {
     const answer = await fetch(`/picture/${name}`).catch(() => null);
     if (answer?.ok) image.src = URL.createObjectURL(await answer.blob());
   };
-  const first = state.scene.carried[arm] ?? cameras[0];
+  const first = bestCamera(arm);
   take(first);
   return element('div', { class: 'seen' }, image, element('div', {}, choice(cameras, first, take),
     element('button', { class: 'quiet', onclick: (event) => take(event.target.previousSibling.value) }, 'again')));
+}
+
+// The camera on this hand; otherwise the one whose axis passes nearest to the hand.
+function bestCamera(arm) {
+  const eyes = Object.entries(state.scene.eyes);
+  const carried = eyes.find(([, eye]) => eye.arm === arm);
+  const hand = bodyAt(state.scene.arms.find((one) => one.name === arm).tcp).shownAs.position.toArray();
+  const minus = (a, b) => a.map((value, n) => value - b[n]);
+  const offAxis = ([, { arm: other, xyz, looks_at: at }]) => {
+    if (other) return 1e9;
+    const axis = minus(at, xyz), way = minus(hand, xyz);
+    const along = axis.reduce((sum, value, n) => sum + value * way[n], 0) / Math.hypot(...axis);
+    return along <= 0 ? 1e8 : Math.hypot(...way) / along; // 1 on the axis
+  };
+  return (carried ?? eyes.reduce((a, b) => (offAxis(b) < offAxis(a) ? b : a)))[0];
 }
 
 function fill(card, arm) {

@@ -10,10 +10,11 @@ import { element, emit, nowS, on, seconds, state } from './store.js';
 const HEADER = 24;
 const OFF_M = 0.002, OFF_RAD = 0.02; // a ghost is shown where it differs by more
 const GHOSTS = { belief: 0x2f81f7, prediction: 0xe08a00 };
-const SLOW_MS = 45; // of one drawing: then fewer pixels are drawn
+const SLOW_MS = 60; // from frame to frame: above it fewer pixels are drawn
+const REST_MS = 120; // without a graphics processor: the keys and the operator's stream come first
 export const view = { frames: 0, drawn: 0, latencies: [], sets: {}, shown: { belief: true, prediction: true, labels: true } };
 
-let renderer, camera, controls, scene, wanted = true, bodies = [], costMs = 0, ratio = 1;
+let renderer, camera, controls, scene, wanted = true, bodies = [], costMs = 0, share = 1, lastMs = 0, drawnMs = 0, drewLast = false;
 const canvas = document.getElementById('canvas');
 const box = document.getElementById('view');
 
@@ -119,8 +120,7 @@ export function look(name) {
 function resize() {
   const { clientWidth, clientHeight } = box;
   if (!clientWidth || !clientHeight) return;
-  ratio = Math.min(window.devicePixelRatio, costMs > SLOW_MS ? 0.6 : 2);
-  renderer.setPixelRatio(ratio);
+  renderer.setPixelRatio(share * Math.min(window.devicePixelRatio, 2));
   renderer.setSize(clientWidth, clientHeight, false);
   camera.aspect = clientWidth / clientHeight;
   camera.updateProjectionMatrix();
@@ -177,19 +177,29 @@ function differs(a, b) {
   return false;
 }
 
-function draw() {
+// The time from one drawn frame to the next, also what the graphics processor took: a slow one draws fewer pixels.
+function watchCost(nowMs) {
+  const took = nowMs - lastMs, drawn = drewLast;
+  lastMs = nowMs;
+  drewLast = false;
+  if (!drawn || took > 1000) return;
+  costMs += 0.15 * (took - costMs);
+  const wish = costMs > SLOW_MS ? Math.max(0.5, share * 0.8) : share;
+  if (wish !== share) { share = wish; costMs = 0; resize(); }
+}
+
+function draw(nowMs) {
   requestAnimationFrame(draw);
+  watchCost(nowMs);
   const data = pending;
   pending = null;
   if (data && apply(data)) wanted = true;
-  if (wanted && !state.lost) {
+  const rests = share < 0.7 && nowMs < drawnMs + REST_MS;
+  if (wanted && !state.lost && !rests) {
+    drawnMs = nowMs;
     wanted = false;
-    const began = performance.now();
     renderer.render(scene, camera);
-    const took = performance.now() - began;
-    const slow = costMs > SLOW_MS;
-    costMs += 0.1 * (took - costMs);
-    if (costMs > SLOW_MS !== slow && ratio > 0.6) resize();
+    drewLast = true;
     view.drawn += 1;
     moveLabels();
     emit('drawn');
@@ -271,15 +281,15 @@ function moveLabels() {
 
 // --- the gizmo: an arm that the operator moves follows it while it is dragged ---
 
-let grip = null;
+let held = null;
 
 // `by`: {hold(want), release(), speed()}. Null as arm removes it.
 export function gizmo(arm, by) {
-  if (grip) {
-    grip.controls.detach();
-    scene.remove(grip.controls.getHelper(), grip.proxy);
-    grip.controls.dispose();
-    grip = null;
+  if (held) {
+    held.controls.detach();
+    scene.remove(held.controls.getHelper(), held.proxy);
+    held.controls.dispose();
+    held = null;
     wanted = true;
   }
   if (!arm || !scene) return;
@@ -288,7 +298,7 @@ export function gizmo(arm, by) {
   handles.setSize(0.75);
   handles.attach(proxy);
   scene.add(proxy, handles.getHelper());
-  grip = { arm, body, proxy, controls: handles };
+  held = { arm, body, proxy, controls: handles };
   handles.addEventListener('change', () => { wanted = true; });
   handles.addEventListener('dragging-changed', ({ value }) => {
     controls.enabled = !value;
@@ -296,9 +306,11 @@ export function gizmo(arm, by) {
     else by.release();
   });
   settle();
+  wanted = true; // it can be picked only after it was drawn
 }
 
-export const gizmoOf = () => grip && { arm: grip.arm, mode: (mode) => grip.controls.setMode(mode), at: onCanvas(grip.proxy) };
+// For tests and the keys of the gizmo; null without one.
+export const grip = () => held && { arm: held.arm, mode: (mode) => held.controls.setMode(mode), at: () => onCanvas(held.proxy) };
 
 function onCanvas(object) {
   const box = canvas.getBoundingClientRect(), spot = object.position.clone().project(camera);
@@ -306,9 +318,9 @@ function onCanvas(object) {
 }
 
 function settle() {
-  if (!grip || grip.controls.dragging) return;
-  grip.proxy.position.copy(grip.body.shownAs.position);
-  grip.proxy.quaternion.copy(grip.body.shownAs.quaternion);
+  if (!held || held.controls.dragging) return;
+  held.proxy.position.copy(held.body.shownAs.position);
+  held.proxy.quaternion.copy(held.body.shownAs.quaternion);
 }
 
 // The velocity that leads from where the hand is to where the gizmo is, within the speeds.
