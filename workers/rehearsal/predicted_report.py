@@ -264,6 +264,8 @@ def _turned(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, r
 
 def _of_look(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
     seen = sighting(query, made, evaluation.body) if reason in (StopReason.GOAL, StopReason.FOUND) else None
+    if reason is StopReason.FOUND and seen is None:
+        reason = StopReason.NOT_SEEN
     return EndReport(
         primitive=made.id,
         performer=made.performer,
