@@ -23,11 +23,12 @@ from broker.decisions import (
     program_rollout,
     subsystem_link,
 )
-from broker.decisions.command import control, limits, pacing, stopping, termination
+from broker.decisions.command import control, limits, operator_answers, pacing, stopping, termination
 from broker.decisions.command.table import stimulate
 from broker.decisions.context import START, DecisionContext
 from broker.decisions.effects import AcknowledgeReport, Effect, TellClient
 from broker.decisions.events import (
+    AnswerWasRefused,
     ArmStrayed,
     BreakpointsChanged,
     BrokerRestarted,
@@ -293,6 +294,7 @@ def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
         return
     context.node, context.took_s = event.subsystem, event.at_s - command.sent_at_s
     stimulate(context, command, Stimulus.REPORT, report)
+    operator_answers.on_reported(context, report)
     faults.stop_others(context, command, report)
 
 
@@ -366,6 +368,7 @@ HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
     PrimitiveEnded: on_ended,
     HaltConfirmed: on_halt_confirmed,
     ArmStrayed: faults.on_strayed,
+    AnswerWasRefused: operator_answers.on_refused,
     SubsystemConnected: subsystem_link.on_hello,
     SubsystemGone: subsystem_link.on_gone,
     ClientGone: on_client_gone,

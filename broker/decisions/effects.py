@@ -16,6 +16,7 @@ from rtc.protocol.messages import (
     CommandRecord,
     HaltOrder,
     HaltRequested,
+    OperatorAnswer,
     ProgressNote,
     WorkerKind,
 )
@@ -73,6 +74,13 @@ class SendPace(Effect, frozen=True, kw_only=True, gc=False):
     subsystem: str
     primitive: str
     paused: bool
+
+
+class SendAnswer(Effect, frozen=True, kw_only=True, gc=False):
+    """Pass an answer of the operator on."""
+
+    subsystem: str
+    answer: OperatorAnswer
 
 
 class SendHalt(Effect, frozen=True, kw_only=True, gc=False):

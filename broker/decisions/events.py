@@ -118,6 +118,13 @@ class ArmStrayed(Event, frozen=True, kw_only=True, gc=False):
     how: str
 
 
+class AnswerWasRefused(Event, frozen=True, kw_only=True, gc=False):
+    """The measurements of a subsystem do not prove a DONE of the operator."""
+
+    primitive: str
+    message: str
+
+
 class SubsystemConnected(Event, frozen=True, kw_only=True, gc=False):
     """A subsystem connected. With a new `pid` it knows only the primitives it lists as outstanding."""
 
@@ -188,6 +195,7 @@ AnyEvent = (
     | PrimitiveEnded
     | HaltConfirmed
     | ArmStrayed
+    | AnswerWasRefused
     | SubsystemConnected
     | SubsystemGone
     | ClientGone

@@ -13,7 +13,7 @@ import msgspec
 
 from broker.decisions.resources import Resources
 from rtc.programs.action_stack import ActionStack
-from rtc.protocol.messages import Breakpoint, Phase, ProgressNote, SavedWorld, WorkerKind
+from rtc.protocol.messages import Breakpoint, OperatorAnswer, Phase, ProgressNote, SavedWorld, WorkerKind
 from rtc.protocol.outcomes import Compared, Measured, OutcomeKind, Refusal, StopReason
 from rtc.protocol.primitive import Box
 from rtc.protocol.rehearsal import Rehearsal
@@ -51,6 +51,7 @@ class ParsedHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     together_with: str | None = None
     now: bool = False
     report: ReportHead | None = None
+    reason: str | None = None
 
 
 class StepHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -280,6 +281,8 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """Name of the subsystem that executes the latest primitive."""
     performers: list[str] = []
     """Arms or hands of that subsystem that move."""
+    operated: bool = False
+    """The operator performs the latest primitive."""
     evaluation: msgspec.Raw = NIL
     """Expected result of the step, input of the analyzer."""
     sent_at_s: float = 0.0
@@ -469,6 +472,8 @@ class State(msgspec.Struct, kw_only=True):
     """Command -> commands that start after its success (AFTER)."""
     joining: dict[str, list[str]] = {}
     """Command -> commands that start when it begins to move (TOGETHER-WITH)."""
+    answers: dict[str, OperatorAnswer] = {}
+    """Command of a DONE, CANNOT or TAKE -> its answer, until that is settled."""
     subsystems: dict[str, Subsystem] = {}
     """By name, lost ones included."""
     tested: dict[str, Tested] = {}

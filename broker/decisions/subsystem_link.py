@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import StrEnum
 
 from broker.decisions import halt_request
-from broker.decisions.command import nominal, pacing, stopping
+from broker.decisions.command import nominal, operator_answers, pacing, stopping
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendHalt
 from broker.decisions.events import BrokerRestarted, Stimulus, SubsystemConnected, SubsystemGone
@@ -62,7 +62,8 @@ def register(context: DecisionContext, name: str, hello: SubsystemHello) -> None
 def reconnect(context: DecisionContext, name: str, hello: SubsystemHello) -> None:
     """Connect the same process again. A primitive that it does not list never arrived."""
     _connect(context, hello)
-    for command in context.state.commands.values():
+    state = context.state
+    for command in state.commands.values():
         if command.subsystem == name and command.primitive_body != NIL:
             if command.phase is Phase.HALTING:
                 stopping.order_halt(context, command)
@@ -70,6 +71,9 @@ def reconnect(context: DecisionContext, name: str, hello: SubsystemHello) -> Non
                 nominal.send(context, command)
             elif command.phase is Phase.EXECUTING and command.pause_wanted is not (command.primitive in hello.paused):
                 pacing.send_pace(context, command)  # the order was lost
+            for answer in state.answers.values():
+                if answer.primitive == command.primitive:
+                    operator_answers.send(context, command, answer)
 
 
 def replace(context: DecisionContext, name: str, hello: SubsystemHello) -> None:

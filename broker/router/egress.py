@@ -108,6 +108,9 @@ class Egress:
         order = m.SetPaused(primitive=effect.primitive, paused=effect.paused)
         self.subsystems.put(self._core.subsystem_peer(effect.subsystem), order)
 
+    def _send_answer(self, effect: do.SendAnswer) -> None:
+        self.subsystems.put(self._core.subsystem_peer(effect.subsystem), effect.answer)
+
     def _send_halt(self, effect: do.SendHalt) -> None:
         self.subsystems.send_now(self._core.subsystem_peer(effect.subsystem), effect.order)
 
@@ -171,6 +174,7 @@ PERFORM: dict[type[do.Effect], Callable[[Egress, Any], None]] = {
     do.CancelJob: Egress._cancel_job,
     do.SendPrimitive: Egress._send_primitive,
     do.SendPace: Egress._send_pace,
+    do.SendAnswer: Egress._send_answer,
     do.SendHalt: Egress._send_halt,
     do.AcknowledgeReport: Egress._acknowledge_report,
     do.StartTimer: Egress._start_timer,

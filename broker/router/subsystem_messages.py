@@ -7,6 +7,7 @@ from typing import Any
 
 from broker.decisions import reporting
 from broker.decisions.events import (
+    AnswerWasRefused,
     ArmStrayed,
     HaltConfirmed,
     PrimitiveEnded,
@@ -121,6 +122,12 @@ class SubsystemMessages:
             self._core.enqueue(ArmStrayed(at_s=now, subsystem=name, arm=arm, how=arms[arm]))
         self._core.strayed[name] = arms
 
+    def _answer_refused(self, name: str, peer: bytes, message: m.AnswerRefused, now: float) -> None:
+        command = self._core.state.commands.get(command_of(message.primitive))
+        if command is not None and command.subsystem == name:
+            refused = AnswerWasRefused(at_s=now, primitive=message.primitive, message=message.message)
+            self._core.enqueue(refused)
+
     def _count_dropped(self, name: str, peer: bytes, message: m.UnreadableMessages, now: float) -> None:
         count_dropped(self._core, message, DROP_COUNTERS)
 
@@ -154,6 +161,7 @@ HANDLERS: dict[type, Callable[[SubsystemMessages, str, bytes, Any, float], None]
     m.HaltAtRest: SubsystemMessages._confirm_rest,
     m.Injected: SubsystemMessages._injected,
     m.Strayed: SubsystemMessages._strayed,
+    m.AnswerRefused: SubsystemMessages._answer_refused,
     m.UnreadableMessages: SubsystemMessages._count_dropped,
     m.ProgressReport: SubsystemMessages._forward_report,
 }

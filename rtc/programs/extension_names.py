@@ -80,7 +80,7 @@ CAMERA = "camera"
 PARTNER = "partner_arm"
 PERFORMERS = ("active_arm", PARTNER, CAMERA)
 #: binder: algorithms that turn a step into a primitive
-ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look", "answered", "spindle")
+ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look", "answered", "spindle", "operated")
 PROCEDURES = ("open_hand", "grasp_plan")
 #: binder: predicates of F
 PREDICATES = (
@@ -102,7 +102,7 @@ PREDICATES = (
 #: analyzer: effects of success on the world, and values of a report that a step may keep
 EFFECTS = (
     *("taken", "let_go", "let_drift", "still_held", "verified", "felt", "tilted", "pinched", "passed", "landed"),
-    *("sighted", "unseen", "turned", "tightened", "free", "head_felt"),
+    *("sighted", "unseen", "turned", "tightened", "free", "head_felt", "handed", "pointed"),
 )
 #: analyzer: figures of a failed step in the conditions of `rules`, besides `values`
 FAILURE_FIGURES = (*("measured", "limit", "tried", "force_n", "torque_nm", "took_s", "hand_width_m", "hand_force_n"),)

@@ -32,7 +32,7 @@ READ: Kinds = (m.ReadView, m.WorldHistory)
 JOIN: Kinds = (m.WorkerHello, m.Heartbeat, m.ResultBatch, m.ProgramWanted, m.WorkerGone)
 PERFORM: Kinds = (
     *(m.SubsystemHello, m.Heartbeat, m.Started, m.PauseChanged, m.ProgressReport, m.EndReport),
-    *(m.HaltStarted, m.HaltAtRest, m.HaltOrder, m.Injected, m.Strayed),
+    *(m.HaltStarted, m.HaltAtRest, m.HaltOrder, m.Injected, m.Strayed, m.AnswerRefused),
 )
 HALT: Kinds = (m.HaltOrder,)
 LISTEN: Kinds = ()  # subscribers send nothing

@@ -58,6 +58,8 @@ def brief(effect: do.Effect) -> str:
             return f"primitive {effect.id} to {effect.subsystem}"
         case do.SendPace():
             return f"{'pause' if effect.paused else 'go on'} {effect.primitive} at {effect.subsystem}"
+        case do.SendAnswer():
+            return f"{'done' if effect.answer.done else 'cannot'} {effect.answer.primitive} to {effect.subsystem}"
         case do.SendHalt():
             return f"halt {effect.order.scope} to {effect.subsystem}"
         case do.AcknowledgeReport():

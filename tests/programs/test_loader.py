@@ -214,7 +214,7 @@ PLAN = "plan: [{name: A, at: destination, solve: true}]"
         (
             GOOD.replace("do: move", "do: jump"),
             "",
-            r"line 7: .*no action of the binder jump; there are answer, grip, hold, .*move",
+            r"line 7: .*no action of the binder jump; there are answer, grip, hand_over, hold, .*move",
         ),
         (GOOD.replace(", stop: move_free", ""), "", r"line 7: .*no stop class \(none\)"),
         ("{do: grip, op: twist, label: x}", "", r"line 7: .*no motion of the hand twist; there are close, open"),

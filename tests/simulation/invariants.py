@@ -118,6 +118,11 @@ def _commands(state: State) -> Iterable[str]:
         if request.settled or name not in state.commands or state.commands[name].phase is not Phase.HALTING:
             yield f"{name} is not a HALT sentence that waits for rest"
     joined = {c for waiting in [*state.awaiting.values(), *state.joining.values()] for c in waiting}
+    joined |= state.answers.keys()
+    for answer, message in state.answers.items():
+        asked = state.commands.get(command_of(message.primitive))
+        if answer in state.commands and (asked is None or asked.primitive != message.primitive):
+            yield f"{answer} answers what has ended"
     for command in state.commands.values():
         waits_its_turn = state.intake_order.get(command.client, {}).get(command.id, False)
         by_job = command.phase in BY_JOB and not waits_its_turn

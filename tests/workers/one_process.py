@@ -177,6 +177,8 @@ class OneProcess:
                     performers=self.state.subsystems[CAMERAS.name].performers,
                 )
                 self._later(1, still)
+            case do.SendAnswer():
+                self._from_mcm(self.mcm.handle(effect.answer, BROKER, self.now_s))
             case do.SendHalt():
                 order = effect.order
                 self._from_mcm(self.mcm.handle(order, BROKER, self.now_s))
@@ -245,6 +247,8 @@ class OneProcess:
                 )
             case m.Started():
                 return made(events.PrimitiveStarted, at_s=at_s, subsystem="MCM", primitive=message.primitive)
+            case m.AnswerRefused():
+                return events.AnswerWasRefused(at_s=at_s, primitive=message.primitive, message=message.message)
             case m.EndReport():
                 return events.PrimitiveEnded(at_s=at_s, subsystem="MCM", report=message)
             case m.HaltAtRest():

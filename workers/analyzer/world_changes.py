@@ -12,7 +12,7 @@ import msgspec
 
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.spatial import geometry, hinges
-from rtc.world.spread import widened
+from rtc.world.spread import even, widened
 from workers.analyzer import touch, turning
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.sighting import sighted
@@ -188,6 +188,21 @@ def unseen(task: AnalyzeTask, validity: Validity) -> Changes:
     return [WorldChange(key=f"{task.evaluation.body}.sighting", value=None)]
 
 
+def handed(task: AnalyzeTask, validity: Validity) -> Changes:
+    """The operator will move the arm: until it has rested again, no one knows where it is."""
+    return [WorldChange(key=f"{task.context.arm}.joints", keep_value=True, validity=Validity.SUSPECT)]
+
+
+def pointed(task: AnalyzeTask, validity: Validity) -> Changes:
+    """The operator has brought the hand to the grasp point: where the object is follows from where the hand is (R149).
+
+    He sees the object; so it is displaced as the hand is from the believed grasp point. Its attitude stays."""
+    assert task.evaluation.goal_pose is not None
+    off = [there - here for there, here in zip(task.report.tcp_pose[:3], task.evaluation.goal_pose, strict=False)]
+    found = geometry.translate(task.query.frame(task.context.object), off)
+    return _seen(task, (found, even(task.values["pointed_m"], task.values["pointed_rad"])), validity)
+
+
 EFFECTS: dict[str, Callable[[AnalyzeTask, Validity], Changes]] = {
     "taken": taken,
     "let_go": let_go,
@@ -205,4 +220,6 @@ EFFECTS: dict[str, Callable[[AnalyzeTask, Validity], Changes]] = {
     "tightened": turning.tightened,
     "free": turning.free,
     "head_felt": turning.head_felt,
+    "handed": handed,
+    "pointed": pointed,
 }

@@ -14,6 +14,7 @@ from rtc.protocol.primitive import (
     JointTrajectory,
     Load,
     Look,
+    Operated,
     Primitive,
     Reporting,
     StopFunction,
@@ -49,8 +50,10 @@ def of_arm(
     rows = [*task.stop_class.stops, *(task.program.holding if _keeps(task, trajectory) else [])]
     requested = stop_conditions.from_command(task.data, task.query, values, rows, against=against)
     stops = stop_conditions.stop_functions(rows, values, against, requested, targets.turn_line(task))
-    if isinstance(trajectory, JointTrajectory):
+    if isinstance(trajectory, JointTrajectory | Operated):
         stops += stop_conditions.maintained(task.data, task.query, values)
+    if isinstance(trajectory, Operated) and values["near_m"]:
+        stops += stop_conditions.near(task.data, task.query, values["near_m"])
     if task.held:  # a hand that closes on something off its middle presses more with one finger
         stops += stop_conditions.squeezed(task.data, values)
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)

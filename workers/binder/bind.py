@@ -26,6 +26,7 @@ from rtc.world.model import World
 from workers.binder import assemble, look, replan, targets
 from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
 from workers.binder.motion import bind_motion
+from workers.binder.operated import bind_operated
 from workers.binder.spindle import bind_spindle
 from workers.conditions import prediction
 from workers.conditions.prediction import Expected
@@ -241,5 +242,6 @@ ACTIONS: dict[str, Action] = {
     "look": bind_look,
     "answered": bind_answer,
     "spindle": bind_spindle,
+    "operated": bind_operated,
 }
 PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "grasp_plan": grasp_plan}

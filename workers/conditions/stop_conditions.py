@@ -152,6 +152,12 @@ def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[Sto
     return [StopFunction(reason=reason, when=when) for reason, when in made]
 
 
+def near(data: BinderInput, query: WorldQuery, limit_m: float) -> list[StopFunction]:
+    """The stop function of an arm that no plan keeps away from others: it may come near only to what it is about."""
+    when = ClearanceBelow(limit_m=limit_m, except_near=_beside(data, query))
+    return [StopFunction(reason=StopReason.OUT_OF_RANGE, when=when)]
+
+
 def squeezed(data: BinderInput, values: Values) -> list[StopFunction]:
     """Stop functions of MAINTAIN GRIP-FORCE for a hand that holds something."""
     grip_n = data.context.limits.grip_force_n

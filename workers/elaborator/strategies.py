@@ -39,18 +39,33 @@ def via(
     `cameras`: VIA may name one. Without VIA the row of the default strategy comes first."""
     wanted = parsed.performer
     if wanted is None:
-        return parsed, _default_first(parsed, branches, query)
-    by_row = any(check.equals.get("performer") == wanted for branch in branches for check in branch.when)
-    if by_row or (cameras and wanted != OPERATOR):
-        return parsed, branches
+        own = [branch for branch in branches if not _is_by_operator(branch)] or branches
+        return parsed, _default_first(parsed, own, query)
     if wanted == OPERATOR:
-        message = "VIA OPERATOR-INTERVENTION: there is no operator among the subsystems"
-        raise Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", clears="leave out VIA")
+        return parsed, _by_operator(program, parsed, branches)
+    by_row = any(check.equals.get("performer") == wanted for branch in branches for check in branch.when)
+    if by_row or cameras:
+        return parsed, branches
     chosen = [branch for branch in branches if is_strategy(wanted, parsed.verb, branch.script)]
     if not chosen:
         known = [*names(branches), *(v for b in branches for c in b.when if (v := c.equals.get("performer")))]
         raise suggestions.unknown(f"{parsed.verb} strategy", wanted, known)
     return msgspec.structs.replace(parsed, performer=None), chosen
+
+
+def _by_operator(program: ElaboratorProgram, parsed: ParsedCommand, branches: list[Branch]) -> list[Branch]:
+    """The rows for the operator. Raises Refused."""
+    chosen = [branch for branch in branches if _is_by_operator(branch)]
+    if chosen:
+        return chosen
+    verbs = list(dict.fromkeys(row.verb for row in program.decision_tree if _is_by_operator(row)))
+    message = f"there is no script in which the operator performs {parsed.verb}"
+    clears = f"leave out VIA, or GIVE an arm TO OPERATOR; by him are {', '.join(verbs)}"
+    raise Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", expected=verbs, clears=clears)
+
+
+def _is_by_operator(branch: Branch) -> bool:
+    return any(check.equals.get("performer") == OPERATOR for check in branch.when)
 
 
 def _default_first(parsed: ParsedCommand, branches: list[Branch], query: WorldQuery) -> list[Branch]:

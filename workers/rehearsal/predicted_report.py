@@ -14,7 +14,7 @@ import numpy as np
 
 from rtc.model.robot.quintic import Hermite
 from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext
-from rtc.protocol.outcomes import Sighting, StopReason
+from rtc.protocol.outcomes import RefusalReason, Refused, Sighting, StopReason
 from rtc.protocol.primitive import (
     ForceAbove,
     HandMotion,
@@ -47,6 +47,9 @@ def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopRe
     made, evaluation = bound.primitive, bound.evaluation
     assert made is not None
     assert evaluation is not None
+    if type(made.trajectory) not in REPORTS:
+        message = f"{evaluation.step.label}: what a person does is not predicted"
+        raise Refused.because(RefusalReason.STATE, message, clears="give the sentence without TEST")
     ends = reason or evaluation.step.expect[0]  # the likely one comes first
     report = REPORTS[type(made.trajectory)](query, made, evaluation, ends)
     measured, limit = tripped(made, ends)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from broker.decisions.command.claims import claim_and_elaborate
-from broker.decisions.command.termination import refuse
+from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
-from broker.decisions.state import Command, ParsedHead
+from broker.decisions.state import Command, ParsedHead, PendingOutcome
 from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
@@ -58,7 +58,11 @@ def _waits_for(context: DecisionContext, command: Command | None) -> Collection[
     return chain
 
 
-def on_released(context: DecisionContext, command: Command, begun_or_succeeded: bool) -> None:
+def on_released(context: DecisionContext, command: Command, begun_or_succeeded: bool | PendingOutcome) -> None:
+    """Begin after another command, or not; end an answer of the operator, which is settled."""
+    if isinstance(begun_or_succeeded, PendingOutcome):
+        end(context, command, begun_or_succeeded)
+        return
     if begun_or_succeeded:
         claim_and_elaborate(context, command)
         return

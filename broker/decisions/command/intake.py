@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from broker.decisions.command import loading
+from broker.decisions.command import loading, operator_answers
 from broker.decisions.command.claims import claim_and_elaborate
 from broker.decisions.command.control import concerns_earlier, control
 from broker.decisions.command.dependencies import wait_for_another
@@ -74,6 +74,8 @@ def take_up(context: DecisionContext, command: Command, _: Any = None) -> None:
     assert command.head is not None
     if command.head.kind == "control":
         control(context, command, command.head)
+    elif command.head.verb in operator_answers.ANSWERS:
+        operator_answers.answer(context, command, command.head)
     elif wait_for_another(context, command, command.head):
         return
     elif command.head.kind == "data" and command.head.verb == loading.LOAD:

@@ -32,7 +32,7 @@ from rtc.programs.action_stack import NOMINAL
 from rtc.protocol import wire
 from rtc.protocol.messages import Breakpoint, EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
-from rtc.protocol.primitive import Primitive
+from rtc.protocol.primitive import Operated, Primitive
 from rtc.protocol.primitive_id import belongs_to, command_of, primitive_id
 
 read_script = wire.decoder(ScriptHead)
@@ -159,6 +159,7 @@ def begin(context: DecisionContext, command: Command, result: BoundHead, primiti
     command.primitive_body = result.primitive
     command.performers = primitive.performers
     command.subsystem = result.subsystem
+    command.operated = isinstance(primitive.trajectory, Operated)
     command.evaluation = result.evaluation
     command.limit_s = result.limit_s
     for arm in primitive.paths:

@@ -17,7 +17,7 @@ from broker.decisions.resources import Quarantine
 from broker.decisions.state import Command, PendingOutcome, Result, request_key
 from rtc.protocol import wire
 from rtc.protocol.messages import CommandEnded, CommandRecord, Phase
-from rtc.protocol.outcomes import Compared, Outcome, OutcomeKind, Refusal
+from rtc.protocol.outcomes import Compared, Outcome, OutcomeKind, Refusal, RefusalReason
 
 ENDED_KEPT = 4096  # minimum number of stored results, for clients that ask again
 FORGOTTEN_AT_ONCE = 512  # results deleted together: the search for a dict's oldest key slows down with deletions
@@ -58,6 +58,8 @@ def end(
     granted = state.resources.release(command.id, in_doubt, frozenset(command.performers))
     context.leave_space_line(command)
     context.check_space_lines()
+    if command.operated:
+        settle_answers(context, command.primitive, f"{command.id} has ended before the answer", "")
     for waiting in state.awaiting.pop(command.id, ()):
         context.enqueue_stimulus(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
     for waiting in state.joining.pop(command.id, ()):
@@ -142,3 +144,17 @@ def cancel(context: DecisionContext, command: Command) -> None:
     if command.job is not None:
         context.effects.append(CancelJob(job=command.job.id))
         command.job = None
+
+
+def settle_answers(context: DecisionContext, primitive: str, refused: str, words: str) -> None:
+    """End the commands of the answers of the operator to a primitive: they have succeeded, or `refused` states why not.
+    What they are about goes on then."""
+    answers = context.state.answers
+    for name in [name for name, message in answers.items() if message.primitive == primitive]:
+        del answers[name]
+        ending = PendingOutcome(OutcomeKind.SUCCEEDED, words)
+        if refused:
+            clears = "do what is missing, then DONE again; or CANNOT and the reason; rtc operator shows the request"
+            why = Refusal(reason=RefusalReason.STATE, message=refused, clears=clears)
+            ending = PendingOutcome(OutcomeKind.REFUSED, refused, refusal=why)
+        context.enqueue_stimulus(name, Stimulus.RELEASE, ending)

@@ -1,0 +1,66 @@
+"""DONE, CANNOT and TAKE: answers of the operator to what he performs. Pure.
+
+An answer is passed on to the subsystem of the primitive, which knows where the arm is. The command of the answer waits
+for the end report of that primitive, or for the refusal of a DONE.
+"""
+
+from __future__ import annotations
+
+from broker.decisions.command.termination import refuse, settle_answers
+from broker.decisions.context import DecisionContext
+from broker.decisions.effects import SendAnswer
+from broker.decisions.events import AnswerWasRefused
+from broker.decisions.state import Command, LinkState, ParsedHead
+from rtc.protocol.messages import EndReport, OperatorAnswer, Phase
+from rtc.protocol.outcomes import OF_OPERATOR, Refusal, RefusalReason
+
+TAKE, CANNOT, GIVE = "TAKE", "CANNOT", "GIVE"
+ANSWERS = ("DONE", CANNOT, TAKE)
+
+
+def answer(context: DecisionContext, command: Command, head: ParsedHead) -> None:
+    """Pass the answer on to the one command that it is about, or refuse it."""
+    asked = [c for c in context.state.commands.values() if c.operated and c.phase is Phase.EXECUTING]
+    if head.verb == TAKE:
+        asked = [c for c in asked if head.hand in c.performers]
+    if len(asked) != 1:
+        refuse(context, command, _not_one(head, asked))
+        return
+    (target,) = asked
+    given_back = head.verb == TAKE and target.head is not None and target.head.verb == GIVE
+    why = f"taken back by {command.id}" if head.verb == TAKE else head.reason or ""
+    done = given_back or head.verb not in (TAKE, CANNOT)
+    message = OperatorAnswer(primitive=target.primitive, done=done, why="" if done else why)
+    context.state.answers[command.id] = message
+    context.enter(command, Phase.HELD, f"answers {target.id}")
+    send(context, target, message)
+
+
+def send(context: DecisionContext, target: Command, message: OperatorAnswer) -> None:
+    """Send an answer; an awaited subsystem gets it when it connects."""
+    if context.state.subsystems[target.subsystem].link is LinkState.CONNECTED:
+        context.effects.append(SendAnswer(subsystem=target.subsystem, answer=message))
+
+
+def _not_one(head: ParsedHead, asked: list[Command]) -> Refusal:
+    if asked:
+        which = " or ".join(f"{c.id} ({', '.join(c.performers)})" for c in asked)
+        arm = asked[0].performers[0]
+        message, clears = f"{head.verb} may be about {which}", f"TAKE {arm} FROM OPERATOR ends the one of {arm}"
+    else:
+        what = f"the operator does not have {head.hand}" if head.verb == TAKE else "no command waits for the operator"
+        message = f"{what} now"
+        clears = f"GIVE {head.hand or 'an arm'} TO OPERATOR, or a sentence VIA OPERATOR-INTERVENTION, comes before it"
+    return Refusal(reason=RefusalReason.STATE, message=message, where=head.verb, clears=clears)
+
+
+def on_reported(context: DecisionContext, report: EndReport) -> None:
+    """Settle the answers to a primitive that has ended."""
+    answered = report.reason in OF_OPERATOR
+    words = f"{report.primitive} ended: {report.reason.value}{f', {report.message}' if report.message else ''}"
+    settle_answers(context, report.primitive, "" if answered else f"{words}, before the answer", words)
+
+
+def on_refused(context: DecisionContext, event: AnswerWasRefused) -> None:
+    """A DONE that the measurements do not prove: what it is about goes on."""
+    settle_answers(context, event.primitive, event.message, "")

@@ -1,0 +1,84 @@
+"""A step that the operator performs: what he is asked to do, what is his, and what his DONE must prove. Pure.
+
+The request has no numbers: those of the step are for the subsystem and the analyzer. The stop functions are those of
+any motion; so he moves under the limits of the sentence, and at a distance from all that the command is not about.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rtc.protocol.messages import BoundStep, EvaluationContext
+from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.primitive import Operated
+from workers.binder import assemble, targets
+from workers.binder.bind_task import BindTask, RuledTask, refused_program
+from workers.conditions.prediction import Expected
+
+HAND, SPINDLE = "hand", "spindle"  # what else than the arm may be his: the word `his` of a step
+TURN = 2.0 * math.pi
+PRESSES = 0.5  # share of the grip force that proves a grip
+TURNED = 0.98  # share of a turn that proves it
+
+
+def bind_operated(task: BindTask) -> BoundStep:
+    """The step as a request to the operator. Raises Refused."""
+    ruled = task.under(task.data.step.stop)
+    values, step, query = ruled.values, task.data.step, task.query
+    pose = _place(task)
+    hand = _hand(ruled) if step.words.his == HAND else {}
+    spindle = _spindle(ruled) if step.words.his == SPINDLE else {}
+    motion = Operated(
+        request=step.label.removeprefix("OPERATOR: "),
+        speed_m_s=values["speed_m_s"],
+        turn_rad_s=values["turn_rad_s"],
+        centre=pose[:3] if pose else [],
+        radius_m=values["reach_m"] if pose else math.inf,
+        done_m=step.figures.within_m if pose else None,
+        **hand,
+        **spindle,
+    )
+    evaluation = EvaluationContext(
+        context=task.data.context,
+        step=step,
+        arm=task.arm,
+        goal_pose=pose or None,
+        held=task.held,
+        width_m=[values["least_m"], values["most_m"]] if hand else None,
+        start_joints=list(query.joints(task.arm)),
+    )
+    return assemble.of_arm(ruled, motion, evaluation, Expected(values["duration_s"]))
+
+
+def _place(task: BindTask) -> list[float]:
+    """The tcp pose that the step is about; empty: none."""
+    name = task.data.step.words.place
+    if not name:
+        return []
+    found = targets.binding(task, name)
+    if found.joints is None:
+        return targets.world_pose(task, found, name)
+    pose: list[float] = task.query.model.arms[task.arm].fk(found.joints).tolist()
+    return pose
+
+
+def _hand(task: RuledTask) -> dict[str, float | bool]:
+    """The fingers are his; a grip proves his DONE."""
+    gripper = task.query.cell.arm(task.arm).gripper
+    grip_n = task.data.context.limits.grip_force_n or min(task.values["grip_n"], gripper.max_force_n)
+    return {"hand": True, "grip_n": grip_n, "done_grip_n": PRESSES * grip_n}
+
+
+def _spindle(task: RuledTask) -> dict[str, float | bool]:
+    """The spindle of the driver is his; its turn proves his DONE. Positive turns of the step are outwards."""
+    driver, turns = task.query.driver(task.arm), task.data.step.figures.by_turns
+    if driver is None or driver.spindle is None:
+        raise Refused.because(RefusalReason.STATE, f"{task.arm} holds no driver", clears="GRASP a driver with it")
+    if not turns:
+        raise refused_program("the operator's turn needs by_turns", "it in `args` of the step")
+    return {
+        "spindle": True,
+        "spindle_rad_s": min(task.values["spindle_rad_s"], driver.spindle.most_rad_s),
+        "spindle_nm": min(task.values["torque_nm"], driver.spindle.most_nm),
+        "done_turn_rad": -TURNED * TURN * turns,
+    }
