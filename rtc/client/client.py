@@ -33,6 +33,7 @@ import zmq
 from rtc.client.connection import LAST_WORDS_MS, BrokerConnection
 from rtc.client.context import ClientContext
 from rtc.client.halt import HaltLine, HaltResult
+from rtc.client.hand_controller import HandController
 from rtc.client.handle import CommandHandle
 from rtc.client.heartbeat import HeartbeatSender
 from rtc.client.liveness import BrokerLiveness, Report, is_listening, not_running
@@ -359,6 +360,11 @@ class Client:
     def telemetry(self, silence_s: float | None = None) -> Iterator[m.Telemetry]:
         """Joints, wrench, tcp pose and hand width of every arm, as the MCM publishes them. Ends as `events` does."""
         return subscribe(self._context, self._endpoints, "telemetry", reader(m.Telemetry), silence_s)
+
+    def hand(self, arm: str, operator: str = "OPERATOR") -> HandController:
+        """The stream of an operator's hand to an arm that he has; on the cluster's machine only. Use it as a context
+        manager. Raises KeyTrouble over tcp, ClusterError without telemetry of this arm."""
+        return HandController(self._context, self.settings, arm, operator)
 
     @property
     def world(self) -> WorldClient:

@@ -51,7 +51,7 @@ CLOSED = 0.0
 #: tasks, and sentences that state or ask facts
 TASKS: dict[str, Sample] = {
     "S1": Sample(model=SWAPOUT),
-    "S2": Sample("no operator among the subsystems"),
+    "S2": Sample("no object OBJECT"),
     "S3": Sample("no object OBJECT"),
     "S4": Sample("no object OBJECT"),
     "S5": OK,
@@ -83,8 +83,8 @@ TASKS: dict[str, Sample] = {
     "S31": OK,
     "S32": Sample(planned=True),  # a minute of pictures takes seconds; other tests execute TRACK
     "S33": Sample(before=OLD),
-    "S34": Sample("SHARED is not supported"),
-    "S35": Sample("no operator among the subsystems"),
+    "S34": Sample("SHARED takes no name"),
+    "S35": Sample("no place DOOR-2-FRONT"),
     "S36": Sample(before=OLD),
     "S39": Sample("no object TOOL-1"),
     "S47": OK,
@@ -93,10 +93,10 @@ TASKS: dict[str, Sample] = {
     "S50": OK,
     "S51": Sample("BOLT-2 is fixed"),
     "S52": OK,
-    "S54": Sample("no operator among the subsystems"),
-    "S55": Sample("no operator among the subsystems"),
-    "S56": Sample("no operator among the subsystems"),
-    "S57": Sample("no operator among the subsystems"),
+    "S54": Sample(planned=True),
+    "S55": Sample("answers what the operator does now"),
+    "S56": Sample("answers what the operator does now"),
+    "S57": Sample("answers what the operator does now"),
     "S58": Sample(door_deg=CLOSED),
     "S59": Sample("no region ANTENNA"),
 }

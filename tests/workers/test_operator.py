@@ -6,15 +6,19 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
 from rtc.spatial import geometry
+from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from tests.workers.conftest import MODEL
+from tests.campaigns.door import stand_open
+from tests.workers.conftest import MODEL, Bench, Physical
 from tests.workers.one_process import OneProcess
+from tests.workers.test_bolts_by_sentence import SERVICING
 
 ARM, OTHER = "RIGHT-ARM", "LEFT-ARM"
 PERIOD = 20  # ticks between two messages
@@ -67,7 +71,7 @@ class Operator:
             raise AssertionError((self.executor.operated.look(), off, turn))
         self.drive(0.1, hold=False)
 
-    def say(self, sentence: str) -> m.Outcome:
+    def say(self, sentence: str) -> Outcome:
         """Give an answer, and wait for its outcome."""
         command = self.rtc.give(sentence, client="ada")
         for _ in range(2000):
@@ -112,18 +116,160 @@ def off_mm(rtc: OneProcess, thing: str) -> float:
     return 1000.0 * math.dist(rtc.world.value(f"{thing}.frame")[:3], rtc.sim.truth()["poses"][thing][:3])
 
 
-def displaced() -> OneProcess:
+def displaced(sim: Any) -> OneProcess:
     """A cell whose rack with the module is 12 mm from where it is believed to be."""
-    sim = KinematicCell(MODEL.cell)
     rtc = OneProcess(sim)
     assert sim.displace("MACS-NEW", [0.0, 0.006, 0.0104, 0.0, 0.0, 0.0]) == ""
     return rtc
 
 
-def test_the_operator_grasps_and_the_world_knows_what_he_holds() -> None:
-    rtc = displaced()
-    assert off_mm(rtc, "MACS-NEW") == pytest.approx(12.0, abs=0.1)
-    command = rtc.give("GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM VIA OPERATOR-INTERVENTION")
-    grasp_by_hand(rtc, command)
-    assert rtc.sim.held()[ARM] == ["MACS-NEW"]
-    assert off_mm(rtc, "MACS-NEW") < 2.0
+@pytest.mark.physics
+def test_in_physics_the_world_knows_what_he_has_gripped_and_moved() -> None:
+    sim = BulletCell(MODEL.cell)
+    try:
+        rtc = displaced(sim)
+        assert off_mm(rtc, "MACS-NEW") == pytest.approx(12.0, abs=0.1)
+        command = rtc.give("GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM VIA OPERATOR-INTERVENTION")
+        grasp_by_hand(rtc, command)
+        assert sim.held()[ARM] == ["MACS-NEW"]
+        assert off_mm(rtc, "MACS-NEW") < 2.0
+        lift = rtc.give("LIFT MACS-NEW BY 5 CM WITH RIGHT-ARM")
+        rtc.run()
+        assert rtc.outcomes[lift].kind is OutcomeKind.SUCCEEDED, rtc.outcomes[lift]
+        assert off_mm(rtc, "MACS-NEW") < 2.0
+    finally:
+        sim.close()
+
+
+def test_give_and_take_hand_an_arm_over_between_two_points_of_rest() -> None:
+    rtc = OneProcess(KinematicCell(MODEL.cell))
+    it, given = Operator(rtc), rtc.give("GIVE RIGHT-ARM TO OPERATOR")
+    it.wait("move")
+    held = rtc.give("STOW RIGHT-ARM")  # the arm is his
+    beside = rtc.give("STOW LEFT-ARM")  # is not planned beside an arm that a person moves
+    it.drive(1.0, twist=[0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
+    assert "hand is not part" in it.send(hand="close")
+    assert rtc.state.commands[held].phase is m.Phase.HELD
+    assert it.say("TAKE LEFT-ARM FROM OPERATOR").kind is OutcomeKind.REFUSED
+    assert it.say("TAKE RIGHT-ARM FROM OPERATOR").kind is OutcomeKind.REFUSED  # it moves
+    it.drive(0.2, hold=False)
+    where = it.executor.sample.joints
+    assert it.say("TAKE RIGHT-ARM FROM OPERATOR").kind is OutcomeKind.SUCCEEDED
+    rtc.run()
+    kinds = {name: rtc.outcomes[name].kind.value for name in (given, held, beside)}
+    assert kinds == dict.fromkeys((given, held, beside), "succeeded")
+    assert where != pytest.approx(MODEL.cell.arm(ARM).home_rad)
+
+
+def test_cannot_ends_the_command_with_his_reason() -> None:
+    rtc = OneProcess(KinematicCell(MODEL.cell))
+    it = Operator(rtc)
+    command = rtc.give("MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED VIA OPERATOR-INTERVENTION")
+    it.wait("move")
+    assert it.say('CANNOT "the way is blocked"').kind is OutcomeKind.SUCCEEDED
+    rtc.run()
+    outcome = rtc.outcomes[command]
+    assert (outcome.kind, outcome.stop) == (OutcomeKind.FAILED, StopReason.OPERATOR_CANNOT)
+    assert "the way is blocked" in outcome.message
+
+
+def test_he_is_asked_again_after_a_stop_function_and_then_the_command_fails() -> None:
+    rtc = OneProcess(KinematicCell(MODEL.cell))
+    it, command = Operator(rtc), rtc.give("GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM VIA OPERATOR-INTERVENTION")
+    for _ in range(4):
+        it.wait("neighborhood")
+        grant = it.executor.primitive_id
+        it.drive(0.1)
+        it.executor.halt(StopReason.FORCE_LIMIT, "pushed")
+        while it.executor.primitive_id == grant:
+            rtc.tick()
+        assert it.send(primitive=grant) != ""
+    rtc.run()
+    assert rtc.outcomes[command].stop is StopReason.FORCE_LIMIT
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "DONE",
+        'CANNOT "no"',
+        "TAKE RIGHT-ARM FROM OPERATOR",
+        "RELEASE MACS-OLD VIA OPERATOR-INTERVENTION",
+        "TEST GIVE RIGHT-ARM TO OPERATOR",
+        "TEST DONE",
+        "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED",
+        "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED WRIST",
+    ],
+)
+def test_what_nothing_performs_is_refused(sentence: str) -> None:
+    rtc = OneProcess(KinematicCell(MODEL.cell))
+    command = rtc.give(sentence)
+    rtc.run()
+    assert rtc.outcomes[command].kind is OutcomeKind.REFUSED, rtc.outcomes[command]
+    assert rtc.outcomes[command].refusal.clears
+
+
+def test_full_stick_towards_an_obstacle_ends_before_it_and_he_may_go_back() -> None:
+    rtc = OneProcess(KinematicCell(MODEL.cell))
+    it, given = Operator(rtc), rtc.give("GIVE RIGHT-ARM TO OPERATOR")
+    it.wait("move")
+    nearest_m = math.inf
+    for _ in range(1000):
+        if it.executor.operated is None:
+            break
+        it.drive(PERIOD / 1000, twist=[0.1, 0.0, -0.02, 0.0, 0.0, 0.0])
+        nearest_m = min([nearest_m, *(away for away, _, _ in it.executor.arm.near(0.05))])
+    rtc.run()
+    assert rtc.outcomes[given].stop is StopReason.OUT_OF_RANGE
+    assert nearest_m > 0.001
+    rtc.give("GIVE RIGHT-ARM TO OPERATOR")
+    it.wait("move")
+    it.drive(0.5, twist=[-0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    it.drive(0.1, hold=False)
+    assert it.say("DONE").kind is OutcomeKind.SUCCEEDED
+
+
+@pytest.mark.physics
+def test_the_dialogue_about_a_stripped_bolt() -> None:
+    """The scenario: a DONE from afar and a mistaken close are refused, the rest is accepted, and the bolt is loose."""
+    physical = Physical(SERVICING.cell)
+    try:
+        bench = Bench(physical, SERVICING)
+        stand_open(bench)
+        for sentence in (
+            "GRASP RIGHT-END-EFF POWER-DRIVER TOOL-GRIP",
+            "APPROACH BOLT-2",
+            "MOVE RIGHT-ARM BY 18 CM ALONG UP",
+        ):
+            assert bench.do(sentence).succeeded, sentence
+        rtc = OneProcess(physical.sim, SERVICING, bench.world)
+        it = Operator(rtc)
+        command = rtc.give("LOOSEN BOLT-2 BY 2 TURNS WITH RIGHT-ARM VIA OPERATOR-INTERVENTION")
+        it.wait("neighborhood of BOLT-2")
+        far = it.say("DONE")
+        assert (far.kind, " is near enough" in far.message) == (OutcomeKind.REFUSED, True)
+        assert "hand is not part" in it.send(hand="close")
+        head = msgspec.msgpack.decode(rtc.state.commands[command].actions.bindings["HEAD"], type=m.Binding)
+        goal = geometry.compose(physical.sim.truth()["poses"]["BOLT-2"], head.pose)
+        ahead = geometry.rotate(goal, (0.0, 0.0, 1.0))
+        it.go(geometry.translate(goal, -0.006 * ahead))
+        assert it.say("DONE").kind is OutcomeKind.SUCCEEDED
+        it.wait("grasp point of BOLT-2")
+        for _ in range(1000):
+            if np.linalg.norm(it.executor.wrench[:3]) > 2.0:  # he feels the head
+                break
+            it.drive(PERIOD / 1000, twist=[*(0.002 * ahead), 0.0, 0.0, 0.0])
+            assert it.executor.operated is not None, rtc.notes[-4:]
+        it.drive(0.2, hold=False)
+        assert it.say("DONE").kind is OutcomeKind.SUCCEEDED
+        it.wait("turn BOLT-2 counterclockwise")
+        assert it.say("DONE").kind is OutcomeKind.REFUSED
+        it.drive(3.0, turn=-1.0)  # it turns by what is asked, and no farther
+        it.drive(0.2, hold=False)
+        assert it.say("DONE").kind is OutcomeKind.SUCCEEDED
+        rtc.run()
+        assert rtc.outcomes[command].kind is OutcomeKind.SUCCEEDED, rtc.outcomes[command]
+        assert rtc.world.value("BOLT-2.turns") == pytest.approx(2.0, abs=0.1)
+        assert physical.sim.bolts.out_turns("BOLT-2") == pytest.approx(2.0, abs=0.1)
+    finally:
+        physical.close()

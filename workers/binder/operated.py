@@ -7,6 +7,7 @@ any motion; so he moves under the limits of the sentence, and at a distance from
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from rtc.protocol.messages import BoundStep, EvaluationContext
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -18,7 +19,6 @@ from workers.conditions.prediction import Expected
 HAND, SPINDLE = "hand", "spindle"  # what else than the arm may be his: the word `his` of a step
 TURN = 2.0 * math.pi
 PRESSES = 0.5  # share of the grip force that proves a grip
-TURNED = 0.98  # share of a turn that proves it
 
 
 def bind_operated(task: BindTask) -> BoundStep:
@@ -62,14 +62,14 @@ def _place(task: BindTask) -> list[float]:
     return pose
 
 
-def _hand(task: RuledTask) -> dict[str, float | bool]:
+def _hand(task: RuledTask) -> dict[str, Any]:
     """The fingers are his; a grip proves his DONE."""
     gripper = task.query.cell.arm(task.arm).gripper
     grip_n = task.data.context.limits.grip_force_n or min(task.values["grip_n"], gripper.max_force_n)
     return {"hand": True, "grip_n": grip_n, "done_grip_n": PRESSES * grip_n}
 
 
-def _spindle(task: RuledTask) -> dict[str, float | bool]:
+def _spindle(task: RuledTask) -> dict[str, Any]:
     """The spindle of the driver is his; its turn proves his DONE. Positive turns of the step are outwards."""
     driver, turns = task.query.driver(task.arm), task.data.step.figures.by_turns
     if driver is None or driver.spindle is None:
@@ -80,5 +80,5 @@ def _spindle(task: RuledTask) -> dict[str, float | bool]:
         "spindle": True,
         "spindle_rad_s": min(task.values["spindle_rad_s"], driver.spindle.most_rad_s),
         "spindle_nm": min(task.values["torque_nm"], driver.spindle.most_nm),
-        "done_turn_rad": -TURNED * TURN * turns,
+        "turn_rad": -TURN * turns,
     }

@@ -185,6 +185,9 @@ def refuse_longer_than_limit(parsed: ParsedCommand, limits: Limits) -> None:
 
 def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refused:
     """Refusal for a constraint without a value, or with a value of the wrong kind."""
+    if "" in kept:
+        message = f"MAINTAIN {slot} takes no name and no value here: what it would name is not supported"
+        return _refused(message, slot, f"{slot} alone, or leave it out")
     ways = []
     for way, limit in kept.items():
         if way == "name":

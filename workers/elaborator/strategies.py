@@ -60,7 +60,7 @@ def _by_operator(program: ElaboratorProgram, parsed: ParsedCommand, branches: li
         return chosen
     verbs = list(dict.fromkeys(row.verb for row in program.decision_tree if _is_by_operator(row)))
     message = f"there is no script in which the operator performs {parsed.verb}"
-    clears = f"leave out VIA, or GIVE an arm TO OPERATOR; by him are {', '.join(verbs)}"
+    clears = f"leave out VIA; he performs {', '.join(verbs)}"
     raise Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", expected=verbs, clears=clears)
 
 

@@ -49,7 +49,7 @@ def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopRe
     assert evaluation is not None
     if type(made.trajectory) not in REPORTS:
         message = f"{evaluation.step.label}: what a person does is not predicted"
-        raise Refused.because(RefusalReason.STATE, message, clears="give the sentence without TEST")
+        raise Refused.because(RefusalReason.NO_SCRIPT, message, clears="give the sentence without TEST")
     ends = reason or evaluation.step.expect[0]  # the likely one comes first
     report = REPORTS[type(made.trajectory)](query, made, evaluation, ends)
     measured, limit = tripped(made, ends)

@@ -31,6 +31,8 @@ COMMANDS = {
     "do": "sentences",
     "test": "rehearsal",
     "halt": "halt",
+    "operator": "operator",
+    "jog": "jog",
     "look": "look",
     "picture": "picture",
     "record": "record",

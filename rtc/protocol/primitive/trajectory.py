@@ -134,7 +134,7 @@ class Operated(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="opera
     spindle_nm: float = 0.0
     done_m: float | None = None  # DONE needs the tcp within this distance of the centre
     done_grip_n: float | None = None  # DONE needs both fingers to press with this
-    done_turn_rad: float | None = None  # DONE needs the spindle to have turned by this, with its sign
+    turn_rad: float = 0.0  # turn of the spindle that is asked for: he turns no farther, and DONE needs it
 
     def __post_init__(self) -> None:
         if not (0.0 < self.speed_m_s < math.inf and 0.0 < self.turn_rad_s < math.inf):
@@ -147,8 +147,9 @@ class Operated(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="opera
             raise ValueError("a distance for DONE needs a centre")
         if self.hand and not 0.0 < self.grip_n < math.inf:
             raise ValueError("a hand of the operator needs a grip force")
-        if self.spindle and not (0.0 < self.spindle_rad_s < math.inf and 0.0 < self.spindle_nm < math.inf):
-            raise ValueError("a spindle of the operator needs a speed and a torque above 0")
+        figures = (self.spindle_rad_s, self.spindle_nm, abs(self.turn_rad))
+        if self.spindle and not all(0.0 < figure < math.inf for figure in figures):
+            raise ValueError("a spindle of the operator needs a speed, a torque and a turn")
 
 
 Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Look | Operated

@@ -403,8 +403,10 @@ class Executor:
         if self._compliant and not (compliance is not None and compliance.until_rest):
             self._stiffen(self.primitive.control_law)
         self._setpoints.use(profiles.Brake(self.command, laden=self._hand.grips))
-        fingers = p.HandMotion | p.Operated
-        hand_moves = isinstance(self.primitive.trajectory, fingers) and self.trip.reason is not StopReason.GOAL
+        trajectory = self.primitive.trajectory
+        by_hand = isinstance(trajectory, p.Operated) and trajectory.hand
+        complete = self.trip.reason in (StopReason.GOAL, StopReason.OPERATOR_DONE)
+        hand_moves = (isinstance(trajectory, p.HandMotion) or by_hand) and not complete
         if hand_moves or self._releasing:
             self._hand.freeze()
 

@@ -20,7 +20,8 @@ from rtc.subsystems.motion.observation import Observation
 
 LOST_S = 0.06  # a stream that is silent for this long is lost; the arm then needs up to 40 ms to stop
 STALE_S = 0.2  # a message that has seen nothing of this process for this long does nothing
-FOREVER_RAD = 1000.0  # turn of the spindle that the operator stops
+TURNED = 0.98  # share of a turn that proves it
+TURNED_RAD = 1e-3  # what is left of a turn that is complete
 
 NO_TWIST = (0.0,) * 6
 
@@ -88,11 +89,13 @@ class OperatedArm:
         self._turned_rad = self.turned_rad
         self._turns = share
         arm, motion = self._seen.arm, self._motion
-        if not share:
+        end_rad = motion.turn_rad if share * motion.turn_rad > 0.0 else 0.0
+        left_rad = end_rad - self._turned_rad
+        if not share or abs(left_rad) < TURNED_RAD or left_rad * share < 0.0:
+            self._turns = 0.0
             arm.drive_spindle(None)
             return
-        turn_rad, speed = math.copysign(FOREVER_RAD, share), abs(share) * motion.spindle_rad_s
-        arm.drive_spindle(SpindleCommand(turn_rad, speed, motion.spindle_nm))
+        arm.drive_spindle(SpindleCommand(left_rad, abs(share) * motion.spindle_rad_s, motion.spindle_nm))
 
     @property
     def turned_rad(self) -> float:
@@ -144,8 +147,8 @@ class OperatedArm:
             return f"{there}; {in_words(motion.done_m, 'm')} is near enough"
         if motion.done_grip_n is not None and seen.grip_n < motion.done_grip_n:
             return f"the fingers press with {seen.grip_n:.1f} N; {motion.done_grip_n:g} N are a grip"
-        if motion.done_turn_rad is not None and self.turned_rad / motion.done_turn_rad < 1.0:
-            done, wanted = abs(self.turned_rad) / (2 * math.pi), abs(motion.done_turn_rad) / (2 * math.pi)
+        if motion.spindle and self.turned_rad / motion.turn_rad < TURNED:
+            done, wanted = abs(self.turned_rad) / (2 * math.pi), abs(motion.turn_rad) / (2 * math.pi)
             return f"the spindle has turned by {done:.2f} of {wanted:.2f} turns"
         return ""
 

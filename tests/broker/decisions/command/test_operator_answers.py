@@ -17,6 +17,7 @@ def by_hand(s: Harness, arm: str = "RIGHT-ARM", verb: str = "GRASP") -> str:
     """A command whose primitive the operator performs."""
     command = s.elaborated(script(resources=(arm,)), verb=verb, hand=arm)
     made = bound(f"{command}.1", arm)
+    assert made.primitive is not None
     primitive = msgspec.structs.replace(made.primitive, trajectory=BY_HAND)
     s.answers(command, msgspec.structs.replace(made, primitive=primitive))
     return command
