@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import http.server
 import io
+import math
 import os
 import re
 import signal
@@ -188,6 +189,73 @@ def test_a_second_page_shows_the_same_commands_and_bodies(page: Page, chromium: 
     rows = "[...rtcConsole.state.rows.values()].map((row) => [row.command, row.phase]).sort().join()"
     assert second.wait(rows) == page.ask(rows)
     second.close()
+
+
+def hand(run_dir: Path) -> list[float]:
+    """The true place of the right hand (m)."""
+    with Client(run_dir) as client:
+        return client.truth().tcp["RIGHT-ARM"][:3]
+
+
+def middle(page: Page, selector: str) -> tuple[float, float]:
+    box = page.ask(f"(() => {{ const r = document.querySelector({selector!r}).getBoundingClientRect(); "
+                   "return [r.x + r.width / 2, r.y + r.height / 2]; })()")  # fmt: skip
+    return box[0], box[1]
+
+
+@pytest.fixture
+def given(page: Page, run_dir: Path) -> Iterator[None]:
+    """The right arm is the operator's."""
+    page.ask("rtcConsole.submit('GIVE RIGHT-ARM TO OPERATOR')")
+    page.wait("document.querySelector('.request') !== null && rtcConsole.grip() !== null")
+    yield
+    page.ask("rtcConsole.release()")
+    page.ask("rtcConsole.submit('DONE')")
+    page.wait("document.querySelector('.request') === null")
+
+
+@pytest.mark.usefixtures("at_home", "given")
+def test_an_arm_moves_while_a_button_is_held_and_rests_when_it_is_let_go(page: Page, run_dir: Path):
+    before = hand(run_dir)
+    button = middle(page, ".request .axis:nth-child(3) .hold:last-child")  # z +
+    page.mouse("mouseMoved", button)
+    page.mouse("mousePressed", button)
+    page.wait("rtcConsole.sent.count > 20 && rtcConsole.answers['RIGHT-ARM'].refused === ''")
+    assert page.ask("rtcConsole.holding()") == "RIGHT-ARM"
+    page.mouse("mouseReleased", button)
+    page.wait("document.querySelector('.request .who').textContent === 'at rest'")
+    after = hand(run_dir)
+    assert after[2] > before[2] + 0.001
+    assert math.dist(after[:2], before[:2]) < 0.002
+    assert math.dist(hand(run_dir), after) < 1e-4
+
+
+@pytest.mark.usefixtures("at_home", "given")
+def test_the_hand_follows_the_gizmo(page: Page, run_dir: Path):
+    before = hand(run_dir)
+    x, y = page.wait("rtcConsole.grip().at()")
+    page.mouse("mouseMoved", (x + 1, y))
+    page.mouse("mouseMoved", (x, y))
+    page.mouse("mousePressed", (x, y))  # the middle of the gizmo: along the picture
+    page.mouse("mouseMoved", (x, y - 25))
+    page.mouse("mouseMoved", (x, y - 50))
+    page.wait("rtcConsole.holding() === 'RIGHT-ARM' && rtcConsole.answers['RIGHT-ARM'].refused === ''")
+    page.wait(f"rtcConsole.sent.count > {page.ask('rtcConsole.sent.count') + 20}")
+    page.mouse("mouseReleased", (x, y - 50))
+    page.wait("document.querySelector('.request .who').textContent === 'at rest'")
+    assert math.dist(hand(run_dir), before) > 0.001
+
+
+@pytest.mark.usefixtures("at_home", "given")
+def test_a_page_that_goes_lets_go(page: Page, chromium: Browser, gateway: Gateway, run_dir: Path):
+    second = chromium.page(f"http://127.0.0.1:{gateway.port}/")
+    second.wait(f"{READY} && document.querySelector('.request') !== null")
+    second.ask("rtcConsole.hold('RIGHT-ARM', () => ({twist: [0, 0, 0.02, 0, 0, 0], frame: 'world'}))")
+    page.wait("document.querySelector('.request .who').textContent.startsWith('moved by')")
+    second.close()
+    page.wait("document.querySelector('.request .who').textContent === 'at rest'")
+    there = hand(run_dir)
+    assert math.dist(hand(run_dir), there) < 1e-4
 
 
 @pytest.mark.usefixtures("at_home")
