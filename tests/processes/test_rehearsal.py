@@ -12,6 +12,7 @@ import pytest
 from broker.decisions.events import PrimitiveEnded, PrimitiveStarted
 from broker.persistence.journal import Journal
 from rtc.apps.cli import sentence_files
+from rtc.apps.demos import swapout
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.client.rehearsing import digest_of, rehearse
@@ -19,7 +20,7 @@ from rtc.protocol.outcomes import OutcomeKind, RefusalReason
 
 pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
-SWAP_OUT = Path(__file__).parents[1] / "workers" / "rehearsal" / "swapout.txt"
+SWAP_OUT = swapout.LINES
 MOVE, STOW = "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN TIME-LIMIT 60 SEC", "STOW RIGHT-ARM"
 
 

@@ -54,9 +54,11 @@ def of_arm(
         stops += stop_conditions.maintained(task.data, task.query, values)
     if isinstance(trajectory, Operated) and values["near_m"]:
         stops += stop_conditions.near(task.data, task.query, values["near_m"])
-    if task.held:  # a hand that closes on something off its middle presses more with one finger
-        stops += stop_conditions.squeezed(task.data, values)
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
+    # A hand that closes on something off its middle presses more with one finger. One that opens may have held it
+    # more strongly before this command.
+    if task.held and not lets_go:
+        stops += stop_conditions.squeezed(task.data, values)
     load = None if lets_go else task.query.load(task.arm)
     control_law = compliance.control_law(task, trajectory, load)
     _refuse_weight(task, load)

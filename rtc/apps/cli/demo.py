@@ -12,7 +12,7 @@ from rtc.apps.cli.cluster import speed_of
 from rtc.apps.cli.output import cli_error, console, exits_with
 from rtc.language.alike import unknown
 
-DEMOS = ["grasp", "door", "faults"]  # modules of rtc.apps.demos, each with `run(console, speed, out) -> passed`
+DEMOS = ["grasp", "door", "faults", "swapout"]  # modules of rtc.apps.demos, each with `run(console, speed, out) -> passed`
 
 
 def demo(

@@ -1,0 +1,170 @@
+"""Demo of the whole task: the module swap-out in physics, 40 sentences, several of them in progress at once.
+
+`swapout.txt` has the sentences. A line is given as soon as the lines that it depends on have ended (`lines`); the
+cluster finds out which may be performed at once. The result is checked against the simulator's truth. A line whose
+command the cluster does not perform, because no operator is there, is left out; the demo states which.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from rich.console import Console
+
+from rtc.apps.demos import lines as planner
+from rtc.apps.demos.grasp import Pictures
+from rtc.apps.demos.lines import Course, Line
+from rtc.apps.demos.narrator import Narrator
+from rtc.apps.demos.own_cluster import own_cluster
+from rtc.client.client import Client
+from rtc.drawing.renderer import Renderer
+from rtc.model.cells.cell import Cell
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.spatial import geometry, hinges
+
+CELL = "servicing"
+LINES = Path(__file__).with_suffix(".txt")
+OF_OPERATOR = ("C13", "C27")
+TESTS = ("C1", "C2")
+LASTING = {"C8": "C18", "C23": "C40"}  # a line that lasts until the other one ends it
+#: what no name in a sentence shows
+AFTER = {
+    "C9": "C7",  # the door hides the module
+    "C10": "C7",  # the arm at the door moves beside the bolts
+    "C15": "C14",  # VERIFY of a bolt uses the driver
+    "C18": "C17",
+    "C19": "C18",
+    "C23": "C20",
+    "C35": "C34",
+    "C38": "C37",
+    "C39": "C37",
+    "C40": "C39",
+}
+PICTURES = {
+    "C7": "1-door-open",
+    "C12": "2-bolts-loose",
+    "C20": "3-handed-over",
+    "C25": "4-both-arms",
+    "C28": "5-inserted",
+    "C36": "6-closed",
+}
+IDLE_S = 3600.0  # longest time without the end of a line, on a machine with many busy processes
+SEATED_M, SEATED_DEG = 0.002, 1.0
+STORED_M, CLOSED_DEG, TIGHT_M = 0.005, 3.0, 0.0002
+TRUE_M, TRUE_DEG = 0.005, 2.0
+COLUMNS = 90  # of the time line
+
+
+def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
+    """Run the demo; True if every check passed. Writes pictures to `out`; ends all processes."""
+    narrator, cell = Narrator(console), Cell.load(CELL)
+    lines = [line for line in planner.read(LINES.read_text()) if line.label not in OF_OPERATOR]
+    narrator.chapter("A satellite with an old module behind a door and two bolts, the new module in a rack, two arms")
+    narrator.line(f"{len(lines)} of 40 lines; not given, since no operator is there: {', '.join(OF_OPERATOR)}")
+    with Renderer() as renderer:
+        pictures = Pictures(out, renderer)
+        with own_cluster(cell=CELL, speed=speed) as run_dir, Client(run_dir) as rtc:
+            course = _perform(narrator, rtc, cell, lines, pictures)
+            show_tracks(narrator, lines, course, cell)
+            narrator.chapter("The criteria")
+            check(narrator, rtc, cell, lines, course)
+        pictures.check(narrator)
+    return narrator.passed()
+
+
+def _perform(narrator: Narrator, rtc: Client, cell: Cell, lines: list[Line], pictures: Pictures) -> Course:
+    def begun(line: Line, command: str) -> None:
+        narrator.line(f"{line.label:>4} {command:>5}  {line.text}", "dim")
+
+    def ended(line: Line, end: m.CommandEnded) -> bool:
+        words = "" if line.label in TESTS else end.outcome.message
+        narrator.line(f"{line.label:>4} {end.command:>5}  {end.outcome.kind.value} after {end.took_s:.1f} s  {words}")
+        if line.label in PICTURES:
+            pictures.take(PICTURES[line.label], rtc.truth())
+        return as_wanted(line.label, end.outcome.kind)
+
+    narrator.chapter("The lines; each is given as soon as those it depends on have ended")
+    needed = planner.waits(lines, cell, AFTER)
+    return planner.Planner(rtc, needed, LASTING, begun, ended).perform(lines, IDLE_S)
+
+
+def as_wanted(label: str, kind: OutcomeKind) -> bool:
+    """A test may find that a line is not feasible yet; what lasts until it is ended is aborted."""
+    if label in TESTS:
+        return kind in (OutcomeKind.SUCCEEDED, OutcomeKind.REFUSED)
+    return kind is (OutcomeKind.ABORTED if label in LASTING else OutcomeKind.SUCCEEDED)
+
+
+def show_tracks(narrator: Narrator, lines: list[Line], course: Course, cell: Cell) -> None:
+    """One row of time per arm, and one for the cameras: the number of the line in execution."""
+    narrator.chapter(f"The time line: {course.now_s:.0f} s; of each line its number")
+    scale = COLUMNS / max(course.now_s, 1.0)
+    for name, words in [*((arm.name, (arm.name, arm.end_effector, "BOTH-ARMS")) for arm in cell.arms),
+                        ("cameras", ("VIA CAMERA",))]:  # fmt: skip
+        row = [" "] * COLUMNS
+        for line in lines:
+            if line.label not in course.executing or not any(word in line.text for word in words):
+                continue
+            first, last = (min(COLUMNS - 1, int(scale * at)) for at in course.executing[line.label])
+            row[first : last + 1] = (line.label[1:] + "-" * COLUMNS)[: last + 1 - first]
+        narrator.line(f"{name:>9} |{''.join(row)}|")
+
+
+def check(narrator: Narrator, rtc: Client, cell: Cell, lines: list[Line], course: Course) -> None:
+    truth = rtc.truth()
+    wrong = [line.label for line in lines if line.label not in course.ends]
+    wrong += [label for label, end in course.ends.items() if not as_wanted(label, end.outcome.kind)]
+    narrator.check(f"{len(course.ends)} of {len(lines)} lines ended as they should; not: {wrong or 'none'}", not wrong)
+    check_goal(narrator, cell, truth)
+    check_beliefs(narrator, rtc, cell, truth)
+    check_alone(narrator, lines, course, cell)
+    for phase, labels in {"2": range(5, 10), "5": range(21, 25)}.items():
+        most = course.together([f"C{n}" for n in labels])
+        narrator.check(f"phase {phase}: {most} lines in execution at once", most >= 2)
+
+
+def check_alone(narrator: Narrator, lines: list[Line], course: Course, cell: Cell) -> None:
+    """No two lines about one arm were in execution at once."""
+    most = {
+        arm.name: course.together(
+            [line.label for line in lines if arm.name in line.text or arm.end_effector in line.text]
+        )
+        for arm in cell.arms
+    }
+    narrator.check(f"lines in execution at once for one arm: {most}", all(number == 1 for number in most.values()))
+
+
+def check_goal(narrator: Narrator, cell: Cell, truth: m.SimTruthReply) -> None:
+    """The new module in the bay, the old one in the rack, the bolts tight, the door closed: in truth."""
+    for module, seat, most_m in (("MACS-NEW", "BAY-2", SEATED_M), ("MACS-OLD", "RACK-2", STORED_M)):
+        place = cell.seated_pose(seat)
+        off_m = geometry.distance(truth.poses[module], place)
+        off_deg = math.degrees(geometry.angle(truth.poses[module], place))
+        what = f"{module} is {1e3 * off_m:.1f} mm and {off_deg:.2f} deg from its place in {seat}"
+        narrator.check(what, off_m <= most_m and off_deg <= SEATED_DEG)
+    for bolt in ("BOLT-1", "BOLT-2"):
+        out_m = geometry.distance(truth.poses[bolt], cell.object(bolt).frame.pose)
+        narrator.check(f"{bolt} is {1e3 * out_m:.2f} mm out", out_m <= TIGHT_M)
+    door = cell.object("DOOR-2")
+    assert door.hinge is not None
+    angle = math.degrees(hinges.angle_of(door.frame.pose, door.hinge.axis, truth.poses["DOOR-2"]))
+    narrator.check(f"the door stands at {angle:.1f} deg", angle <= CLOSED_DEG)
+
+
+def check_beliefs(narrator: Narrator, rtc: Client, cell: Cell, truth: m.SimTruthReply) -> None:
+    """Each valid frame of an object agrees with the truth."""
+    facts = {fact.key: fact for fact in rtc.world.view(keys=[f"{thing.name}.frame" for thing in cell.objects]).facts}
+    off = {}
+    for key, fact in facts.items():
+        name = key.partition(".")[0]
+        if fact.validity is m.Validity.VALID and name in truth.poses:
+            pair = fact.value, truth.poses[name]
+            off[name] = geometry.distance(*pair), math.degrees(geometry.angle(*pair))
+    wrong = [
+        f"{name} {1e3 * far:.1f} mm {deg:.1f} deg" for name, (far, deg) in off.items() if far > TRUE_M or deg > TRUE_DEG
+    ]
+    narrator.check(
+        f"{len(off)} valid poses agree with the truth; not: {', '.join(wrong) or 'none'}", bool(off) and not wrong
+    )
