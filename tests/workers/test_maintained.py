@@ -139,7 +139,8 @@ def test_grip_force_is_commanded_and_watched(bench, words, grip_n) -> None:
     assert bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").succeeded
     lift = bound(bench, f"LIFT MACS-NEW BY 10 CM MAINTAIN GRIP-FORCE{words}", 1)
     assert conditions(lift, GripForceAbove) == [GripForceAbove(pytest.approx(1.3 * grip_n + 3.0))]
-    let_go = bound(bench, f"RELEASE MACS-NEW MAINTAIN GRIP-FORCE{words}")  # it may have been held more strongly before
+    opens = bench.elaborate("RELEASE MACS-NEW").steps[0]  # it may have been held more strongly before this command
+    let_go = bench.bind(bench.elaborate(f"LIFT MACS-NEW BY 10 CM MAINTAIN GRIP-FORCE{words}"), opens).primitive
     assert conditions(let_go, GripForceAbove) == []
 
 

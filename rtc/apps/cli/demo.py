@@ -12,24 +12,40 @@ from rtc.apps.cli.cluster import speed_of
 from rtc.apps.cli.output import cli_error, console, exits_with
 from rtc.language.alike import unknown
 
-DEMOS = ["grasp", "door", "faults", "swapout"]  # modules of rtc.apps.demos, each with `run(console, speed, out) -> passed`
+DEMOS = [
+    "grasp",
+    "door",
+    "faults",
+    "swapout",
+]  # modules of rtc.apps.demos, each with `run(console, speed, out) -> passed`
 
 
 def demo(
     name: Annotated[str, typer.Argument(help=f"One of: {', '.join(DEMOS)}.", autocompletion=lambda: DEMOS)] = "grasp",
     speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
     out: Annotated[Path, typer.Option(help="Directory of the pictures.")] = Path("out"),
+    test: Annotated[bool, typer.Option("--test", help="swapout: all lines on paper first.")] = False,
+    inject: Annotated[str, typer.Option(help="swapout: what goes wrong, such as O7; a part of the task.")] = "",
 ) -> None:
     """Start a cluster, run a scenario with a commentary, check it against the simulator, stop everything.
 
     Exit status 0 only if every check passed.
 
     Example:  rtc demo grasp
+    Example:  rtc demo swapout --speed max
+    Example:  rtc demo swapout --speed max --inject O7
     """
     if name not in DEMOS:
         raise cli_error(unknown("demo", name, DEMOS), 2)
     speed_of(speed)
+    module = import_module(f"rtc.apps.demos.{name}")
+    known = getattr(module, "INJECTED", [])
+    if (test or inject) and not known:
+        raise cli_error(f"--test and --inject are for the demo swapout, not for {name}", 2)
+    if inject and inject not in known:
+        raise cli_error(unknown("injection", inject, known), 2)
+    more = {"test": test, "inject": inject} if known else {}
     with exits_with(1):
-        passed = import_module(f"rtc.apps.demos.{name}").run(console, speed, out)
+        passed = module.run(console, speed, out, **more)
     if not passed:
         raise typer.Exit(1)

@@ -58,6 +58,7 @@ class Course:
 
     begun_s: float = field(default_factory=time.monotonic)
     commands: dict[str, str] = field(default_factory=dict)  # label -> C-7
+    texts: dict[str, str] = field(default_factory=dict)  # label -> sentence, as given
     executing: dict[str, list[float]] = field(default_factory=dict)  # label -> from, to
     held: set[str] = field(default_factory=set)  # labels of lines that waited in the cluster for another command
     ends: dict[str, m.CommandEnded] = field(default_factory=dict)
@@ -93,18 +94,21 @@ class Planner:
         rtc: Client,
         needed: Mapping[str, set[str]],
         lasting: Collection[str],
-        on_begin: Callable[[Line, str], None],
+        on_begin: Callable[[Line], None],
+        on_note: Callable[[Line, m.ProgressNote], None],
         on_end: Callable[[Line, m.CommandEnded], bool],
     ) -> None:
         self.course = Course()
         self._rtc, self._needed, self._lasting = rtc, needed, lasting
-        self._on_begin, self._on_end = on_begin, on_end  # the latter: whether it ended as it should
+        self._on_begin, self._on_note = on_begin, on_note
+        self._on_end = on_end  # whether it ended as it should
 
     def perform(self, lines: list[Line], timeout_s: float) -> Course:
         """Raises TimedOut if no line ends within `timeout_s`."""
+        given = {line.label for line in lines}
         todo, open_ = list(lines), dict[str, tuple[Line, CommandHandle]]()
         while todo or open_:
-            for line in [line for line in todo if self._ready(line)]:
+            for line in [line for line in todo if self._ready(line, given)]:
                 todo.remove(line)
                 open_[line.label] = line, self._submit(line)
             self._rtc.receive_until(
@@ -119,13 +123,19 @@ class Planner:
                     return self.course
         return self.course
 
-    def _ready(self, line: Line) -> bool:
-        return {label for label in self._needed[line.label] if label not in self._lasting} <= self.course.ends.keys()
+    def _ready(self, line: Line, given: set[str]) -> bool:
+        return self._needed[line.label] & given - set(self._lasting) <= self.course.ends.keys()
 
     def _submit(self, line: Line) -> CommandHandle:
         course = self.course
         text = COMMAND.sub(lambda found: course.commands[f"C{found[1]}"], line.text)
-        handle = self._rtc.submit(text, on_progress=lambda note: course.note(line.label, note))
+        course.texts[line.label] = text
+        self._on_begin(line)
+
+        def note(note: m.ProgressNote) -> None:
+            course.note(line.label, note)
+            self._on_note(line, note)
+
+        handle = self._rtc.submit(text, on_progress=note)
         course.commands[line.label] = handle.number
-        self._on_begin(line, handle.number)
         return handle

@@ -1,19 +1,22 @@
 """Demo of the whole task: the module swap-out in physics, 40 sentences, several of them in progress at once.
 
 `swapout.txt` has the sentences. A line is given as soon as the lines that it depends on have ended (`lines`); the
-cluster finds out which may be performed at once. The result is checked against the simulator's truth. A line whose
-command the cluster does not perform, because no operator is there, is left out; the demo states which.
+cluster finds out which may be performed at once. The result is checked against the simulator's truth. The lines of an
+operator are left out; the demo states which.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
 from rtc.apps.demos import lines as planner
 from rtc.apps.demos.grasp import Pictures
+from rtc.apps.demos.injections import INJECTIONS, Injection, Scene
 from rtc.apps.demos.lines import Course, Line
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
@@ -28,6 +31,7 @@ CELL = "servicing"
 LINES = Path(__file__).with_suffix(".txt")
 OF_OPERATOR = ("C13", "C27")
 TESTS = ("C1", "C2")
+ON_PAPER = "O9"
 LASTING = {"C8": "C18", "C23": "C40"}  # a line that lasts until the other one ends it
 #: what no name in a sentence shows
 AFTER = {
@@ -37,6 +41,7 @@ AFTER = {
     "C18": "C17",
     "C19": "C18",
     "C23": "C20",
+    "C28": "C26",  # until then two hands hold the module
     "C35": "C34",
     "C38": "C37",
     "C39": "C37",
@@ -57,37 +62,111 @@ TRUE_M, TRUE_DEG = 0.005, 2.0
 COLUMNS = 90  # of the time line
 
 
-def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
-    """Run the demo; True if every check passed. Writes pictures to `out`; ends all processes."""
+def run(console: Console, speed: str = "1", out: Path = Path("out"), *, test: bool = False, inject: str = "") -> bool:
+    """Run the demo; True if every check passed. Writes pictures to `out`; ends all processes.
+
+    `test`: all 40 lines on paper first. `inject`: name of what goes wrong; then only the lines that lead to it."""
     narrator, cell = Narrator(console), Cell.load(CELL)
-    lines = [line for line in planner.read(LINES.read_text()) if line.label not in OF_OPERATOR]
+    every = planner.read(LINES.read_text())
     narrator.chapter("A satellite with an old module behind a door and two bolts, the new module in a rack, two arms")
-    narrator.line(f"{len(lines)} of 40 lines; not given, since no operator is there: {', '.join(OF_OPERATOR)}")
     with Renderer() as renderer:
         pictures = Pictures(out, renderer)
         with own_cluster(cell=CELL, speed=speed) as run_dir, Client(run_dir) as rtc:
-            course = _perform(narrator, rtc, cell, lines, pictures)
-            show_tracks(narrator, lines, course, cell)
-            narrator.chapter("The criteria")
-            check(narrator, rtc, cell, lines, course)
+            if test:
+                on_paper(narrator, rtc, every)
+            if inject == ON_PAPER:
+                infeasible(narrator, rtc)
+            elif inject:
+                _injected(narrator, Scene(run_dir, rtc), cell, every, INJECTIONS[inject])
+            else:
+                _whole(narrator, rtc, cell, every, pictures)
         pictures.check(narrator)
     return narrator.passed()
 
 
-def _perform(narrator: Narrator, rtc: Client, cell: Cell, lines: list[Line], pictures: Pictures) -> Course:
-    def begun(line: Line, command: str) -> None:
-        narrator.line(f"{line.label:>4} {command:>5}  {line.text}", "dim")
+def _whole(narrator: Narrator, rtc: Client, cell: Cell, every: list[Line], pictures: Pictures) -> None:
+    lines = [line for line in every if line.label not in OF_OPERATOR]
+    narrator.line(f"{len(lines)} of {len(every)} lines; not given, as they need an operator: {', '.join(OF_OPERATOR)}")
 
     def ended(line: Line, end: m.CommandEnded) -> bool:
-        words = "" if line.label in TESTS else end.outcome.message
-        narrator.line(f"{line.label:>4} {end.command:>5}  {end.outcome.kind.value} after {end.took_s:.1f} s  {words}")
         if line.label in PICTURES:
             pictures.take(PICTURES[line.label], rtc.truth())
         return as_wanted(line.label, end.outcome.kind)
 
+    course = _perform(narrator, rtc, cell, lines, lambda _: None, lambda *_: None, ended)
+    show_tracks(narrator, lines, course, cell)
+    narrator.chapter("The criteria")
+    check(narrator, rtc, cell, lines, course)
+
+
+def _injected(narrator: Narrator, scene: Scene, cell: Cell, every: list[Line], what: Injection) -> None:
+    lines = [line for line in every if line.label in what.lines]
+    narrator.line(f"{what.about}; lines {', '.join(line.label for line in lines)}")
+
+    def ended(line: Line, end: m.CommandEnded) -> bool:
+        wanted = what.ends if line.label == what.at else (OutcomeKind.SUCCEEDED,)
+        words = " or ".join(kind.value for kind in wanted)
+        return narrator.check(
+            f"{line.label} ended {end.outcome.kind.value}, wanted {words}", end.outcome.kind in wanted
+        )
+
+    course = _perform(narrator, scene.rtc, cell, lines, partial(what.begins, scene), partial(what.notes, scene), ended)
+    if what.at in course.ends:
+        what.check(narrator, scene, course)
+
+
+def _perform(
+    narrator: Narrator,
+    rtc: Client,
+    cell: Cell,
+    lines: list[Line],
+    on_begin: Callable[[Line], None],
+    on_note: Callable[[Line, m.ProgressNote], None],
+    on_end: Callable[[Line, m.CommandEnded], bool],
+) -> Course:
+    def begun(line: Line) -> None:
+        narrator.line(f"{line.label:>4}  {line.text}", "dim")
+        on_begin(line)
+
+    def ended(line: Line, end: m.CommandEnded) -> bool:
+        words = "" if line.label in TESTS else end.outcome.message
+        narrator.line(f"{line.label:>4}  {end.command} {end.outcome.kind.value} after {end.took_s:.1f} s  {words}")
+        return on_end(line, end)
+
     narrator.chapter("The lines; each is given as soon as those it depends on have ended")
     needed = planner.waits(lines, cell, AFTER)
-    return planner.Planner(rtc, needed, LASTING, begun, ended).perform(lines, IDLE_S)
+    return planner.Planner(rtc, needed, LASTING, begun, on_note, ended).perform(lines, IDLE_S)
+
+
+def on_paper(narrator: Narrator, rtc: Client, every: list[Line]) -> None:
+    """All lines on paper, each after those before it: nothing moves, and nothing is written."""
+    narrator.chapter("The lines on paper")
+    before, truth = rtc.world.view(), rtc.truth()
+    ends = rtc.test([line.text for line in every], [line.label for line in every], keep_going=True)
+    for line, end in zip(every, ends, strict=True):
+        words = end.outcome.message if end.outcome.kind is not OutcomeKind.SUCCEEDED else ""
+        narrator.line(f"{line.label:>4}  {end.outcome.kind.value}  {words[:120]}", "dim")
+    after = rtc.world.view()
+    still = (rtc.truth().joints, rtc.truth().poses) == (truth.joints, truth.poses)
+    narrator.check(f"{len(ends)} lines tested; no arm has moved", still)
+    narrator.check("the world database is as before", (after.version, after.facts) == (before.version, before.facts))
+
+
+def infeasible(narrator: Narrator, rtc: Client) -> None:
+    """O9, on paper alone: with the door open the left arm cannot reach its handle; the right arm reaches the other."""
+    narrator.chapter("O9: a grasp that the open door prevents")
+    before = [
+        "GRASP LEFT-END-EFF DOOR-2 LATCH-PULL",
+        "OPEN DOOR-2 BY 90 DEG WITH LEFT-ARM",
+        "RELEASE DOOR-2 WITH LEFT-ARM",
+    ]
+    ends = rtc.test([*before, "GRASP LEFT-END-EFF MACS-OLD HANDLE-B"], keep_going=True)
+    refusal = ends[-1].outcome.refusal
+    bodies = {str(refusal.detail.get(key, "")).split(" ")[0] for key in ("body_a", "body_b")} if refusal else set()
+    message = refusal.message if refusal else "feasible"
+    narrator.check(f"the left arm: {message}", bodies == {"LEFT-ARM", "DOOR-2"})
+    ends = rtc.test([*before, "GRASP RIGHT-END-EFF MACS-OLD HANDLE-A"], keep_going=True)
+    narrator.check("the right arm at the other handle is feasible", ends[-1].outcome.kind is OutcomeKind.SUCCEEDED)
 
 
 def as_wanted(label: str, kind: OutcomeKind) -> bool:
@@ -168,3 +247,6 @@ def check_beliefs(narrator: Narrator, rtc: Client, cell: Cell, truth: m.SimTruth
     narrator.check(
         f"{len(off)} valid poses agree with the truth; not: {', '.join(wrong) or 'none'}", bool(off) and not wrong
     )
+
+
+INJECTED = sorted([*INJECTIONS, ON_PAPER])

@@ -62,6 +62,7 @@ RIGID_RAD, COMPLIANT_RAD = 0.1, 0.5
 # A joint that a brake holds: measured below 0.1 mrad/s, and more than 20 mrad off once another joint is 0.1 rad off.
 STUCK_RAD, STILL_RAD_S, MOVING_RAD_S = 0.01, 0.002, 0.05
 GRIPPED_S = 0.02  # time for which a grip force must have fallen, while the hand closes
+RELAXED_S = 0.2  # until then a hand that an earlier command closed more strongly has taken up its new force
 NEAR_TICKS = 20  # interval of ClearanceBelow: a look for near bodies costs as much as three ticks
 
 
@@ -272,7 +273,9 @@ def _width(when: p.HandWidthBelow, traits: Traits) -> Check:
 
 def _grip_above(when: p.GripForceAbove, traits: Traits) -> Check:
     limit = when.limit_n
-    return lambda now: (most, limit, "") if (most := max(now.finger_forces)) > limit else None
+    return lambda now: (
+        (most, limit, "") if now.elapsed_s > RELAXED_S and (most := max(now.finger_forces)) > limit else None
+    )
 
 
 def _tcp_near(when: p.TcpNear, traits: Traits) -> Check:

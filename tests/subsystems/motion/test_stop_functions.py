@@ -262,6 +262,14 @@ def test_a_value_that_is_low_for_a_moment_only_does_not_count(traits, make) -> N
 KINDS = set(p.Predicate.__args__)  # type: ignore[attr-defined]
 
 
+def test_a_hand_that_was_closed_more_strongly_before_has_a_moment_to_yield(traits, make) -> None:
+    wanted = make.primitive(p.HoldStill(), make.stop(StopReason.FORCE_LIMIT, p.GripForceAbove(40.0)))
+    stops = stop_functions.compile_stops(wanted, traits)
+    assert stop_functions.first(stops, moment(finger_forces=(45.0, 45.0), elapsed_s=0.001)) is None
+    assert stop_functions.first(stops, moment(finger_forces=(45.0, 45.0), elapsed_s=0.3)) is not None
+    assert stop_functions.first(stops, moment(finger_forces=(39.0, 39.0), elapsed_s=0.3)) is None
+
+
 def test_every_predicate_of_the_contract_can_be_checked() -> None:
     assert set(stop_functions.CHECKS) == KINDS
     apart = {p.JointTurnAbove, p.ClearanceBelow, p.UnseenAbove}  # have tests of their own; the last is of cameras
