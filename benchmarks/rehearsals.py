@@ -22,12 +22,13 @@ from benchmarks.report import finish, percentile, question, spread
 from broker.decisions.events import PrimitiveEnded, PrimitiveStarted
 from broker.persistence.journal import Journal
 from rtc.apps.cli import sentence_files
+from rtc.apps.demos import swapout
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.client.rehearsing import rehearse
 from rtc.protocol.outcomes import OutcomeKind
 
-SWAP_OUT = Path(__file__).parent.parent / "tests" / "workers" / "rehearsal" / "swapout.txt"
+SWAP_OUT = swapout.LINES
 REPEATED = 3
 PER_S = 20.0
 BESIDE = "TEST MOVE LEFT-ARM TO CLEAR-POINT-1"
