@@ -16,6 +16,7 @@ TYPE_CHECKING = False  # as in `typing`, whose import takes as long as Python it
 if TYPE_CHECKING:
     from typing import Any
 
+    from rtc.client import aio
     from rtc.client.client import Client
     from rtc.client.halt import HaltResult
     from rtc.client.handle import CommandHandle
@@ -54,13 +55,20 @@ __all__ = [
     "StopReason",
     "TimedOut",
     "WireError",
+    "aio",
 ]
-PLACES = {"Client": "rtc.client.client", "CommandHandle": "rtc.client.handle", "HaltResult": "rtc.client.halt"}
+PLACES = {
+    "Client": "rtc.client.client",
+    "CommandHandle": "rtc.client.handle",
+    "HaltResult": "rtc.client.halt",
+    "aio": "rtc.client.aio",  # the module itself
+}
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(PLACES.get(name, "rtc.protocol.outcomes")), name)
+    place = import_module(PLACES.get(name, "rtc.protocol.outcomes"))
+    value = place if name == "aio" else getattr(place, name)
     globals()[name] = value
     return value

@@ -34,7 +34,7 @@ from rtc.client.connection import LAST_WORDS_MS, BrokerConnection
 from rtc.client.context import ClientContext
 from rtc.client.halt import HaltLine, HaltResult
 from rtc.client.hand_controller import HandController
-from rtc.client.handle import CommandHandle
+from rtc.client.handle import CommandHandle, OnChange
 from rtc.client.heartbeat import HeartbeatSender
 from rtc.client.liveness import BrokerLiveness, Report, is_listening, not_running
 from rtc.client.rehearsing import NO_TEST, AboutTest, rehearse
@@ -151,6 +151,20 @@ class Client:
         self._context.destroy(linger=LAST_WORDS_MS)  # also closes the sockets of `events` and `telemetry`
 
     @property
+    def context(self) -> ClientContext:
+        """The ZeroMQ context of its sockets."""
+        return self._context
+
+    @property
+    def endpoints(self) -> Endpoints:
+        """The addresses of the cluster."""
+        return self._endpoints
+
+    def wake_by(self, descriptor: int) -> None:
+        """`receive_until` also looks again when this eventfd has been written."""
+        self._connection.wake_by(descriptor)
+
+    @property
     def where(self) -> str:
         """The cluster, for people: its run directory, or the address of its gateway."""
         return self._endpoints.address if isinstance(self._endpoints, KeyFile) else str(self.run_dir)
@@ -188,15 +202,34 @@ class Client:
 
         Raises RequestDeclined if the cluster does not accept it.
         """
-        handle = CommandHandle(self, text, on_progress)
-        noted = handle.take_note if progress or on_progress is not None else None
-        about = AboutTest(if_tested=if_tested)
-        self._submit(text, noted, handle.take_number, traceparent, handle.take_end, about, saved)
+        handle = self.begin(
+            text, on_progress=on_progress, progress=progress, traceparent=traceparent, if_tested=if_tested
+        )
         self.receive_until(lambda: handle.answered, ANSWER_S, "the sentence was not accepted")
         if not handle.number:
             refusal = handle.wait().outcome.refusal
             assert refusal is not None
             raise RequestDeclined(refusal)
+        return handle
+
+    def begin(
+        self,
+        text: str,
+        *,
+        on_progress: OnProgress | None = None,
+        on_change: OnChange | None = None,
+        progress: bool = True,
+        traceparent: str = "",
+        if_tested: str = "",
+        after_test: str = "",
+        label: str = "",
+    ) -> CommandHandle:
+        """Send one sentence and do not wait: its handle has no number yet. `on_change` is called, while messages are
+        received, when it has got one, and when it has ended: also when it was not accepted. The rest as in `run`."""
+        handle = CommandHandle(self, text, on_progress, on_change)
+        noted = handle.take_note if progress or on_progress is not None else None
+        about = AboutTest(if_tested=if_tested, after_test=after_test, label=label)
+        self._submit(text, noted, handle.take_number, traceparent, handle.take_end, about)
         return handle
 
     def run(

@@ -13,6 +13,7 @@ blocks.
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections import deque
 from collections.abc import Callable
@@ -72,6 +73,7 @@ class BrokerConnection:
         self._poller = zmq.Poller()
         self._poller.register(self._socket, zmq.POLLIN)
         self._poller.register(self._link.monitor, zmq.POLLIN)
+        self._waker: int | None = None
         self._socket.connect(self._address)
         self._send_hello()
 
@@ -113,6 +115,11 @@ class BrokerConnection:
             self._send_frames(parts)
         self._open[request] = message
 
+    def wake_by(self, descriptor: int) -> None:
+        """`recv` also returns when this eventfd has been written, which it reads."""
+        self._waker = descriptor
+        self._poller.register(descriptor, zmq.POLLIN)
+
     def forget(self, request: str) -> None:
         """Stop waiting for the answer to this request."""
         self._open.pop(request, None)
@@ -127,6 +134,8 @@ class BrokerConnection:
         ready = dict(self._poller.poll(max(0, math.ceil(min(timeout_s, SILENCE_S) * 1000))))
         if self._link.monitor in ready and self._link.newly_connected() and self._link.handshakes > 1:
             self._probe()  # a new broker, or the old one again: messages in transit may be lost
+        if self._waker is not None and self._waker in ready:
+            os.eventfd_read(self._waker)
         if self._socket not in ready:
             if self._open and time.monotonic() - self._received_at_s > SILENCE_S:
                 self._received_at_s = time.monotonic()

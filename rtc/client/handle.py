@@ -20,6 +20,7 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome
 
 OnProgress = Callable[[m.ProgressNote], None]
+OnChange = Callable[[], None]  # called when a command has got its number, and when it has ended
 TEXT_SHOWN = 60  # characters of the sentence in `repr`
 
 
@@ -35,11 +36,14 @@ class ItsClient(Protocol):
 class CommandHandle:
     """One command of a client, from `Client.submit`. `number`: C-n; `str` of the handle is the number too."""
 
-    def __init__(self, client: ItsClient, text: str, on_progress: OnProgress | None) -> None:
+    def __init__(
+        self, client: ItsClient, text: str, on_progress: OnProgress | None, on_change: OnChange | None = None
+    ) -> None:
         self.text = text
         self.number = ""
         self._client = client
         self._on_progress = on_progress
+        self._on_change = on_change
         self._progress: m.ProgressNote | None = None
         self._ended: m.CommandEnded | None = None
 
@@ -113,8 +117,15 @@ class CommandHandle:
         """It is accepted or declined."""
         return bool(self.number) or self._ended is not None
 
+    @property
+    def known_end(self) -> m.CommandEnded | None:
+        """Its end as far as received; nothing is received here."""
+        return self._ended
+
     def take_number(self, number: str) -> None:
         self.number = number
+        if self._on_change is not None:
+            self._on_change()
 
     def take_note(self, note: m.ProgressNote) -> None:
         if note.seq:
@@ -124,3 +135,5 @@ class CommandHandle:
 
     def take_end(self, ended: m.CommandEnded) -> None:
         self._ended = ended
+        if self._on_change is not None:
+            self._on_change()

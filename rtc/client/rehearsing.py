@@ -5,7 +5,7 @@ A sentence that is not feasible changes nothing, and neither does one that is it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import NamedTuple, Protocol
 
 from rtc.protocol import messages as m
@@ -32,6 +32,14 @@ class Runs(Protocol):
     def run(self, text: str, *, after_test: str = "", label: str = "") -> m.CommandEnded: ...
 
 
+class Asked(NamedTuple):
+    """A TEST sentence to be run."""
+
+    text: str
+    after_test: str
+    label: str
+
+
 def rehearse(
     client: Runs,
     texts: Sequence[str],
@@ -47,19 +55,38 @@ def rehearse(
     sentence, or empty; later sentences may name them. `faults`: walk through every stop reason of every step.
     """
     found: list[m.CommandEnded] = []
+    asking = rehearsals(texts, labels, faults=faults, keep_going=keep_going)
+    asked = next(asking, None)
+    while asked is not None:
+        ended = client.run(asked.text, after_test=asked.after_test, label=asked.label)
+        if on_end is not None:
+            on_end(len(found), ended)
+        found.append(ended)
+        asked = following(asking, ended)
+    return found
+
+
+def rehearsals(
+    texts: Sequence[str], labels: Sequence[str] = (), *, faults: bool = False, keep_going: bool = False
+) -> Generator[Asked, m.CommandEnded, None]:
+    """The TEST sentences of `rehearse`, one after the other; each is sent the end of the one before it."""
     digest = ""
     for n, text in enumerate(texts):
         asked = f"TEST {text.strip().removesuffix('.')}" + (f" {ALL_FAULTS}" if faults else "")
-        ended = client.run(asked, after_test=digest, label=labels[n] if labels else "")
-        found.append(ended)
-        if on_end is not None:
-            on_end(n, ended)
+        ended = yield Asked(asked, digest, labels[n] if labels else "")
         if ended.outcome.kind is not OutcomeKind.SUCCEEDED:
             if not keep_going:
-                break
+                return
         elif not is_test(text) and ended.outcome.rehearsal is not None:
             digest = ended.outcome.rehearsal.digest
-    return found
+
+
+def following(asking: Generator[Asked, m.CommandEnded, None], ended: m.CommandEnded) -> Asked | None:
+    """The next TEST sentence after this end; None after the last."""
+    try:
+        return asking.send(ended)
+    except StopIteration:
+        return None
 
 
 def is_test(text: str) -> bool:

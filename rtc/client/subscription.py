@@ -23,13 +23,18 @@ def subscribe(
     silence_s: float | None,
 ) -> Iterator[Published]:
     """All messages from now on; endless, or until none has come for `silence_s`."""
+    return _each(subscribed(context, endpoints, endpoint), read, silence_s)
+
+
+def subscribed(context: ClientContext, endpoints: Endpoints, endpoint: str) -> zmq.Socket[bytes]:
+    """The socket of a new subscription."""
     socket = context.socket(zmq.SUB)
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
     socket.subscribe(b"")
     endpoints.secure(socket)
     for address in endpoints.addresses(endpoint).values():
         socket.connect(address)
-    return _each(socket, read, silence_s)
+    return socket
 
 
 def _each(
