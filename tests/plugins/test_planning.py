@@ -21,9 +21,15 @@ from workers.planning.motion.timing import SpeedLimits, time_path
 THROUGH = "def plan(request, goal):\n    return [request.start, 0.5 * (request.start + goal), goal]\n"
 
 
+def without_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """rtc's own search finds nothing."""
+    for name in ("SAMPLES", "ROOMY_SAMPLES"):
+        monkeypatch.setattr(sampled_way, name, 0)
+
+
 def test_a_colliding_path_of_a_planner_is_not_accepted(install, right, cell, setting, monkeypatch):  # noqa: F811
     """Its way leads straight through the wall; the search has no samples, so no way is found."""
-    monkeypatch.setattr(sampled_way, "SAMPLES", 3)
+    without_samples(monkeypatch)
     install(registry.PLANNERS, "straight", "plan", THROUGH)
     with pytest.raises(Refused) as refused:
         plan_joint_motion(*behind_a_wall(cell, right, setting))
@@ -33,9 +39,9 @@ def test_a_colliding_path_of_a_planner_is_not_accepted(install, right, cell, set
 def test_a_free_path_of_a_planner_is_used_before_a_search(install, right, cell, setting, monkeypatch):  # noqa: F811
     """It hands on what a search has found before, as corners."""
     request, goal = behind_a_wall(cell, right, setting)
-    found = sampled_way.find_sampled_way(request, request, [goal])
+    found = sampled_way.find_sampled_way(request, request, [goal], sampled_way.guides(request, goal))
     corners = [list(map(float, q)) for q in found.path.knots]
-    monkeypatch.setattr(sampled_way, "SAMPLES", 0)
+    without_samples(monkeypatch)
     install(registry.PLANNERS, "recalls", "plan", f"def plan(request, goal):\n    return {corners}\n")
     motion = plan_joint_motion(request, goal)
     assert motion.notes[-1].startswith("planner recalls: tested: free")
@@ -51,11 +57,11 @@ def test_a_free_path_of_a_planner_is_used_before_a_search(install, right, cell, 
     ],
 )
 def test_a_planner_that_gives_no_way_is_passed_over(install, right, cell, setting, code, monkeypatch):  # noqa: F811
-    monkeypatch.setattr(sampled_way, "SAMPLES", 3)
+    without_samples(monkeypatch)
     install(registry.PLANNERS, "poor", "plan", code)
     with pytest.raises(Refused) as refused:
         plan_joint_motion(*behind_a_wall(cell, right, setting))
-    assert refused.value.refusal.detail["samples"] == 3
+    assert refused.value.refusal.detail["samples"] == 0
 
 
 def test_a_solver_is_asked_when_ours_finds_nothing(install: Install, cell: Cell) -> None:

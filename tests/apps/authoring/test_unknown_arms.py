@@ -8,6 +8,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.subsystems.motion.executor import Executor
+from rtc.subsystems.motion.pairs import Pairs
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.bullet_arm import BulletCell
 from tests.workers import conftest as workers
@@ -30,6 +31,7 @@ class _Physics(workers.Kinematic):
         self.disturb = None
         self.sim = BulletCell(cell)  # type: ignore[assignment]
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
+        self.pairs = Pairs(self.executors)
 
 
 @pytest.fixture
