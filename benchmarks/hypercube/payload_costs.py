@@ -43,11 +43,11 @@ class MotionBench(BrokerBench):
         return self._motions.performers
 
     def sentence(self) -> str:
-        return MOTIONS[self.arm]
+        return f"{MOTIONS[self.arm]} -- {self._number}"  # new words: a repeated sentence is not parsed again
 
     def product(self, kind: WorkerKind, job: m.Job) -> msgspec.Raw:
         if kind is WorkerKind.PARSER:
-            return wire.raw(self._motions.record(MOTIONS.index(_read_text(job.input).text)))
+            return wire.raw(self._motions.record(MOTIONS.index(_read_text(job.input).text.partition(" -- ")[0])))
         if kind is WorkerKind.ELABORATOR:
             return wire.raw(self._motions.script(self.arm, bool(_read_task(job.input).moving)))
         if kind is WorkerKind.BINDER:

@@ -91,9 +91,12 @@ def moved_with(facts: Mapping[str, Fact], arms: Collection[str]) -> dict[str, st
 
 
 def as_changing(facts: Iterable[Fact], changing: Collection[str]) -> list[Fact]:
-    """The facts as a reader should see them: those of these keys are changing."""
+    """The facts as a reader should see them: those of these keys are changing, if they were valid."""
     marks = {"validity": Validity.CHANGING}
-    return [msgspec.structs.replace(fact, **marks) if fact.key in changing else fact for fact in facts]
+    return [
+        msgspec.structs.replace(fact, **marks) if fact.key in changing and fact.validity is Validity.VALID else fact
+        for fact in facts
+    ]
 
 
 def location(key: str) -> str:
