@@ -7,8 +7,10 @@ VENV := .venv
 # Many images set it. Every process of a test or a cluster would compile its modules anew: a second per cluster.
 unexport PYTHONDONTWRITEBYTECODE
 BIN := $(VENV)/bin
-# For tests that judge no time; the last ones are divided anew. A worker or a cluster needs 0.4 GB.
-FAST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
+# For tests that judge no time; the last ones are divided anew. One more than cores, as those with a cluster often wait;
+# a worker or a cluster needs 0.4 GB.
+JOBS := $(shell n=$$(( $$(nproc) + 1 )); echo $$(( n > 4 ? 4 : n )))
+FAST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
 .PHONY: demo console setup test test-ray fast check wheel coverage bench campaigns help clean
 .DEFAULT_GOAL := help

@@ -196,7 +196,7 @@ def test_a_handoff_ends_with_the_object_in_the_second_hand(held: Bench) -> None:
     run = done(held, f"{GIVE} GUARDED")
     assert who_holds(held) == ("", MODULE, LEFT)
     assert [label.split()[0] for label in run.labels] == [
-        *("bring", "go", "open", "restate", "straight", "close", "check", "let", "back")
+        *("bring", "restate", "go", "open", "straight", "close", "check", "let", "back")
     ]
     done(held, f"MOVE {LEFT} BY 3 CM ALONG UP")
     done(held, f"HANDOFF {MODULE} FROM {LEFT} TO {RIGHT}")
