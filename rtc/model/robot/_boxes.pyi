@@ -15,3 +15,36 @@ class Boxes:
     def way(self, q: Any, slots: Any, rows: Any, first: int, halvings: int, off: Any) -> tuple[int, list[int]]: ...
     def line(self, q: Any, slots: Any, start: Any, end: Any, steps: int, halvings: int) -> tuple[int, list[int]]: ...
     def space(self, q: Any, slots: Any, rows: Any, boxes: Any, step: float) -> Any: ...
+
+class Growth:
+    def __init__(
+        self,
+        reach: float,
+        least: float,
+        back: float,
+        vain: float,
+        projected: float,
+        onward: float,
+        tolerance: float,
+        damping: float,
+        projections: int,
+        halvings: int,
+    ) -> None: ...
+
+class Trees:
+    def __init__(
+        self,
+        boxes: Boxes,
+        q: Any,
+        slots: Any,
+        start: Any,
+        goals: Any,
+        limits: Any,
+        weights: Any,
+        growth: Growth,
+        arm: Arm | None,
+        attitude: Any,
+    ) -> None: ...
+    def ends_are_free(self) -> bool: ...
+    def have_grown(self) -> bool: ...
+    def grow(self, samples: Any) -> tuple[int, int, list[Any]] | None: ...

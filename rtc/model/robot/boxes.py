@@ -8,6 +8,7 @@ Without a compiler, or for a joint that it does not know, there are no boxes, an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -25,6 +26,27 @@ KINDS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteU", 
 STEP_M = 0.03  # greatest displacement of a piece between two configurations of which its space is made
 STRAIGHT: Array = np.empty((0, 0))  # a way along the lines between its rows
 HALVINGS = 7  # of a line between two configurations of a path; what is undecided then is measured
+
+
+class Growth(NamedTuple):
+    """Figures of a search by two trees; a length is the greatest weighted displacement of a joint (rad)."""
+
+    reach: float  # maximum length of an extension
+    least: float  # minimum length of an extension
+    back: float  # share of the free part of a blocked line after which its node is set
+    vain: float  # factor of the squared distance of a node from which a tree could not grow
+    projected: float  # length of a step between two projections
+    onward: float  # share of its length that a projected step must make towards its end
+
+
+class Projection(NamedTuple):
+    """An attitude that the tip of an arm keeps, and the figures of the steps to it."""
+
+    arm: _boxes.Arm | None
+    attitude: Array  # [9], in the axes of the arm's base; empty: none
+    steps: int  # maximum number
+    tolerance: float  # rad
+    damping: float
 
 
 class Boxes:
@@ -81,6 +103,27 @@ class Boxes:
     def line(self, q: Array, slots: list[int], start: Array, end: Array, steps: int) -> tuple[int, list[int]]:
         """As `way`, of the straight line between two values at `slots` in equal steps."""
         return self._proof.line(q, slots, start, end, steps, HALVINGS)
+
+    def trees(
+        self,
+        q: Array,
+        slots: list[int],
+        goals: Sequence[Array],
+        limits: Array,
+        weights: Array,
+        growth: Growth,
+        projection: Projection,
+    ) -> _boxes.Trees | None:
+        """Trees from `q` and from these goals, for a search while the scene stays; None: an end is not proven free.
+
+        `limits` [2][slots]. `weights` [2][slots]: of a joint in distances; steps of a collision check per rad."""
+        arm, attitude, steps, tolerance, damping = projection
+        if attitude.size and arm is None:
+            return None
+        figures = _boxes.Growth(*growth, tolerance, damping, steps, HALVINGS)
+        ends = q[slots], np.array(goals)
+        made = _boxes.Trees(self._proof, q, slots, *ends, limits, weights, figures, arm, attitude)
+        return made if made.ends_are_free() else None
 
     def space(self, q: Array, slots: list[int], rows: Array, pieces: list[int]) -> Array:
         """Boxes in the axes of the world around these pieces on a way, [pieces][6]: low corner, high corner (m).

@@ -12,6 +12,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import TYPE_CHECKING
 
 import coal
 import numpy as np
@@ -19,14 +20,18 @@ import pinocchio as pin
 
 from rtc.model.cells import cell as cells
 from rtc.model.robot import bodies
-from rtc.model.robot.boxes import STRAIGHT, boxes_of
+from rtc.model.robot.boxes import STRAIGHT, Growth, boxes_of
 from rtc.model.robot.collision_pairs import Pairs, PairTable
 from rtc.model.robot.collision_scene import AS_BUILT, Scene, in_hands
+from rtc.model.robot.kinematics import ArmModel
 from rtc.model.robot.levers import ball, levers, of_pairs
 from rtc.model.robot.separation import SeparationCheck
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import hinges
 from rtc.spatial.geometry import Array, Floats
+
+if TYPE_CHECKING:
+    from rtc.model.robot._boxes import Trees
 
 
 @dataclass(frozen=True)
@@ -301,6 +306,27 @@ class CollisionWorld:
                     return False
         return self.free_until(arm, configurations, others, scene) == len(configurations)
 
+    def trees(
+        self,
+        arm: ArmModel,
+        goals: Sequence[Array],
+        joints: Mapping[str, Floats],
+        scene: Scene,
+        limits: Array,
+        weights: Array,
+        growth: Growth,
+        attitude: Floats | None,
+    ) -> Trees | None:
+        """Compiled trees for a search from `joints` (rad) to these goals, as long as no other scene is used.
+
+        Only what boxes prove is free to them. None: without the kernel, or if it does not prove an end free.
+        `limits`, `weights`, `growth`: as for `Boxes.trees`. `attitude`: of the tcp (world), which all postures keep."""
+        if self._boxes is None or scene.hung:
+            return None
+        self._set(joints, scene)
+        projection, slots = arm.projection(attitude), self._bodies.arms[arm.name].joints
+        return self._boxes.trees(self._q, slots, goals, limits, weights, growth, projection)
+
     def space(self, arm: str, path: Array, scene: Scene) -> Array | None:
         """Boxes in the axes of the world around the pieces of an arm and of what it holds, on its whole path (rad).
 
@@ -492,11 +518,13 @@ class CollisionWorld:
         reach = np.hstack((np.zeros((len(pairs), 1)), np.cumsum(steps, axis=1))).tolist()
         nearer = levers @ off.max(axis=0) if len(off) else np.zeros(len(pairs))
         least = np.maximum(self._pairs.margin[pairs], 0.0) + nearer
-        places = (
-            (self._where_too_near(slots, rows, pair, far, margin), pair)
-            for pair, far, margin in zip(pairs, reach, least.tolist(), strict=True)
-        )
-        return min(((place, pair) for place, pair in places if place is not None), default=None)
+        found: tuple[float, int] | None = None
+        for pair, far, margin in zip(pairs, reach, least.tolist(), strict=True):
+            last = math.inf if found is None else found[0]
+            place = self._where_too_near(slots, rows, pair, far, margin, last)
+            if place is not None and (found is None or (place, pair) < found):
+                found = place, pair
+        return found
 
     def _any_too_near(self, slots: list[int], rows: Array, pairs: list[int]) -> bool:
         """Whether one of these pairs is nearer than its margin at the last configuration."""
@@ -507,9 +535,10 @@ class CollisionWorld:
         return any(self._distance_m(pair) < max(float(self._pairs.margin[pair]), 0.0) for pair in pairs)
 
     def _where_too_near(
-        self, slots: list[int], rows: Array, pair: int, reach: list[float], margin: float
+        self, slots: list[int], rows: Array, pair: int, reach: list[float], margin: float, last: float
     ) -> float | None:
-        """`_first_too_near` of one pair. `reach`: how much nearer it can be at each configuration than at the first.
+        """`_first_too_near` of one pair, as far as the place `last`. `reach`: how much nearer it can be at each
+        configuration than at the first.
 
         What its distance exceeds its margin by is free on the way, as far as the pair can come nearer by that."""
         at = 0.0
@@ -517,6 +546,8 @@ class CollisionWorld:
             n = min(bisect_right(reach, at), len(reach) - 1)
             width = reach[n] - reach[n - 1]
             place = n - 1 + ((at - reach[n - 1]) / width if width > 0.0 else 0.0)
+            if place > last:
+                return None  # another pair is too near before
             self._put(slots, rows, place)
             room = self._distance_m(pair) - margin
             if room < 0.0:

@@ -274,6 +274,11 @@ class ArmModel:
             now = branch
         return np.array(found, dtype=float).reshape(-1, len(self.joints))
 
+    def projection(self, attitude: Floats | None) -> boxes.Projection:
+        """What `turned_to` does, for compiled code: to this attitude, or to none."""
+        turn = np.empty(0) if attitude is None else self._in_base(tuple(attitude[3:])).ravel()
+        return boxes.Projection(self._compiled, turn, PROJECTIONS, PROJECTED_RAD, DAMPING)
+
     def turned_to(self, attitude: Floats, joints: Floats) -> Array | None:
         """Joint values (rad) near `joints` at which the tcp has the attitude of this pose (world), wherever it is.
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rtc.model.robot.boxes import Growth
 from rtc.model.robot.collision import line
 from rtc.model.robot.kinematics import MIN_WEIGHT
 from rtc.spatial import geometry
@@ -20,7 +21,7 @@ from workers.planning.motion import path as paths
 from workers.planning.motion.blended import lengths, widest
 from workers.planning.motion.path import CHECK_RAD, Path
 from workers.planning.motion.request import FreeWay, PlanningRequest, fault, free_posture, is_free
-from workers.planning.motion.sampling import MIN_RAD, Found, search, shorten, size
+from workers.planning.motion.sampling import MIN_RAD, REACH_RAD, VAIN, Found, GrowingTrees, Trees, search, shorten, size
 
 SAMPLES = 2000  # budget of one search
 ROOMY_SAMPLES = 80  # budget of the search with more room, before that
@@ -57,21 +58,10 @@ def find_sampled_way(
     for attempt, asked in enumerate([roomy, *[_with_some_room(request, ends)] * ATTEMPTS]):
         if attempt == 0 and roomy is request:
             continue
-        space = _Space(asked)
-        lower, upper = space.limits
         seed = ATTEMPTS * request.seed + max(0, attempt - 1)
-        found = search(
-            request.start,
-            ends,
-            space.steer,
-            lower,
-            upper,
-            space.weights,
-            seed=seed,
-            samples=ROOMY_SAMPLES if attempt == 0 else SAMPLES - drawn,
-            guides=guides if attempt < 2 else (),
-            project=space.project,
-        )
+        samples = ROOMY_SAMPLES if attempt == 0 else SAMPLES - drawn
+        space = _Space(asked)
+        found = space.search(ends, seed, samples, guides if attempt < 2 else ())
         if not isinstance(found, Found):
             drawn += found
             if attempt == 0:
@@ -135,8 +125,35 @@ class _Space:
         self._start = request.start
         self._touches_at_start = free_posture(request)(self._start) is not None
         self._attitude = None if request.path_constraints.attitude is None else request.path_constraints.attitude.pose
-        self.steer = self._straight if self._attitude is None else self._projected
         self.join = self._joined if self._attitude is None else self._projected
+
+    def search(self, goals: Sequence[Array], seed: int, samples: int, guides: Sequence[Array]) -> Found | int:
+        """As `sampling.search`, from the start to these goals.
+
+        Compiled trees do not leave an end that is nearly too near to a body, because they do not ask coal."""
+        trees, ends = self.trees(goals), np.vstack([self._start, *goals])
+        found = search(trees, ends, *self.limits, seed=seed, samples=samples, guides=guides)
+        if isinstance(found, Found) or isinstance(trees, Trees) or trees.have_grown():
+            return found
+        return search(self._trees_in_python(goals), ends, *self.limits, seed=seed, samples=samples, guides=guides)
+
+    def trees(self, goals: Sequence[Array]) -> GrowingTrees:
+        """The trees of a search: compiled if boxes prove the ends free and can judge a way alone."""
+        request = self._request
+        if not self._touches_at_start and request.path_constraints.work_range is None:
+            growth = Growth(REACH_RAD, MIN_RAD, BACK, VAIN, PROJECTED_RAD, AWAY)
+            weights = np.vstack((self.weights, self._per_rad))
+            limits = np.vstack(self.limits)
+            compiled = request.world.trees(
+                request.arm, goals, request.joints, request.scene, limits, weights, growth, self._attitude
+            )
+            if compiled is not None:
+                return compiled
+        return self._trees_in_python(goals)
+
+    def _trees_in_python(self, goals: Sequence[Array]) -> Trees:
+        steer = self._straight if self._attitude is None else self._projected
+        return Trees(self._start, goals, steer, self.weights, self.project)
 
     def project(self, q: Array) -> Array | None:
         """The posture, turned to the attitude to keep; None: not found within the joint limits."""

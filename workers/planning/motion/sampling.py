@@ -8,8 +8,7 @@ and the seed is an argument. So the same problem always has the same path, at an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain, islice
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -25,7 +24,7 @@ WIDE_AFTER = 120  # samples after which the box covers the joint limits
 MIXED = 0.3  # share of the samples that keep each joint of an end with a probability of one half
 VAIN = 1.3  # factor of the squared distance of a node for each extension that added no node
 BATCH = 32  # samples that are drawn at once
-STUCK_AFTER = 100  # samples after which the search ends if one of the trees has not grown at all
+STUCK_AFTER = 96  # samples after which the search ends if one of the trees has not grown at all
 SHORTCUTS = 24  # maximum number of pairs of points of a path between which a line is tried
 IN_VAIN = 10  # shortcuts in a row without a gain after which the rest are left out
 GAIN = 0.95  # a shortcut must be shorter than this share of the part that it replaces
@@ -92,82 +91,119 @@ class _Tree:
         return n
 
 
+class GrowingTrees(Protocol):
+    """Two trees, one from the start and one from all goals. Each sample is for the other tree than the one before."""
+
+    def grow(self, samples: Array) -> tuple[int, int, list[Array]] | None:
+        """Grow towards these postures [n][joints]. When the trees meet: the number of the sample, the number of the
+        goal, and the way-points from the start to it."""
+
+    def have_grown(self) -> bool:
+        """Whether both trees have more than their roots."""
+
+
+class Trees:
+    """`GrowingTrees` for any `Steer`. `rtc/model/robot/_trees.hpp` has them compiled, for lines that boxes prove."""
+
+    def __init__(
+        self,
+        start: Array,
+        goals: Sequence[Array],
+        steer: Steer,
+        weights: Array,
+        project: Callable[[Array], Array | None] = lambda q: q,
+    ) -> None:
+        """`weights`: of each joint in the distance between postures. `project`: projects a posture onto the
+        constraints; None: it cannot."""
+        self._ours, self._others = self._from_start, self._from_goals = _Tree([start], weights), _Tree(goals, weights)
+        self._steer, self._weights, self._project = steer, weights, project
+
+    def have_grown(self) -> bool:
+        return self._ours.has_grown and self._others.has_grown
+
+    def grow(self, samples: Array) -> tuple[int, int, list[Array]] | None:
+        for n, q in enumerate(samples):
+            ours, others = self._ours, self._others
+            self._ours, self._others = others, ours
+            aim = self._project(q)
+            new = None if aim is None else self._extend(ours, aim)
+            met = None if new is None else self._connect(others, ours.nodes[new])
+            if new is not None and met is not None:
+                at, to = (new, met) if ours is self._from_start else (met, new)
+                way = [*reversed(self._from_start.branch(at)), *self._from_goals.branch(to)[1:]]
+                return n, self._from_goals.root(to), way
+        return None
+
+    def _extend(self, tree: _Tree, q: Array) -> int | None:
+        """Grow the tree towards `q` by one extension; the new node."""
+        near = tree.nearest(q)
+        here = tree.nodes[near]
+        length = size(q - here, self._weights)
+        aim = self._project(here + (q - here) * (REACH_RAD / length)) if length > REACH_RAD else q
+        reached = [] if aim is None else self._steer(here, aim)[0]
+        if not reached or size(reached[-1] - here, self._weights) < MIN_RAD:
+            tree.avoid(near)
+            return None
+        return tree.add_chain(reached, near)
+
+    def _connect(self, tree: _Tree, q: Array) -> int | None:
+        """Grow the tree towards `q` as far as it is free; the node at `q` if it arrives."""
+        near = tree.nearest(q)
+        here = tree.nodes[near]
+        reached, arrived = self._steer(here, q)
+        if arrived:
+            return tree.add_chain(reached, near)
+        if reached and size(reached[-1] - here, self._weights) >= MIN_RAD:
+            tree.add_chain(reached, near)
+        else:
+            tree.avoid(near)
+        return None
+
+
 def search(
-    start: Array,
-    goals: Sequence[Array],
-    steer: Steer,
+    trees: GrowingTrees,
+    ends: Array,
     lower: Array,
     upper: Array,
-    weights: Array,
     *,
     seed: int,
     samples: int,
     guides: Sequence[Array] = (),
-    project: Callable[[Array], Array | None] = lambda q: q,
 ) -> Found | int:
-    """Way-points from `start` to one of `goals` (rad), or the number of samples that were drawn in vain.
+    """Way-points from the start to one of the goals (rad), or the number of samples that were drawn in vain.
 
-    `lower`, `upper`: joint limits (rad). `weights`: of each joint in the distance between postures. `guides`: postures
-    that are taken before random ones, in turn for the tree of the start and that of the goals. `project`: projects a
-    sample onto the constraints; None: it cannot.
+    `ends` [n][joints]: the start and the goals. `lower`, `upper`: joint limits (rad). `guides`: postures that are taken
+    before random ones, in turn for the tree of the start and that of the goals.
     """
-    ours, others = _Tree([start], weights), _Tree(goals, weights)
-    ends = np.vstack([start, *goals])
-    drawn = _samples(np.random.default_rng(seed), ends, lower, upper, len(guides))
-    for n, q in enumerate(islice(chain(guides, drawn), max(0, samples))):
-        if n == STUCK_AFTER and not (ours.has_grown and others.has_grown):
-            return n
-        aim = project(q)
-        new = None if aim is None else _extend(ours, aim, steer, weights)
-        if new is not None:
-            met = _connect(others, ours.nodes[new], steer, weights)
-            if met is not None:
-                first, at, second, to = (ours, new, others, met) if n % 2 == 0 else (others, met, ours, new)
-                return Found([*reversed(first.branch(at)), *second.branch(to)[1:]], second.root(to), n + 1)
-        ours, others = others, ours
-    return samples
+    drawn = 0
+    for rows in _samples(np.random.default_rng(seed), ends, lower, upper, guides):
+        rows = rows[: max(0, samples - drawn)]
+        if not len(rows) or (drawn >= STUCK_AFTER and not trees.have_grown()):
+            return drawn
+        met = trees.grow(rows)
+        if met is not None:
+            n, goal, way = met
+            return Found(way, goal, drawn + n + 1)
+        drawn += len(rows)
+    raise AssertionError("samples are endless")
 
 
-def _samples(rng: np.random.Generator, ends: Array, lower: Array, upper: Array, first: int) -> Iterator[Array]:
-    """Random postures, counted from `first`: around these ends, and farther away as their number grows."""
+def _samples(
+    rng: np.random.Generator, ends: Array, lower: Array, upper: Array, guides: Sequence[Array]
+) -> Iterator[Array]:
+    """The guides, then random postures in batches: around these ends, and farther away as their number grows."""
     least = np.maximum(ends.min(axis=0) - AROUND_RAD, lower)
     most = np.minimum(ends.max(axis=0) + AROUND_RAD, upper)
+    first = len(guides)
+    if first:
+        yield np.array(guides)
     while True:
         wide = np.minimum(1.0, (first + np.arange(BATCH)) / WIDE_AFTER)[:, None]
         low, high = least + wide * (lower - least), most + wide * (upper - most)
         rows = low + rng.random(low.shape) * (high - low)
         kept = (rng.random((BATCH, 1)) < MIXED) & (rng.random(low.shape) < 0.5)
-        yield from np.where(kept, ends[rng.integers(len(ends), size=BATCH)], rows)
+        yield np.where(kept, ends[rng.integers(len(ends), size=BATCH)], rows)
         first += BATCH
-
-
-def _extend(tree: _Tree, q: Array, steer: Steer, weights: Array) -> int | None:
-    """Grow the tree towards `q` by one extension; the new node."""
-    near = tree.nearest(q)
-    here = tree.nodes[near]
-    way = q - here
-    length = size(way, weights)
-    if length > REACH_RAD:
-        q = here + way * (REACH_RAD / length)
-    reached, _ = steer(here, q)
-    if not reached or size(reached[-1] - here, weights) < MIN_RAD:
-        tree.avoid(near)
-        return None
-    return tree.add_chain(reached, near)
-
-
-def _connect(tree: _Tree, q: Array, steer: Steer, weights: Array) -> int | None:
-    """Grow the tree towards `q` as far as it is free; the node at `q` if it arrives."""
-    near = tree.nearest(q)
-    here = tree.nodes[near]
-    reached, arrived = steer(here, q)
-    if arrived:
-        return tree.add_chain(reached, near)
-    if reached and size(reached[-1] - here, weights) >= MIN_RAD:
-        tree.add_chain(reached, near)
-    else:
-        tree.avoid(near)
-    return None
 
 
 def size(way: Array, weights: Array) -> float:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from workers.planning.motion.sampling import STUCK_AFTER, Found, search, shorten
+from workers.planning.motion.sampling import STUCK_AFTER, Found, Trees, search, shorten
 
 LOWER, UPPER, WEIGHTS = np.full(2, -3.0), np.full(2, 3.0), np.ones(2)
 START, GOAL = np.array([-2.0, 0.0]), np.array([2.0, 0.0])
@@ -33,8 +33,9 @@ def beside_a_wall(x, y):
     return not (-0.2 < x < 0.2 and y < 1.5)
 
 
-def find(free, goals=(GOAL,), seed=1, samples=1000, **more):
-    return search(START, goals, steering(free), LOWER, UPPER, WEIGHTS, seed=seed, samples=samples, **more)
+def find(free, goals=(GOAL,), seed=1, samples=1000, project=lambda q: q, **more):
+    trees = Trees(START, goals, steering(free), WEIGHTS, project)
+    return search(trees, np.vstack([START, *goals]), LOWER, UPPER, seed=seed, samples=samples, **more)
 
 
 def length(path):
