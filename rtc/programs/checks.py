@@ -28,6 +28,7 @@ Problems = Iterator[tuple[str, str]]  # place, problem
 
 PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 FIELDS = ParsedCommand.__struct_fields__
+SENTENCE_FIELDS = (*FIELDS, "shared")  # of conditions on a sentence
 #: meanings (rtc.language.meaning) of productions that begin with a verb
 _OPENS = "command|handoff|verify|set_value|cannot"
 
@@ -82,7 +83,7 @@ def _elaborator(program: ElaboratorProgram) -> Problems:
             yield from _bounds(check, place)
             yield from _declared(check, place, of_object)
             for field in filter(None, (check.given, check.missing, *check.equals, *check.differs)):
-                yield from known("field of a sentence", field.partition(".")[0], FIELDS, place)
+                yield from known("field of a sentence", field.partition(".")[0], SENTENCE_FIELDS, place)
     for slot, units in program.constraints.items():
         for unit, limit in units.items():
             yield from known("limit", limit, ("", *Limits.__struct_fields__), f"constraints.{slot}.{unit}")

@@ -65,7 +65,7 @@ ROLES = ("active_arm", "partner_arm", "active_object", "its_seat", "target", "ca
 #: SET only
 PLACEHOLDERS = (
     *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time", "through"),
-    *("meeting", "until"),
+    *("meeting", "until", "shared"),
     *("camera", "body"),
     *("attribute", "value"),
 )

@@ -86,6 +86,9 @@ class Report(Strict, frozen=True, kw_only=True, omit_defaults=True):
     when: list[Condition] = []  # one report at the first moment of each step in which it is true
 
 
+#: MAINTAIN SHARED part -> the axes of a twist that are the operator's: 0 to 2 along, 3 to 5 about x, y, z of the tool
+SHARED_AXES = {"WRIST": [3, 4, 5], "TRANSLATION": [0, 1, 2], "TOOL-X": [0], "TOOL-Y": [1], "TOOL-Z": [2]}
+SHARED = "SHARED"
 BOTH_ARMS = "BOTH-ARMS"  # in the place of a hand: every arm
 OPERATOR = "OPERATOR"  # in the place of a performer: VIA OPERATOR-INTERVENTION
 
@@ -126,6 +129,11 @@ class ParsedCommand(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="
     value: list[float | str] | None = None  # SET ... datum, SI numbers or one name
     value_unit: str | None = None  # SI unit of all numbers, or one per number ("m m m rad rad rad")
     reason: str | None = None  # CANNOT "..."
+
+    @property
+    def shared(self) -> str | None:
+        """The part of the motion that MAINTAIN SHARED gives to the operator; None: none is named."""
+        return next((constraint.name for constraint in self.constraints if constraint.slot == SHARED), None)
 
     @property
     def conditions(self) -> list[Condition]:

@@ -45,7 +45,7 @@ def test_parse_explains_what_an_item_means_without_its_argument(tmp_path) -> Non
     assert lines == [
         "  MAINTAIN AVOID-NEIGHBORS: 30 mm, as given; it acts on motions of the arm",
         "  MAINTAIN SAFE-WORK-RANGE: CELL-RANGE, the meaning in cell swapout; it acts on motions of the arm",
-        "  MAINTAIN SHARED: refused today",
+        "  MAINTAIN SHARED: WRIST, as given; it acts on motions by the operator",
         "  MAINTAIN SPEED: 10 cm/s, the meaning in cell swapout; it acts on motions of the arm",
     ]
 

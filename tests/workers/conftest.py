@@ -234,9 +234,14 @@ class Physical(Kinematic):
         self._eyes = self._eyes or Drawn(self._cell)
         return self._eyes
 
-    def close(self) -> None:
+    def close_eyes(self) -> None:
+        """The next look opens them again."""
         if self._eyes is not None:
             self._eyes.studio.close()
+            self._eyes = None
+
+    def close(self) -> None:
+        self.close_eyes()
         self.sim.close()  # type: ignore[attr-defined]
 
 

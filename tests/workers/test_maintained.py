@@ -251,7 +251,7 @@ def test_an_attitude_is_kept_all_the_way(bench, words) -> None:
         (f"OPEN {ARM} MAINTAIN STIFFNESS 500 N/M", "motions of the arm"),
         (f"{TO} MAINTAIN TIME-LIMIT 0.1 SEC", "0.1 s"),
         (f"{TO} MAINTAIN TIME-LIMIT 3 N", "TIME-LIMIT"),
-        (f"{TO} MAINTAIN SHARED WRIST", "SHARED"),
+        (f"{TO} MAINTAIN SHARED ELBOW", "ELBOW"),
         (f"{TO} MAINTAIN SPEED AND SPEED", "repeated"),
         (f"{TO} UNLESS NO-PROGRESS THEN STOP", "compliant"),
     ],

@@ -198,7 +198,10 @@ def test_he_is_asked_again_after_a_stop_function_and_then_the_command_fails() ->
         "TEST GIVE RIGHT-ARM TO OPERATOR",
         "TEST DONE",
         "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED",
-        "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED WRIST",
+        "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED ELBOW",
+        "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED WRIST VIA OPERATOR-INTERVENTION",
+        "MOVE RIGHT-ARM BY 5 CM ALONG UP MAINTAIN SHARED WRIST",
+        "STOW RIGHT-ARM MAINTAIN SHARED TRANSLATION",
     ],
 )
 def test_what_nothing_performs_is_refused(sentence: str) -> None:
@@ -207,6 +210,37 @@ def test_what_nothing_performs_is_refused(sentence: str) -> None:
     rtc.run()
     assert rtc.outcomes[command].kind is OutcomeKind.REFUSED, rtc.outcomes[command]
     assert rtc.outcomes[command].refusal.clears
+
+
+SHARED = "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED WRIST AND FORCE-LIMIT 15 N"
+
+
+@pytest.mark.parametrize("cell_of", [KinematicCell, pytest.param(BulletCell, marks=pytest.mark.physics)])
+def test_the_program_brings_the_arm_to_the_place_while_he_turns_the_wrist(cell_of: Any) -> None:
+    rtc = OneProcess(sim := cell_of(MODEL.cell))
+    try:
+        it, command = Operator(rtc), rtc.give(SHARED)
+        it.wait("its WRIST is yours")
+        assert it.say("DONE").kind is OutcomeKind.REFUSED
+        start = it.executor.arm.tcp_pose(it.executor.sample.joints)
+        it.drive(2.0, twist=[0.05, 0.0, 0.0, 0.0, 0.0, 0.1])
+        for _ in range(1000):
+            look = it.executor.operated.look()
+            if look.off_m < 0.2 * look.done_m:
+                break
+            it.drive(PERIOD / 1000)
+        it.drive(0.3, hold=False)
+        end = it.executor.arm.tcp_pose(it.executor.sample.joints)
+        assert it.say("DONE").kind is OutcomeKind.SUCCEEDED
+        rtc.run()
+        assert rtc.outcomes[command].kind is OutcomeKind.SUCCEEDED, rtc.outcomes[command]
+        goal = MODEL.cell.place("BAY-2-FRONT").poses[ARM]
+        assert math.dist(end[:3], goal.xyz) < 0.01
+        assert geometry.rotation_vector(start, end) == pytest.approx([0.0, 0.0, 0.2], abs=0.03)
+        assert rtc.world.value(f"{ARM}.joints") == pytest.approx(it.executor.sample.joints, abs=1e-3)
+    finally:
+        if hasattr(sim, "close"):
+            sim.close()
 
 
 def test_full_stick_towards_an_obstacle_ends_before_it_and_he_may_go_back() -> None:

@@ -33,7 +33,7 @@ DETOUR_POSTURES = 21  # at which the way of the hand is measured
 def bind_motion(task: BindTask) -> BoundStep:
     """The step as a motion of the arm. Raises Refused."""
     ruled = task.under(task.data.step.stop)
-    target = _target(ruled)
+    target = allowed_target(ruled)
     expected = task.data.step.space != "move_joint" or ruled.stop_class.touches
     keep = impact.keeping(ruled, target, touches=expected)
     request = planning_request(ruled, keep.speed_m_s, task.data.step.space)
@@ -42,7 +42,14 @@ def bind_motion(task: BindTask) -> BoundStep:
     return _beside_others(task, request, bound)
 
 
-def _target(task: RuledTask) -> Target:
+def motion_to_share(task: RuledTask) -> Motion:
+    """The motion of a step that the operator shares, at the speed of its class. Raises Refused."""
+    speed_m_s = task.values["speed_m_s"]
+    request = planning_request(task, speed_m_s, task.data.step.space)
+    return _planned(task, request, allowed_target(task), Keeping(speed_m_s))
+
+
+def allowed_target(task: RuledTask) -> Target:
     """Where the step goes, if the arm may go there."""
     step, query, clears = task.data.step, task.query, task.program.clears
     if step.space not in segments.SPACES:

@@ -9,14 +9,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import msgspec
+
 from rtc.protocol.messages import BoundStep, EvaluationContext
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import Operated
+from rtc.protocol.sentence import SHARED_AXES
 from workers.binder import assemble, targets
 from workers.binder.bind_task import BindTask, RuledTask, refused_program
+from workers.binder.motion import motion_to_share
 from workers.conditions.prediction import Expected
 
 HAND, SPINDLE = "hand", "spindle"  # what else than the arm may be his: the word `his` of a step
+PLACE = {0, 1, 2}  # axes of a twist that move the tcp
 TURN = 2.0 * math.pi
 PRESSES = 0.5  # share of the grip force that proves a grip
 
@@ -24,12 +29,14 @@ PRESSES = 0.5  # share of the grip force that proves a grip
 def bind_operated(task: BindTask) -> BoundStep:
     """The step as a request to the operator. Raises Refused."""
     ruled = task.under(task.data.step.stop)
-    values, step, query = ruled.values, task.data.step, task.query
+    values, step = ruled.values, task.data.step
     pose = _place(task)
     hand = _hand(ruled) if step.words.his == HAND else {}
     spindle = _spindle(ruled) if step.words.his == SPINDLE else {}
+    if step.to:
+        return _shared(ruled, pose)
     motion = Operated(
-        request=step.label.removeprefix("OPERATOR: "),
+        request=_request(task),
         speed_m_s=values["speed_m_s"],
         turn_rad_s=values["turn_rad_s"],
         centre=pose[:3] if pose else [],
@@ -38,16 +45,45 @@ def bind_operated(task: BindTask) -> BoundStep:
         **hand,
         **spindle,
     )
+    return _bound(ruled, motion, pose or None, [values["least_m"], values["most_m"]] if hand else None)
+
+
+def _shared(task: RuledTask, goal: list[float]) -> BoundStep:
+    """The step as a way of the program, on which some axes are the operator's. Raises Refused."""
+    part, figures = task.data.context.limits.shared, task.data.step.figures
+    if part is None or figures.within_m is None:
+        raise refused_program(
+            "a shared motion needs the part that the operator has, and within_m", "both in the script"
+        )
+    way, his = motion_to_share(task), SHARED_AXES[part]
+    motion = Operated(
+        request=_request(task),
+        speed_m_s=task.values["speed_m_s"],
+        turn_rad_s=task.values["turn_rad_s"],
+        along=way.timed.trajectory(),
+        his=his,
+        done_m=figures.within_m,
+    )
+    return _bound(task, motion, None if PLACE & set(his) else goal)
+
+
+def _request(task: BindTask) -> str:
+    return task.data.step.label.removeprefix("OPERATOR: ")
+
+
+def _bound(
+    task: RuledTask, motion: Operated, goal: list[float] | None, width_m: list[float] | None = None
+) -> BoundStep:
     evaluation = EvaluationContext(
         context=task.data.context,
-        step=step,
+        step=msgspec.structs.replace(task.data.step, way=None),
         arm=task.arm,
-        goal_pose=pose or None,
+        goal_pose=goal,
         held=task.held,
-        width_m=[values["least_m"], values["most_m"]] if hand else None,
-        start_joints=list(query.joints(task.arm)),
+        width_m=width_m,
+        start_joints=list(task.query.joints(task.arm)),
     )
-    return assemble.of_arm(ruled, motion, evaluation, Expected(values["duration_s"]))
+    return assemble.of_arm(task, motion, evaluation, Expected(task.values["duration_s"]))
 
 
 def _place(task: BindTask) -> list[float]:

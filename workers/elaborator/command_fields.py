@@ -14,7 +14,7 @@ from rtc.model.cells.cell import Cell
 from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
-from rtc.protocol.sentence import Constraint, ParsedCommand, Quantity
+from rtc.protocol.sentence import SHARED_AXES, Constraint, ParsedCommand, Quantity
 from rtc.protocol.units import KINDS, such_as
 from rtc.subsystems.base import report_items
 from workers.elaborator.task_candidate import TaskCandidate
@@ -26,6 +26,7 @@ EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "refle
 }
 
 
+NAMED = {"attitude": "attitude", "shared": "part"}  # what a limit names; other limits name a region
 SOFT = "stiffness_n_m"  # figure of a compliant step
 MIN_REPORT_S = 0.1  # minimum interval of REPORT EVERY, in arm time
 #: field of the record -> its words in a sentence; other fields use their own name
@@ -44,6 +45,7 @@ _WORDS = {
     "performer": "VIA",
     "through": "THROUGH",
     "until": "UNTIL",
+    "shared": "MAINTAIN SHARED of a part",
     "to_hand": "a second hand",
 }
 
@@ -123,7 +125,7 @@ def _refuse_impossible(
     """Refuse a name that the cell lacks, or a value that no arm can keep."""
     if isinstance(value, str):
         if value not in (known := _known(limit, cell)):
-            raise suggestions.unknown("attitude" if limit == "attitude" else "region", value, known)
+            raise suggestions.unknown(NAMED.get(limit, "region"), value, known)
         return
     least, most = program.ranges.get(slot, (-math.inf, math.inf))
     if least <= value <= most:
@@ -191,7 +193,7 @@ def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refused:
     ways = []
     for way, limit in kept.items():
         if way == "name":
-            what = "attitude" if limit == "attitude" else "region"
+            what = NAMED.get(limit, "region")
             ways.append(f"the name of a{'n' * (what == 'attitude')} {what}: {', '.join(_known(limit, cell))}")
         elif way in KINDS:
             ways.append(such_as(way))
@@ -209,6 +211,8 @@ def _outside(slot: str, value: Quantity, least: float, most: float) -> Refused:
 
 
 def _known(limit: str, cell: Cell) -> list[str]:
+    if limit == "shared":
+        return [*SHARED_AXES]
     return list(cell.attitudes) if limit == "attitude" else [region.name for region in cell.regions]
 
 

@@ -79,6 +79,7 @@ class TaskCandidate:
             "target": self.target.name if self.target else "",
             "axis": (self.parsed.place.along if self.parsed.place else None) or "TOOL-Z",
             "destination": destination_in_words(self.parsed),
+            "shared": self.parsed.shared or "",
             "way_out": self.query.way_out_of(self.target.name) if self.target else "",
             "out": self.query.way_out(self.thing.name) if self.thing else "",
             "amount": _amount_in_words(self.parsed),

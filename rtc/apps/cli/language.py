@@ -134,12 +134,13 @@ def explained(record: ParsedCommand, cell_name: str) -> list[str]:
     lines = []
     for item in record.constraints:
         about = program.acts_on[item.slot].about if item.slot in program.acts_on else "every step"
-        named = item.name is not None or item.value is not None
-        if item.slot not in program.constraints or (named and "" in program.constraints[item.slot]):
+        if item.slot not in program.constraints:
             lines.append(f"  MAINTAIN {item.slot}: refused today")
         elif item.name is not None or item.value is not None:
             given = item.name or in_words(item.value.value, item.value.unit)  # type: ignore[union-attr]
             lines.append(f"  MAINTAIN {item.slot}: {given}, as given; it acts on {about}")
+        elif "" in program.constraints[item.slot]:
+            lines.append(f"  MAINTAIN {item.slot}: it acts on {about}")
         elif (meant := cell.maintain.meaning(item.slot)) is None:
             lines.append(f"  MAINTAIN {item.slot}: refused, because cell {cell.name} gives it no meaning")
         else:

@@ -135,6 +135,10 @@ class Operated(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="opera
     done_m: float | None = None  # DONE needs the tcp within this distance of the centre
     done_grip_n: float | None = None  # DONE needs both fingers to press with this
     turn_rad: float = 0.0  # turn of the spindle that is asked for: he turns no farther, and DONE needs it
+    # The path of the program, which he shares: `his` are his axes of the twist (0 to 2 along, 3 to 5 about x, y, z of
+    # the tool); in the others the tcp follows the path while he holds the deadman, and DONE needs its end.
+    along: JointTrajectory | None = None
+    his: Annotated[list[Annotated[int, msgspec.Meta(ge=0, le=5)]], msgspec.Meta(max_length=6)] = []
 
     def __post_init__(self) -> None:
         if not (0.0 < self.speed_m_s < math.inf and 0.0 < self.turn_rad_s < math.inf):
@@ -143,13 +147,15 @@ class Operated(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="opera
             raise ValueError("the centre of an operated arm has 3 numbers, or none")
         if not self.radius_m > 0.0:
             raise ValueError("the radius of an operated arm must be above 0")
-        if self.done_m is not None and not self.centre:
-            raise ValueError("a distance for DONE needs a centre")
+        if self.done_m is not None and not (self.centre or self.along):
+            raise ValueError("a distance for DONE needs a centre or a path")
         if self.hand and not 0.0 < self.grip_n < math.inf:
             raise ValueError("a hand of the operator needs a grip force")
         figures = (self.spindle_rad_s, self.spindle_nm, abs(self.turn_rad))
         if self.spindle and not all(0.0 < figure < math.inf for figure in figures):
             raise ValueError("a spindle of the operator needs a speed, a torque and a turn")
+        if (self.along is None) != (not self.his):
+            raise ValueError("a shared motion needs both a path and the axes of the operator")
 
 
 Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Look | Operated

@@ -108,6 +108,8 @@ def _still(trajectory: p.HoldStill, traits: Traits, joints: Sequence[float]) -> 
 def _operated(trajectory: p.Operated, traits: Traits, joints: Sequence[float]) -> Iterator[str]:
     if trajectory.hand and trajectory.grip_n > traits.max_grip_n:
         yield f"a grip of {trajectory.grip_n:g} N is more than the {traits.max_grip_n:g} N of the hand of {traits.name}"
+    if trajectory.along is not None:
+        yield from _joints(trajectory.along, traits, joints)
 
 
 def _look(trajectory: p.Look, traits: Traits, joints: Sequence[float]) -> Iterator[str]:

@@ -170,7 +170,8 @@ class Simulation(Protocol):
         """Advance by one tick."""
 
     def truth(self) -> dict[str, dict[str, list[float]]]:
-        """The true state: poses, velocities of every object; tcp, joints, fingers of every arm."""
+        """The true state: poses, velocities of every object; tcp, joints, fingers of every arm; tight_nm of every bolt,
+        where there is physics."""
 
     def held(self) -> dict[str, list[str]]:
         """Arm -> objects between its pressing fingers."""

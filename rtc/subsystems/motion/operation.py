@@ -17,10 +17,12 @@ from rtc.spatial.geometry import Array
 from rtc.subsystems.motion.arm import SpindleCommand
 from rtc.subsystems.motion.hand import Hand
 from rtc.subsystems.motion.observation import Observation
+from rtc.subsystems.motion.shared_way import SharedWay
 
 LOST_S = 0.06  # a stream that is silent for this long is lost; the arm then needs up to 40 ms to stop
 STALE_S = 0.2  # a message that has seen nothing of this process for this long does nothing
 TURNED = 0.98  # share of a turn that proves it
+DONE_RAD = 0.02  # of the attitude that the program gives to a shared motion, at its end
 TURNED_RAD = 1e-3  # what is left of a turn that is complete
 
 NO_TWIST = (0.0,) * 6
@@ -38,6 +40,8 @@ class OperatedArm:
         self.paused = False
         self._turns = 0.0  # the present command of the spindle
         self._turned_rad = 0.0  # before it
+        along = motion.along  # of the program, if he shares the motion with it
+        self._way = SharedWay(along, motion.his, seen.arm.tcp_pose) if along is not None else None
         self._reach_m = max(motion.radius_m, self._off_m()) if motion.centre else math.inf
 
     # --- the stream --------------------------------------------------------------------------------------
@@ -113,12 +117,16 @@ class OperatedArm:
         self.cut = ""
         wanted = self._latest
         if wanted is None:
+            if self._way is not None:
+                self._way.wait()
             return list(NO_TWIST)
         parts = wanted.twist
         if wanted.frame == "tool":
             parts = [*geometry.rotate(tcp, parts[:3]), *geometry.rotate(tcp, parts[3:])]
-        linear = _within(parts[:3], self._motion.speed_m_s)
-        return [*self._inside(linear, tcp), *_within(parts[3:], self._motion.turn_rad_s)]
+        linear, angular = _within(parts[:3], self._motion.speed_m_s), _within(parts[3:], self._motion.turn_rad_s)
+        if self._way is not None:
+            return self._way.twist(tcp, [*linear, *angular])
+        return [*self._inside(linear, tcp), *angular]
 
     def _inside(self, linear: list[float], tcp: Array) -> list[float]:
         """The velocity without what would leave the ball: none outwards at its edge, little near it."""
@@ -142,6 +150,8 @@ class OperatedArm:
         motion, seen = self._motion, self._seen
         if not seen.joints_rest() or not seen.fingers_rest() or self._latest is not None:
             return "the arm still moves: let go first"
+        if self._way is not None and self._way.off(seen.tcp())[1] > DONE_RAD:
+            return "the attitude is not yet that of the end of the way: hold a little longer"
         if motion.done_m is not None and (off_m := self._off_m()) > motion.done_m:
             there = f"it is {in_words(round(off_m, 4), 'm')} from where it should be"
             return f"{there}; {in_words(motion.done_m, 'm')} is near enough"
@@ -153,6 +163,8 @@ class OperatedArm:
         return ""
 
     def _off_m(self) -> float:
+        if self._way is not None:
+            return self._way.off(self._seen.tcp())[0]
         return math.dist(self._seen.tcp()[:3], self._motion.centre)
 
     def look(self) -> Operation:
@@ -162,7 +174,7 @@ class OperatedArm:
             request=motion.request,
             centre=motion.centre,
             radius_m=self._reach_m if bounded else None,
-            off_m=self._off_m() if bounded else None,
+            off_m=self._off_m() if bounded or self._way is not None else None,
             done_m=motion.done_m,
             hand=motion.hand,
             spindle=motion.spindle,

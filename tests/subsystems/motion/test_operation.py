@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -251,3 +252,83 @@ def test_no_stream_moves_the_arm_beyond_its_grant(rig_of, make, stream) -> None:
             assert it.fastest_rad_s == 0.0 or it.now_s <= may_move_until_s
     assert rig.arm.hand == before
     assert isinstance(rig.executor, Executor)
+
+
+# --- shared with the program -----------------------------------------------------------------------------
+
+WRIST, POSITION, TOOL_Z = [3, 4, 5], [0, 1, 2], [2]
+
+
+@pytest.fixture
+def way(rig, make):
+    """A path of 2 s that moves and turns the tcp."""
+    return make.joint_path(rig.home, [q + 0.12 for q in rig.home], 2.0)
+
+
+def off_way(it: Operator, pose) -> tuple[float, float]:
+    here = it.rig.arm.tcp_pose(it.executor.command[0])
+    return math.dist(here[:3], pose[:3]), geometry.angle(here, pose)
+
+
+def test_the_place_is_the_programs_and_the_attitude_his(hands_on, way) -> None:
+    it = hands_on(along=way, his=WRIST, done_m=0.005)
+    end = it.rig.arm.tcp_pose(way.positions[-1])
+    assert "is near enough" in it.answer()
+    it.drive(1.0, twist=[0.1, 0.1, 0.1, 0.0, 0.0, 0.3])  # his linear twist does nothing
+    it.drive(4.0, twist=[0.0] * 6)
+    away_m, _ = off_way(it, end)
+    here = it.rig.arm.tcp_pose(it.executor.command[0])
+    assert away_m < 0.001
+    assert geometry.rotation_vector(it.start, here) == pytest.approx([0, 0, 0.3], abs=0.03)
+    it.drive(0.1, hold=False)
+    assert it.answer() == ""
+
+
+def test_the_attitude_is_the_programs_and_the_place_his(hands_on, way) -> None:
+    it = hands_on(along=way, his=POSITION, done_m=0.005)
+    it.drive(1.0, twist=[0.0, 0.0, 0.03, 0.5, 0.5, 0.5])
+    it.drive(4.0, twist=[0.0] * 6)
+    _, turned_rad = off_way(it, it.rig.arm.tcp_pose(way.positions[-1]))
+    assert turned_rad < 0.005
+    assert it.moved == pytest.approx([0.0, 0.0, 0.03], abs=0.004)
+    it.drive(0.1, hold=False)
+    assert it.answer() == ""
+
+
+def test_one_axis_of_the_tool_is_his(hands_on, way) -> None:
+    it = hands_on(along=way, his=TOOL_Z, done_m=0.005)
+    end = it.rig.arm.tcp_pose(way.positions[-1])
+    it.drive(6.0, twist=[0.0] * 6)
+    _, turned_rad = off_way(it, end)
+    here = it.rig.arm.tcp_pose(it.executor.command[0])
+    assert turned_rad < 0.005
+    assert np.abs(geometry.relative(here, end)[:2]) == pytest.approx([0.0, 0.0], abs=0.001)
+
+
+def test_the_program_moves_only_while_he_holds(hands_on, way) -> None:
+    it = hands_on(along=way, his=WRIST, done_m=0.005)
+    it.tick(500)
+    assert np.linalg.norm(it.moved) == 0.0
+    it.drive(0.6, twist=[0.0] * 6)
+    assert it.fastest_rad_s > 0.02
+    it.tick(80)  # the stream is silent
+    assert it.fastest_rad_s == 0.0
+    stood = it.moved
+    it.drive(0.5, hold=False)
+    assert it.moved == pytest.approx(stood)
+    it.drive(6.0, twist=[0.0] * 6)
+    assert off_way(it, it.rig.arm.tcp_pose(way.positions[-1]))[0] < 0.001
+
+
+@pytest.mark.parametrize("granted", [{"his": WRIST}, {"his": [7]}])
+def test_a_shared_motion_needs_its_path_and_its_axes(granted) -> None:
+    with pytest.raises(ValueError, match=r"path|axes|<= 5"):
+        msgspec.convert({"request": "turn it", "speed_m_s": 0.1, "turn_rad_s": 0.5} | granted, p.Operated)
+
+
+def test_a_path_that_begins_elsewhere_is_refused(hands_on, rig, make) -> None:
+    far = make.joint_path([q + 0.3 for q in rig.home], rig.home, 2.0)
+    shared = p.Operated(request="turn it", speed_m_s=0.1, turn_rad_s=0.5, along=far, his=WRIST)
+    ended = rig.accept(make.primitive(shared, id=GRANT))
+    assert isinstance(ended, m.EndReport)
+    assert ended.reason is StopReason.REFUSED

@@ -1,0 +1,71 @@
+"""The program's part of a motion that it shares with the operator: a path, in the axes that are not his. Pure.
+
+Its time goes on while he holds the deadman. It waits for an arm that lags behind: the joints are slower than the path
+asks, or what he does takes their speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rtc.protocol.primitive import JointTrajectory
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
+from rtc.subsystems.motion.arm import TICK_S
+from rtc.subsystems.motion.profiles import Follow
+
+GAIN_PER_S = 4.0  # of what the tcp is off the path
+LAG_M, LAG_RAD = 0.01, 0.05  # so far behind, the path waits
+RATE_PER_S = 2.0  # change of the rate of its time
+
+
+class SharedWay:
+    def __init__(self, along: JointTrajectory, his: Sequence[int], pose_of: Callable[[Sequence[float]], Array]) -> None:
+        self._path, self._pose_of = Follow(along, along.positions[0]), pose_of
+        self._his: Array = np.isin(np.arange(6), his).astype(float).reshape(2, 3)
+        self._end = pose_of(along.positions[-1])
+        self._time_s = self._rate = 0.0
+        self._pose = self._pose_at(0.0)
+
+    def off(self, tcp: Array) -> tuple[float, float]:
+        """How far the tcp is off the end of the path in the axes of the program (m, rad)."""
+        return _sizes(self._its_own(tcp, _between(tcp, self._end)))
+
+    def wait(self) -> None:
+        """He has let go: the path begins slowly when he holds again."""
+        self._rate = 0.0
+
+    def twist(self, tcp: Array, wanted: Sequence[float]) -> list[float]:
+        """One tick further: the twist of the tcp, with what he wants in his axes. Both m/s, rad/s, world axes."""
+        behind = self._its_own(tcp, _between(tcp, self._pose))
+        lag_m, lag_rad = _sizes(behind)
+        self._rate = min(self._rate + RATE_PER_S * TICK_S, max(0.0, 1.0 - max(lag_m / LAG_M, lag_rad / LAG_RAD)))
+        self._time_s = min(self._time_s + self._rate * TICK_S, self._path.duration_s)
+        before, self._pose = self._pose, self._pose_at(self._time_s)
+        ahead = self._its_own(tcp, _between(before, self._pose) / TICK_S)
+        his = _in_axes(tcp, np.asarray(wanted), self._his)
+        return [float(part) for part in ahead + GAIN_PER_S * behind + his]
+
+    def _its_own(self, tcp: Array, twist: Array) -> Array:
+        return _in_axes(tcp, twist, 1.0 - self._his)
+
+    def _pose_at(self, time_s: float) -> Array:
+        return self._pose_of(self._path.path(np.array([time_s]))[0, 0].tolist())
+
+
+def _between(a: Array, b: Array) -> Array:
+    """From one pose to another: m, rad, world axes."""
+    return np.concatenate((b[:3] - a[:3], geometry.rotation_vector(a, b)))
+
+
+def _in_axes(tcp: Array, twist: Array, which: Array) -> Array:
+    """The part of a twist (world axes) along and about these axes of the tool (2 x 3 of 0 or 1)."""
+    axes = geometry.to_matrix(tcp)[:3, :3]
+    part: Array = ((twist.reshape(2, 3) @ axes) * which) @ axes.T
+    return part.ravel()
+
+
+def _sizes(twist: Array) -> tuple[float, float]:
+    return float(np.linalg.norm(twist[:3])), float(np.linalg.norm(twist[3:]))
