@@ -261,6 +261,7 @@ class Station:
             held=self._simulation.held(),
             seats=truth["seats"],
             blind=sorted(self._faults.blind),
+            tight_nm={name: torque for name, (torque,) in truth.get("tight_nm", {}).items()},
         )
 
 

@@ -111,6 +111,10 @@ class Bolts:
     def out_turns(self, name: str) -> float:
         return self._bolts[name].out_rad / TURN
 
+    def tight(self) -> dict[str, list[float]]:
+        """Bolt -> one number, the torque (N.m) to which it was tightened; 0 if it is not tight."""
+        return {name: [bolt.tight_nm] for name, bolt in self._bolts.items()}
+
     def look(self) -> None:
         """Take over how far the bolts are out from where their heads are, after a restored state."""
         self._turning.clear()

@@ -366,6 +366,7 @@ class BulletCell:
             "tcp": {name: self.arms[name].tcp_pose(sample.joints).tolist() for name, sample in samples.items()},
             "joints": {name: sample.joints for name, sample in samples.items()},
             "fingers": {name: list(sample.fingers) for name, sample in samples.items()},
+            "tight_nm": self.bolts.tight(),
         }
 
     def held(self) -> dict[str, list[str]]:

@@ -27,6 +27,7 @@ HALT_AFTER_S = 1.0  # from the begin of the motion of both arms
 REST_S = 60.0
 OPENED = ["C3", "C5", "C7"]
 TAKEN_OUT = ["C4", "C22", "C24"]
+TO_THE_CARRY = [f"C{n}" for n in range(3, 26) if n != 13]  # the left hand is level only after these
 GOOD = (OutcomeKind.SUCCEEDED,)
 
 
@@ -38,6 +39,7 @@ class Scene:
     rtc: Client
     halts: list[HaltResult] = field(default_factory=list)
     struck: list[str] = field(default_factory=list)  # names of processes
+    command: str = ""  # in which it happens
 
     def displace(self) -> None:
         self.rtc.displace("MACS-OLD", [0.0, DISPLACED_M, 0.0, 0.0, 0.0, 0.0])
@@ -46,8 +48,18 @@ class Scene:
         self.rtc.inject(StrippedBolt(bolt="BOLT-2"))
 
     def kill_binder(self) -> None:
-        if not self.struck and (hit := Chaos(self.run_dir, random.Random(7)).strike("worker", self._binder())):
-            self.struck.append(hit.name)
+        """The binder that has a job of the command; at the next step again, if that one had just finished."""
+        if self.lost():
+            return
+        for worker in self.rtc.status()["workers"]:
+            if worker["kind"] == "binder" and worker["busy_with"].partition("/")[0] == self.command:
+                hit = Chaos(self.run_dir, random.Random(7)).strike("worker", worker["name"])
+                self.struck += [hit.name] if hit else []
+
+    def lost(self) -> list[str]:
+        """The notes of the command about workers that were lost."""
+        notes = [note.note for note in self.rtc.trace(self.command).notes]
+        return [note for note in notes for name in self.struck if note.startswith(f"{name} lost")]
 
     def stop_mcm(self) -> None:
         if not self.struck and (hit := Chaos(self.run_dir, random.Random(7), stop=True).strike("mcm")):
@@ -58,10 +70,6 @@ class Scene:
         if not self.struck:
             self.struck.append("HALT ALL")
             threading.Timer(HALT_AFTER_S, lambda: self.halts.append(self.rtc.halt("ALL", REST_S))).start()
-
-    def _binder(self) -> str:
-        rows = self.rtc.status()["processes"]
-        return next((row["name"] for row in rows if row["name"].startswith("binder@")), "")
 
 
 class Injection(NamedTuple):
@@ -76,6 +84,7 @@ class Injection(NamedTuple):
 
     def notes(self, scene: Scene, line: Line, note: m.ProgressNote) -> None:
         if self.step and line.label == self.at and note.phase is self.phase and self.step in note.step:
+            scene.command = note.command
             self.strike(scene)
 
     def begins(self, scene: Scene, line: Line) -> None:
@@ -129,9 +138,10 @@ def _halted(narrator: Narrator, scene: Scene, course: Course) -> None:
 
 
 def _done_again(narrator: Narrator, scene: Scene, course: Course) -> None:
-    narrator.check(f"killed while it was at work: {', '.join(scene.struck) or 'nothing'}", bool(scene.struck))
-    record = scene.rtc.trace(course.commands["C22"])
-    bound = [note.step for note in record.notes if note.node.startswith("binder@")]
+    lost = scene.lost()
+    narrator.check(f"killed while it was at work: {'; '.join(lost) or 'nothing'}", bool(lost))
+    notes = [note for note in _notes(scene, course, "C22") if note.note not in lost]
+    bound = [note.step for note in notes if note.node.startswith("binder@")]
     narrator.check(f"{len(bound)} steps were bound, each once", bool(bound) and len(bound) == len(set(bound)))
 
 
@@ -159,7 +169,7 @@ INJECTIONS = {
     ),
     "O6": Injection(
         "HALT ALL while both arms carry the module",
-        [*OPENED, "C19", *TAKEN_OUT, "C25"],
+        TO_THE_CARRY,
         "C25",
         Scene.halt_all,
         _halted,

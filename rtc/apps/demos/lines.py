@@ -62,6 +62,7 @@ class Course:
     executing: dict[str, list[float]] = field(default_factory=dict)  # label -> from, to
     held: set[str] = field(default_factory=set)  # labels of lines that waited in the cluster for another command
     ends: dict[str, m.CommandEnded] = field(default_factory=dict)
+    measured_s: dict[str, float] = field(default_factory=dict)  # label -> simulated time of its judged steps
 
     @property
     def now_s(self) -> float:
@@ -72,6 +73,9 @@ class Course:
             self.executing.setdefault(label, [self.now_s, self.now_s])[1] = self.now_s
         elif note.phase is m.Phase.HELD:
             self.held.add(label)
+        if note.compared is not None:
+            took_s = sum(figure.measured for figure in note.compared.figures if figure.name == "duration_s")
+            self.measured_s[label] = self.measured_s.get(label, 0.0) + took_s
 
     def end(self, label: str, ended: m.CommandEnded) -> None:
         self.ends[label] = ended

@@ -60,6 +60,7 @@ class Limits(Strict, frozen=True, kw_only=True, omit_defaults=True):
     work_range: str | None = None
     attitude: str | None = None  # POSE-DURING-MOTION
     stiffness_n_m: float | None = None
+    shared: str | None = None  # SHARED: the part of the motion that is the operator's
 
 
 class ScriptContext(Strict, frozen=True, kw_only=True, omit_defaults=True):

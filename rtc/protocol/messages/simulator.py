@@ -25,6 +25,7 @@ class SimTruthReply(Message, frozen=True, kw_only=True):
     held: dict[str, list[str]]  # arm -> objects that both its fingers press on
     seats: dict[str, list[float]] = {}  # every seat of the cell, world frame
     blind: list[str] = []  # cameras whose pictures are black
+    tight_nm: dict[str, float] = {}  # bolt -> torque to which it was tightened; 0: not; without physics, no bolt
     at_s: float = 0.0  # when it was so, by the clock of this machine; 0: not stated
 
 

@@ -53,9 +53,11 @@ def test_what_was_in_execution_at_once_is_counted():
         ("C3", OutcomeKind.SUCCEEDED, True),
         ("C3", OutcomeKind.REFUSED, False),
         ("C1", OutcomeKind.REFUSED, True),
+        ("C1", OutcomeKind.SUCCEEDED, False),
+        ("C2", OutcomeKind.REFUSED, False),
         ("C8", OutcomeKind.ABORTED, True),
         ("C8", OutcomeKind.SUCCEEDED, False),
     ],
 )
-def test_only_a_test_may_be_refused_and_only_a_lasting_line_aborted(label, kind, wanted):
+def test_only_the_test_of_the_left_arm_is_refused_and_only_a_lasting_line_aborted(label, kind, wanted):
     assert swapout.as_wanted(label, kind) is wanted

@@ -81,6 +81,7 @@ def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
     report = turn(station, 1.0, limit)  # it is tight already
     assert report.reason is StopReason.TORQUE_LIMIT
     assert bolts.out_turns(BOLT) == 0.0
+    assert station.world.truth()["tight_nm"][BOLT][0] >= 3.0
 
     start = station.tcp
     held = geometry.relative(start, world.pose(DRIVER))
@@ -88,6 +89,7 @@ def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
     assert report.reason is StopReason.GOAL
     assert report.turned_rad == pytest.approx(-8.0 * TURN, rel=1e-6)
     assert bolts.out_turns(BOLT) == pytest.approx(8.0, abs=0.01)
+    assert station.world.truth()["tight_nm"][BOLT] == [0.0]
     assert world.out_m(BOLT) == pytest.approx(8.0 * THREAD.pitch_m, abs=1e-4)
     assert start[0] - station.tcp[0] == pytest.approx(8.0 * THREAD.pitch_m, abs=1e-3)  # the tool follows the thread
     assert report.peak_torque_nm == pytest.approx(THREAD.breakaway_nm, abs=0.4)
