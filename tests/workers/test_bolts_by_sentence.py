@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import msgspec
 import pytest
 
 from rtc.model.cells.cell import Cell
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.messages import Assessment, Script, Validity
+from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.spatial import hinges
 from tests.campaigns.door import stand_open
 from tests.workers.conftest import Bench, Physical, Reporter
@@ -107,3 +109,34 @@ def test_on_paper_a_bolt_is_felt_where_it_was_left(loosens: str) -> None:
         assert found.refusal is None, found.refusal
         assert paper.paper is not None
         assert {fact.key: fact.value for fact in paper.paper.facts}["BOLT-2.state"] == state
+
+
+def test_a_bolt_is_in_doubt_when_its_driver_turns_freely_and_no_seat_is_left_to_try(bench: Bench) -> None:
+    """The driver may have missed its head, or the thread is stripped: no report can tell."""
+    door = SERVICING.cell.object("DOOR-2")
+    bench.set_fact("DOOR-2.angle", OPEN_RAD)
+    bench.set_fact("DOOR-2.frame", hinges.turned(door.frame.pose, door.hinge.axis, OPEN_RAD).tolist())
+    done(bench, DRIVER)
+    script = bench.elaborate("LOOSEN BOLT-2 BY 8 TURNS WITH RIGHT-ARM")
+    feel = next(step for step in script.steps if step.label.startswith("feel the torque"))
+    bound = bench.bind(script, feel)
+    bench.subsystem.instead[bound.primitive.id] = StopReason.GOAL
+    report = bench.subsystem.perform(bound.primitive, bound)
+    report = msgspec.structs.replace(report, turned_rad=-bound.primitive.trajectory.turn_rad)
+    for used in range(4):
+        judged = bench.analyze(bound, report, used=[*range(1, used + 1)])
+        assert (judged.verdict, judged.trim, in_doubt(judged)) == ("trim", used + 1, set())
+    judged = bench.analyze(bound, report, used=[1, 2, 3, 4])
+    assert (judged.verdict, in_doubt(judged)) == ("abort", {"BOLT-2.turns", "BOLT-2.state"})
+    assert "VERIFY BOLT-2 AT LOOSE" in judged.clears
+    bench.world = bench.world.overlay(judged.changes)
+    assert bench.world.value("BOLT-2.state") == "TIGHT"
+    assert isinstance(bench.elaborate("LOOSEN BOLT-2 BY 8 TURNS WITH RIGHT-ARM VIA OPERATOR-INTERVENTION"), Script)
+
+
+def in_doubt(judged: Assessment) -> set[str]:
+    return {
+        change.key
+        for change in judged.changes
+        if change.key.startswith("BOLT-2.") and change.validity is Validity.SUSPECT
+    }

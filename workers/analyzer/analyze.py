@@ -180,7 +180,7 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
     may = failure.retriable and not task.data.closing
     trims, by = trimmers.chosen(task, reason, name) if may else ([], "")
     pressed = not trims and reason in PRESSED and (task.report.turned_rad is None or reason not in WRUNG)
-    changes = moved_in_hand(task, _failure_changes(task, failure), failure, pressed=pressed)
+    changes = moved_in_hand(task, _failure_changes(task, failure, retried=bool(trims)), failure, pressed=pressed)
     asked = reflexes.find_requested(task.context.reflexes, task.report)
     clears = what_clears(task, reason, failure, changes, asked=asked is not None, pressed=pressed)
     chosen = f"; chosen by {by}" if by not in ("", STACK) else ""
@@ -196,7 +196,7 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
     )
 
 
-def _failure_changes(task: AnalyzeTask, failure: OutcomeClass) -> Changes:
+def _failure_changes(task: AnalyzeTask, failure: OutcomeClass, *, retried: bool) -> Changes:
     """What the report states, and what is in doubt after a failure of this class."""
     changes = arm_changes(task) + partner_changes(task)
     changes += interrupted_grasp(task)
@@ -207,7 +207,7 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass) -> Changes:
     if task.step.words.effect == SEEN and violated(task) in ("", MOVES):
         changes += EFFECTS[SEEN](task, Validity.VALID)  # it was stopped, or the body moves, but it was seen
     if task.step.words.effect in TURNING:
-        changes += _about_bolt(task)
+        changes += _about_bolt(task, retried=retried)
     missed = task.step.words.missed
     may_retry = failure.retriable and not task.data.closing and not task.data.trims_used
     if missed in EFFECTS and may_retry:
@@ -215,8 +215,8 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass) -> Changes:
     return angles(task.query, with_spread(task, merged(changes)))
 
 
-def _about_bolt(task: AnalyzeTask) -> Changes:
+def _about_bolt(task: AnalyzeTask, *, retried: bool) -> Changes:
     """What a failure says about a bolt: a head that was touched is known, a turn that failed is in doubt."""
     if task.step.words.effect != "head_felt":
-        return turning.after_failure(task)
+        return turning.after_failure(task, retried=retried)
     return turning.head_felt(task, Validity.VALID) if task.report.reason in task.step.expect else []

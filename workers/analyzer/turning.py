@@ -88,15 +88,19 @@ def free(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     return _at(task, thread.turns, validity, LOOSE)
 
 
-def after_failure(task: AnalyzeTask) -> list[WorldChange]:
+def after_failure(task: AnalyzeTask, *, retried: bool) -> list[WorldChange]:
     """What a turn that has failed says about the bolt: unless the turn is proved, the bolt is believed where the way of
     the hand says, or a little farther in, and in doubt. A driver that has not felt the torque of the thread has turned
-    nothing."""
-    thread = task.query.thread(task.context.object)
+    nothing: it is seated again (`retried`). If it is not, the thread may be stripped: the state is in doubt. The place
+    is not, where the operator turns the bolt by hand."""
+    bolt, thread = task.context.object, task.query.thread(task.context.object)
     assert thread is not None
     complete = task.report.reason is StopReason.GOAL
-    if abs(driven_turns(task)) < LEAST_TURNS or (complete and _felt_nm(task) < thread.running_nm):
+    if abs(driven_turns(task)) < LEAST_TURNS:
         return []
+    if complete and _felt_nm(task) < thread.running_nm:
+        doubtful = [f"{bolt}.{name}" for name in ("turns", "state") if not retried]
+        return [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in doubtful]
     if complete and is_proved(task):
         return turned(task, Validity.VALID)
     return _at(task, task.query.turns(task.context.object) + moved_turns(task) - FELT_TURNS, Validity.SUSPECT)
