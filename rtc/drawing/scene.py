@@ -7,11 +7,13 @@ Believed: objects from the world's facts, arms as measured last, a held object w
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import msgspec
+import numpy as np
 
 from rtc.model.cells.cell import Cell
+from rtc.model.cells.parts import Camera
 from rtc.protocol import messages as m
 from rtc.spatial import geometry
 from rtc.world.facts import Facts
@@ -175,6 +177,23 @@ def believed(
 
 def true_scene(truth: m.SimTruthReply) -> SceneView:
     return msgspec.convert(truth, SceneView, from_attributes=True)
+
+
+def request_camera(cameras: Sequence[Camera], arm: str, seen: m.ArmSample) -> str:
+    """The camera for the picture of a request to the operator: the one on this hand, else the fixed one whose axis
+    passes nearest to where he shall bring it. Empty: there is neither."""
+    if carried := next((one.name for one in cameras if one.arm == arm), ""):
+        return carried
+    goal = (seen.operation.centre if seen.operation is not None else []) or seen.tcp_pose[:3]
+
+    def off_axis(camera: Camera) -> float:
+        axis = np.subtract(camera.looks_at, camera.xyz)
+        way = np.subtract(goal, camera.xyz)
+        along = float(axis @ way) / float(np.linalg.norm(axis))
+        return float(np.linalg.norm(way)) / along if along > 0.0 else math.inf  # 1 on the axis
+
+    fixed = [one for one in cameras if one.arm is None]
+    return min(fixed, key=off_axis).name if fixed else ""
 
 
 # --- for people ----------------------------------------------------------------------------------------

@@ -9,8 +9,9 @@ import msgspec
 import pytest
 
 from rtc.apps.cli.look import differs, in_words, picture
-from rtc.drawing.scene import believed, centimetres, degrees
+from rtc.drawing.scene import believed, centimetres, degrees, request_camera
 from rtc.model.cells.cell import Cell
+from rtc.model.cells.parts import Camera
 from rtc.protocol import messages as m
 from rtc.spatial import geometry, hinges
 from rtc.world.model import initial_facts
@@ -119,3 +120,20 @@ def test_attitudes_in_degrees(rpy_deg: tuple[float, ...], shown: str) -> None:
 
 def test_positions_in_centimetres() -> None:
     assert centimetres((0.8, -0.0000001, 0.12345)) == "80 0 12.35"
+
+
+def test_a_request_is_shown_by_the_camera_on_the_hand_else_by_the_one_that_looks_at_its_goal() -> None:
+    here, there = {"xyz": (0.0, 0.0, 1.0), "looks_at": (0.0, 0.0, 0.0)}, {"xyz": (0.0, 0.0, 1.0), "looks_at": (1, 0, 1)}
+    fixed = [Camera(name="CAM-A", **here), Camera(name="CAM-B", **there)]
+    on_other = Camera(name="CAM-C", arm="LEFT-ARM", **here)
+    on_hand = Camera(name="CAM-D", arm="RIGHT-ARM", **here)
+
+    def shown(cameras: list[Camera], *goal: float) -> str:
+        asked = m.Operation(request="move it", centre=list(goal))
+        return request_camera(cameras, "RIGHT-ARM", msgspec.structs.replace(sample("C-7.2"), operation=asked))
+
+    assert shown([*fixed, on_other], 0.02, 0.0, 0.3) == "CAM-A"
+    assert shown([*fixed, on_other], 0.9, 0.1, 1.0) == "CAM-B"
+    assert shown([*fixed, on_other]) == "CAM-B"  # without a goal: the hand
+    assert shown([*fixed, on_hand], 0.9, 0.1, 1.0) == "CAM-D"
+    assert shown([on_other], 0.0, 0.0, 0.3) == ""

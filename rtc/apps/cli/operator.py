@@ -1,15 +1,20 @@
-"""rtc operator: what the operator is asked to do, and his answer."""
+"""rtc operator: what the operator is asked to do, with its picture, and his answer."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.text import Text
 
 from rtc.apps.cli.output import EXIT, AsJson, RunDir, cli_error, console, emit_json
 from rtc.client.client import Client
-from rtc.protocol.messages import ArmSample, Operation
-from rtc.protocol.outcomes import OutcomeKind
+from rtc.drawing.renderer import Renderer
+from rtc.drawing.scene import CameraPicture, Picture, believed, request_camera, true_scene
+from rtc.model.cells.cell import Cell
+from rtc.protocol.messages import ArmSample, Operation, SimTruthReply
+from rtc.protocol.outcomes import OutcomeKind, TimedOut
 from rtc.protocol.units import in_words
 
 MEASURED_S = 1.0  # maximum wait for a telemetry sample
@@ -18,6 +23,9 @@ MEASURED_S = 1.0  # maximum wait for a telemetry sample
 def operator(
     done: Annotated[bool, typer.Option("--done", help="You have done it: the same as the sentence DONE.")] = False,
     cannot: Annotated[str, typer.Option("--cannot", help="You cannot do it, for this reason.")] = "",
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Write the picture of the request to this PNG or JPEG file.")
+    ] = None,
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
@@ -25,22 +33,32 @@ def operator(
 
     DONE is believed only when the measurements prove it; otherwise the refusal states what is missing.
 
+    The picture is that of the camera on the hand, else of the one that looks at it best. Without a camera, or without a
+    simulator, the believed scene is drawn. With two requests there are two files: the name of the arm is added.
+
     Example:  rtc operator
+    Example:  rtc operator --picture request.png
     Example:  rtc operator --done
     Example:  rtc operator --cannot "the bolt head is stripped"
     """
     if done and cannot:
         raise cli_error("one answer at a time: --done or --cannot", 2)
+    if picture is not None and not (folder := picture.absolute().parent).is_dir():
+        raise cli_error(f"there is no directory {folder} for the picture", 2)
     with Client(run_dir) as rtc:
         if done or cannot:
             _answer(rtc, "DONE" if done else f'CANNOT "{cannot.replace(chr(34), chr(39))}"')
         sample = next(rtc.telemetry(silence_s=MEASURED_S), None)
-        asked = {name: arm for name, arm in (sample.arms if sample else {}).items() if arm.operation is not None}
+        arms = sample.arms if sample else {}
+        asked = {name: arm for name, arm in arms.items() if arm.operation is not None}
+        files = {} if picture is None else _pictures(rtc, list(asked), arms, picture)
         if json:
             emit_json(asked)
             return
         for name, arm in asked.items():
             _show(name, arm)
+            if name in files:
+                console.print(Text(f"  picture: {files[name]}"))
         if not asked:
             console.print("the operator is asked for nothing now")
 
@@ -63,6 +81,31 @@ def _show(name: str, arm: ArmSample) -> None:
     console.print(f"  force {force_n:.1f} N, hand {in_words(round(arm.hand_width_m, 4), 'm')} open")
     for words in filter(None, (operation.operator and f"moved by {operation.operator}", operation.cut)):
         console.print(f"  {words}")
+
+
+def _pictures(rtc: Client, asked: list[str], arms: dict[str, ArmSample], file: Path) -> dict[str, str]:
+    """Write the picture of each request. Returns, by arm, its file and what it shows. Raises RtcError."""
+    made, cell = dict[str, str](), Cell.load(rtc.settings.cell)
+    with Renderer() as renderer:
+        for name in asked:
+            one = file if len(asked) == 1 else file.with_stem(f"{file.stem}-{name}")
+            out, camera = str(one.absolute()), request_camera(cell.cameras, name, arms[name])
+            if camera and (truth := _truth(rtc)) is not None:
+                renderer.draw(CameraPicture(out=out, cell=rtc.settings.cell, camera=camera, scene=true_scene(truth)))
+                made[name] = f"{one}, by {camera}"
+                continue
+            facts = {fact.key: fact for fact in rtc.world.view().facts}
+            panel = believed(cell, facts, arms, None).panel
+            renderer.draw(Picture(out=out, cell=rtc.settings.cell, panels=[panel], camera=name))
+            made[name] = f"{one}, of the believed scene"
+    return made
+
+
+def _truth(rtc: Client) -> SimTruthReply | None:
+    try:
+        return rtc.truth()
+    except TimedOut:  # real arms: no pictures of simulated cameras
+        return None
 
 
 def _distance(operation: Operation) -> str:

@@ -15,7 +15,7 @@ from rtc.apps.console.pose_frame import pack
 from rtc.apps.console.scene import Bodies
 from rtc.apps.console.story import Story
 from rtc.apps.observers.feed import Received
-from rtc.drawing.scene import believed, true_scene
+from rtc.drawing.scene import believed, request_camera, true_scene
 from rtc.language.completion import Names
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
@@ -130,10 +130,6 @@ class Hub:
                     {"name": arm.name, "hand": arm.end_effector, "tcp": f"{arm.name}/{arm.tcp_link}"}
                     for arm in cell.arms
                 ],
-                "eyes": {
-                    camera.name: {"arm": camera.arm, "xyz": camera.xyz, "looks_at": camera.looks_at}
-                    for camera in cell.cameras
-                },
                 "cameras": [camera.name for camera in cell.cameras],
                 "subsystems": [one.name for one in cell.all_subsystems],
             }
@@ -152,17 +148,18 @@ class Hub:
             self.moving = moving
             self._post({"moving": moving})
         self.story.take_performing((name, command_of(arm.primitive)) for name, arm in sample.arms.items())
-        if not self._has_truth():  # otherwise the arms and objects of one instant, by the truth
+        if not self.has_truth():  # otherwise the arms and objects of one instant, by the truth
             self._measured_at_s = sample.at_s
             self._make_frame()
 
-    def _has_truth(self) -> bool:
+    def has_truth(self) -> bool:
+        """Whether the truth is new enough to be shown."""
         return self._now() < self._truth_at_s + (TRUTH_S if self.moving else STILL_TRUTH_S)
 
     def _make_frame(self) -> None:
         if not self.frames or self._now() < self._frame_at_s + FRAME_S:
             return
-        truth = self.truth if self._has_truth() else None
+        truth = self.truth if self.has_truth() else None
         arms = self._arms if truth is None else _as_measured(truth, self._arms)
         belief = self.bodies.poses(believed(self.cell, self.facts, arms, None).scene)
         shown = belief if truth is None else self.bodies.poses(true_scene(truth))
@@ -207,13 +204,15 @@ class Hub:
             self._post(self._predicted())
 
     def _arm_rows(self) -> dict[str, Any]:
-        """Of each arm what a page shows in figures: grant and request of the operator, forces, width of the hand."""
+        """Of each arm what a page shows in figures: grant and request of the operator, forces, width of the hand; the
+        camera for the picture of a request."""
         return {
             name: {
                 "primitive": arm.primitive,
                 "wrench": [round(value, 1) for value in arm.wrench],
                 "hand_width_m": round(arm.hand_width_m, 4),
                 "operation": _rounded(arm.operation),
+                "camera": "" if arm.operation is None else request_camera(self.cell.cameras, name, arm),
             }
             for name, arm in self._arms.items()
         }

@@ -48,6 +48,7 @@ from rtc.runtime.settings import Settings
 
 NOT_HERE = 4404  # close code of a socket
 STATIC = Path(__file__).parent / "static"
+TRUTH_S, TRUTH_LOOKS = 0.1, 30  # a picture waits for a true scene that is new
 MAX_BODY = 64 << 10  # bytes of a request
 CHARACTERS = 4000  # of a sentence that is checked while it is typed
 
@@ -148,10 +149,15 @@ class Console:
         return JSONResponse({"lines": self._why(record)} if isinstance(record, m.CommandRecord) else record)
 
     async def _picture(self, request: Request) -> Response:
-        camera, truth = request.path_params["camera"], self.hub.truth
+        camera = request.path_params["camera"]
         if camera not in {one.name for one in self.hub.cell.cameras}:
             return JSONResponse({"error": f"the cell has no camera {camera}"}, 404)
-        if self._pictures is None or truth is None:
+        for _ in range(TRUTH_LOOKS):  # a page that has just opened asks before the first truth has come
+            if self._pictures is None or self.hub.has_truth():
+                break
+            await asyncio.sleep(TRUTH_S)
+        truth = self.hub.truth
+        if self._pictures is None or truth is None or not self.hub.has_truth():
             return JSONResponse({"error": "cameras are simulated, and no simulator reports a true scene"}, 503)
         try:
             drawn = await asyncio.to_thread(self._pictures.take, camera, true_scene(truth))

@@ -71,6 +71,8 @@ class OperatedArm:
         """Bring hand and spindle to what he wants in this tick."""
         if self._latest is not None and (not self._latest.hold or now_s - self._at_s > LOST_S or self.paused):
             self._latest = None
+        if self._caller and now_s - self._at_s > STALE_S:  # he is lost: another one may move the arm
+            self._caller, self._operator = b"", ""
         wanted = self._latest
         self._turn(wanted.turn if wanted is not None else 0.0)
         if not self._motion.hand:

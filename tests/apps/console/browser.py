@@ -77,9 +77,14 @@ class Page:
         self._call("Input.dispatchKeyEvent", type="keyUp", **given)
 
     def click(self, selector: str) -> None:
-        box = self.ask(f"(() => {{ const r = document.querySelector({selector!r}).getBoundingClientRect(); "
+        self.drag(at := self.middle(selector), at)
+
+    def middle(self, selector: str) -> tuple[float, float]:
+        """Of an element, which is brought into view."""
+        box = self.ask(f"(() => {{ const found = document.querySelector({selector!r}); "
+                       "found.scrollIntoView({block: 'nearest'}); const r = found.getBoundingClientRect(); "
                        "return [r.x + r.width / 2, r.y + r.height / 2]; })()")  # fmt: skip
-        self.drag(tuple(box), tuple(box))
+        return box[0], box[1]
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         self.mouse("mouseMoved", start)

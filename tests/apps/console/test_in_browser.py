@@ -23,6 +23,8 @@ from PIL import Image
 
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
+from rtc.model.cells.cell import Cell
+from rtc.spatial import geometry
 from tests.apps.console.browser import Browser, Page, browser, installed
 
 pytestmark = [
@@ -63,7 +65,7 @@ class Gateway:
 
 @pytest.fixture(scope="module")
 def run_dir() -> Iterator[Path]:
-    with own_cluster(mcm="kinematic") as path:
+    with own_cluster() as path:
         yield path
 
 
@@ -197,10 +199,28 @@ def hand(run_dir: Path) -> list[float]:
         return client.truth().tcp["RIGHT-ARM"][:3]
 
 
-def middle(page: Page, selector: str) -> tuple[float, float]:
-    box = page.ask(f"(() => {{ const r = document.querySelector({selector!r}).getBoundingClientRect(); "
-                   "return [r.x + r.width / 2, r.y + r.height / 2]; })()")  # fmt: skip
-    return box[0], box[1]
+GRASP = "GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM VIA OPERATOR-INTERVENTION"
+
+
+def grasp_pose(client: Client) -> geometry.Array:
+    """Where the tcp is at HANDLE-A, in the true world."""
+    points = Cell.load("swapout").object("MACS-NEW").grasp_points
+    frame = next(one.frame.pose for one in points if one.name == "HANDLE-A")
+    return geometry.compose(client.truth().poses["MACS-NEW"], frame)
+
+
+def asked_to(page: Page, words: str) -> None:
+    page.wait(f"document.querySelector('.request header b')?.textContent.includes({words!r}) && rtcConsole.grip()")
+
+
+def steer(page: Page, goal: geometry.Floats, near_m: float) -> None:
+    """Hold until the drawn tcp is this near to the goal and does not turn any more, then let go."""
+    page.ask(f"rtcConsole.hold('RIGHT-ARM', ({STEER})({list(map(float, goal))})) && 0")
+    off = f"({STEER})({list(map(float, goal))})().twist"
+    page.wait(f"{off}.slice(0, 3).every((part) => Math.abs(part) < {3 * near_m}) && "
+              f"{off}.slice(3).every((part) => Math.abs(part) < 0.04)")  # fmt: skip
+    page.ask("rtcConsole.release()")
+    page.wait("document.querySelector('.request .who').textContent === 'at rest'")
 
 
 @pytest.fixture
@@ -217,7 +237,7 @@ def given(page: Page, run_dir: Path) -> Iterator[None]:
 @pytest.mark.usefixtures("at_home", "given")
 def test_an_arm_moves_while_a_button_is_held_and_rests_when_it_is_let_go(page: Page, run_dir: Path):
     before = hand(run_dir)
-    button = middle(page, ".request .axis:nth-child(3) .hold:last-child")  # z +
+    button = page.middle(".request .axis:nth-child(3) .hold:last-child")  # z +
     page.mouse("mouseMoved", button)
     page.mouse("mousePressed", button)
     page.wait("rtcConsole.sent.count > 20 && rtcConsole.answers['RIGHT-ARM'].refused === ''")
@@ -256,6 +276,55 @@ def test_a_page_that_goes_lets_go(page: Page, chromium: Browser, gateway: Gatewa
     page.wait("document.querySelector('.request .who').textContent === 'at rest'")
     there = hand(run_dir)
     assert math.dist(hand(run_dir), there) < 1e-4
+
+
+#: A person who sees the picture: each message leads from where the tcp is drawn to the goal [x y z qx qy qz qw].
+STEER = """(goal) => () => {
+  const tcp = rtcConsole.state.scene.arms.find((arm) => arm.name === 'RIGHT-ARM').tcp;
+  const k = 7 * rtcConsole.state.scene.bodies.findIndex((body) => body.name === tcp);
+  const now = rtcConsole.view.sets.shown.slice(k, k + 7), [x, y, z, w] = goal.slice(3), [a, b, c, d] = now.slice(3);
+  const turn = [d * x - w * a + b * z - c * y, d * y - w * b + c * x - a * z, d * z - w * c + a * y - b * x];
+  const sign = Math.sign(w * d + x * a + y * b + z * c) || 1;
+  return {twist: [...[0, 1, 2].map((n) => 3 * (goal[n] - now[n])), ...turn.map((one) => 5 * sign * one)]};
+}"""
+
+
+@pytest.mark.usefixtures("at_home")
+def test_the_operator_grasps_what_is_displaced_and_his_word_alone_is_not_believed(
+    page: Page, run_dir: Path, tmp_path: Path
+):
+    with Client(run_dir) as client:
+        client.run("MOVE RIGHT-ARM TO RACK-1-FRONT")
+        client.displace("MACS-NEW", [0.0, 0.006, 0.0104, 0.0, 0.0, 0.0])
+        page.ask(f"rtcConsole.submit({GRASP!r})")
+        asked_to(page, "neighborhood")
+        page.wait("document.querySelector('.request .seen img').naturalWidth > 100")  # its picture
+        file = tmp_path / "request.png"
+        command = [sys.executable, "-P", "-m", "rtc.apps.cli.entry", "operator", "--picture", str(file)]
+        shown = subprocess.run([*command, "--run-dir", str(run_dir)], capture_output=True, text=True, check=True).stdout
+        assert "neighborhood of MACS-NEW" in shown
+        assert Image.open(file).size == (640, 480)
+        page.click(".request .answer .primary")
+        page.wait("document.querySelector('.request .verdict').textContent.includes('near enough')")
+        goal = grasp_pose(client)
+        steer(page, geometry.translate(goal, -0.12 * geometry.rotate(goal, (0.0, 0.0, 1.0))), 0.02)
+        page.click(".request .answer .primary")
+        asked_to(page, "grasp point")
+        steer(page, goal, 0.001)
+        page.click(".request .answer .primary")
+        asked_to(page, "close the hand")
+        close = page.middle(".request .tools .hold:nth-child(2)")
+        page.mouse("mouseMoved", close)
+        page.mouse("mousePressed", close)
+        page.wait("rtcConsole.state.arms['RIGHT-ARM'].hand_width_m < 0.04")
+        page.wait(f"rtcConsole.sent.count > {page.ask('rtcConsole.sent.count') + 40}")
+        page.mouse("mouseReleased", close)
+        page.wait("document.querySelector('.request .who').textContent === 'at rest'")
+        page.click(".request .answer .primary")
+        page.wait(ENDED.format(text=GRASP, kind="succeeded"))
+        assert client.truth().held["RIGHT-ARM"] == ["MACS-NEW"]
+        [believed] = client.world.view(keys=["MACS-NEW.frame"]).facts
+        assert math.dist(believed.value[:3], client.truth().poses["MACS-NEW"][:3]) < 0.002
 
 
 @pytest.mark.usefixtures("at_home")

@@ -133,7 +133,9 @@ def test_two_operators_never_share_an_arm(hands_on) -> None:
 def test_an_operator_who_is_lost_gives_the_arm_up(hands_on) -> None:
     it = hands_on()
     assert it.send(twist=up()) == ""
+    assert it.executor.operated.look().operator == "ADA"
     it.tick(round(STALE_S / TICK_S) + 2)
+    assert it.executor.operated.look().operator == ""
     assert it.send(ANOTHER, operator="BOB", twist=up()) == ""
 
 

@@ -1,6 +1,6 @@
 // Requests to the operator: what he is asked to do, how far he is, and the means to do it. One card per operated arm.
 import { answers, hold, holding, release } from './operate.js';
-import { bodyAt, gizmo, grip } from './scene.js';
+import { gizmo, grip } from './scene.js';
 import { submit } from './sentence.js';
 import { element, emit, on, state } from './store.js';
 
@@ -15,6 +15,7 @@ export function openRequests(panel) {
   holder = panel;
   on('arms', update);
   on('answers', answered);
+  on('rows', () => cards.forEach(showVerdict));
   on('held', () => { for (const card of cards.values()) card.box.classList.toggle('held', holding() === card.arm); });
   update();
 }
@@ -85,6 +86,7 @@ function make(arm, sample) {
   const { operation } = sample;
   const off = bar('distance'), force = bar('force'), torque = bar('torque');
   const who = element('span', { class: 'who' }), note = element('p', { class: 'note', role: 'status' });
+  const verdict = element('p', { class: 'note wrong verdict', role: 'alert' });
   const axis = (n, name) => element('div', { class: 'axis' },
     holdButton(arm, '−', () => twist(n, -1), `hold: ${name} backwards`), element('b', {}, name),
     holdButton(arm, '+', () => twist(n, 1), `hold: ${name} forwards`));
@@ -106,45 +108,46 @@ function make(arm, sample) {
   const why = element('input', { placeholder: 'why not', 'aria-label': 'why it cannot be done' });
   const box = element('article', { class: 'request' },
     element('header', {}, element('b', {}, operation.request), who),
-    picture(arm),
+    picture(sample.camera),
     off.row, force.row, torque.row,
     element('div', { class: 'options' }, 'speed', choice(Object.keys(SPEEDS), speed, (value) => { speed = value; }),
       'axes', choice(['world', 'tool'], frame, (value) => { frame = value; }), 'gizmo', choice(['translate', 'rotate'], 'translate', (mode) => grip()?.mode(mode))),
     pad, tools, note,
-    element('div', { class: 'answer' }, element('button', { class: 'primary', onclick: () => submit('DONE') }, 'DONE'), why,
-      element('button', { onclick: () => submit(`CANNOT "${why.value.replaceAll('"', "'") || 'no reason given'}"`) }, 'CANNOT')));
-  return { arm, box, off, force, torque, who, note };
+    element('div', { class: 'answer' }, element('button', { class: 'primary', onclick: () => answer('DONE') }, 'DONE'), why,
+      element('button', { onclick: () => answer(`CANNOT "${why.value.replaceAll('"', "'") || 'no reason given'}"`) }, 'CANNOT')), verdict);
+  const card = { arm, box, off, force, torque, who, note, verdict, answered: '' };
+  async function answer(sentence) {
+    verdict.textContent = '';
+    card.answered = await submit(sentence);
+    showVerdict(card);
+  }
+  return card;
 }
 
-// One picture, that of the camera on the hand if there is one; a click takes another.
-function picture(arm) {
+// Why the answer was not accepted: beside its button, because the list of commands is in another panel.
+function showVerdict(card) {
+  const outcome = state.rows.get(card.answered)?.outcome;
+  if (outcome && outcome.kind !== 'succeeded') card.verdict.textContent = [outcome.message, outcome.refusal?.clears].filter(Boolean).join(' — ');
+}
+
+// One picture, that of the camera which shows the arm best; a click takes another.
+function picture(first) {
   const cameras = state.scene.cameras;
   if (!cameras.length) return '';
   const image = element('img', { alt: 'picture of the request', hidden: true });
+  const why = element('p', { class: 'note' });
   image.addEventListener('load', () => { image.hidden = false; });
   const take = async (name) => {
+    why.textContent = '';
     const answer = await fetch(`/picture/${name}`).catch(() => null);
-    if (answer?.ok) image.src = URL.createObjectURL(await answer.blob());
+    if (answer?.ok) { image.src = URL.createObjectURL(await answer.blob()); return; }
+    image.hidden = true; // no picture of another camera, or of another time, in its place
+    why.textContent = answer ? (await answer.json()).error : 'the console does not answer';
   };
-  const first = bestCamera(arm);
-  take(first);
-  return element('div', { class: 'seen' }, image, element('div', {}, choice(cameras, first, take),
+  const named = cameras.includes(first) ? first : cameras[0];
+  take(named);
+  return element('div', { class: 'seen' }, image, why, element('div', {}, choice(cameras, named, take),
     element('button', { class: 'quiet', onclick: (event) => take(event.target.previousSibling.value) }, 'again')));
-}
-
-// The camera on this hand; otherwise the one whose axis passes nearest to the hand.
-function bestCamera(arm) {
-  const eyes = Object.entries(state.scene.eyes);
-  const carried = eyes.find(([, eye]) => eye.arm === arm);
-  const hand = bodyAt(state.scene.arms.find((one) => one.name === arm).tcp).shownAs.position.toArray();
-  const minus = (a, b) => a.map((value, n) => value - b[n]);
-  const offAxis = ([, { arm: other, xyz, looks_at: at }]) => {
-    if (other) return 1e9;
-    const axis = minus(at, xyz), way = minus(hand, xyz);
-    const along = axis.reduce((sum, value, n) => sum + value * way[n], 0) / Math.hypot(...axis);
-    return along <= 0 ? 1e8 : Math.hypot(...way) / along; // 1 on the axis
-  };
-  return (carried ?? eyes.reduce((a, b) => (offAxis(b) < offAxis(a) ? b : a)))[0];
 }
 
 function fill(card, arm) {

@@ -64,9 +64,10 @@ function say(words, kind = '', column = 0) {
   hint.style.paddingLeft = `${Math.max(38, Math.min(left, room - 520))}px`;
 }
 
+// Returns the number of its command; empty if none was accepted.
 export async function submit(sentence, about = {}) {
   const clean = sentence.trim();
-  if (!clean) return;
+  if (!clean) return '';
   earlier = [...earlier.filter((one) => one !== clean), clean].slice(-KEPT);
   at = earlier.length;
   sessionStorage.setItem('sentences', JSON.stringify(earlier));
@@ -82,6 +83,7 @@ export async function submit(sentence, about = {}) {
     const { message, clears } = answer.refusal ?? { message: answer.error };
     say([message, clears].filter(Boolean).join(' — '), 'wrong');
   }
+  return answer.command ?? '';
 }
 
 const testOf = (sentence) => (/^\s*(TEST|SIMULATE)\b/i.test(sentence) ? sentence : `TEST ${sentence.trim().replace(/\.$/, '')}`);
