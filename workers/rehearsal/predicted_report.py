@@ -26,6 +26,7 @@ from rtc.protocol.primitive import (
     TimeAbove,
     TorqueAbove,
     TorqueBelow,
+    TurnAbove,
 )
 from rtc.sensing import optics
 from rtc.sensing.locate import corners
@@ -35,6 +36,7 @@ from rtc.spatial.geometry import Array
 from workers.planning import sight
 from workers.planning.world_query import WorldQuery
 
+TURN_TIMES = 201  # of a path, at which its turn is evaluated
 HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
 CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
 NO_FORCE = [0.0] * 6
@@ -90,14 +92,15 @@ def _of_path(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, 
     path = made.trajectory
     assert isinstance(path, JointTrajectory)
     if reason in (StopReason.GOAL, StopReason.NO_CONTACT):
-        at_s = path.duration_s
+        at_s = _turned_s(query, made)
     elif reason is StopReason.CONTACT and reason in evaluation.step.expect:
         at_s = _touch_s(query, made.performer, path, evaluation)
     elif reason in (StopReason.REFUSED, StopReason.BLOCKED):
         at_s = 0.0
     else:
         at_s = 0.5 * path.duration_s
-    report = _at_rest(query, made.performer, made.id, reason, _posture(path, at_s), at_s)
+    takes_s = path.duration_s if reason is StopReason.GOAL else at_s  # an arm that lags is there at the end
+    report = _at_rest(query, made.performer, made.id, reason, _posture(path, at_s), takes_s)
     if made.partner is None:
         return report
     second = made.partner
@@ -137,6 +140,35 @@ def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: Eva
             return _first_s(path.duration_s, touches)
     beyond_m, end = evaluation.step.figures.beyond_m or 0.0, fk(path.positions[-1])
     return _first_s(path.duration_s, lambda at_s: geometry.distance(tcp(at_s), end) <= beyond_m)
+
+
+def _turned_s(query: WorldQuery, made: Primitive) -> float:
+    """When the tcp has turned round a hinge as far as a stop function says, at the end of the path at the latest.
+
+    Friction keeps a compliant arm behind its command, so the path leads farther (`lag_rad` of the scripts)."""
+    path = made.trajectory
+    assert isinstance(path, JointTrajectory)
+    for stop in made.stop_functions:
+        when = stop.when
+        if stop.reason is not StopReason.GOAL or not isinstance(when, TurnAbove) or when.point is None:
+            continue
+        times = np.linspace(0.0, path.duration_s, TURN_TIMES)
+        places = [query.model.arms[made.performer].fk(joints)[:3] for joints in _curve(path).at(times)[:, 0]]
+        turned = _round_axis(np.array(places) - when.point, np.array(when.axis))
+        past = np.flatnonzero(turned > when.limit_rad)
+        if len(past) > 0:
+            before, after = turned[past[0] - 1], turned[past[0]]
+            share = (when.limit_rad - before) / (after - before)
+            return float(times[past[0] - 1] + share * (times[past[0]] - times[past[0] - 1]))
+    return path.duration_s
+
+
+def _round_axis(arms: Array, axis: Array) -> Array:
+    """The turn (rad, either way) about an axis from the first of these lever arms to each, [n]; whole turns count."""
+    along = axis / np.linalg.norm(axis)
+    first = arms[0] - along * float(along @ arms[0])
+    angles = np.arctan2(arms @ np.cross(along, first), arms @ first)
+    return np.abs(np.unwrap(angles))
 
 
 def _tip(query: WorldQuery, arm: str) -> Array | None:
@@ -287,12 +319,12 @@ def sighting(query: WorldQuery, made: Primitive, body: str) -> Sighting | None:
         optics.view(camera, query.tcp(camera.arm) if camera.arm else None)
         for camera in map(query.cell.camera, made.performers)
     ]
-    seen = [one for view in views for one in _observations(query, view, body, pose)]
-    found = fit(seen, geometry.to_matrix(pose))
-    if found is None:
-        return None
     look = made.trajectory
     assert isinstance(look, Look)
+    seen = [one for view in views for one in _observations(query, view, body, pose)]
+    found = fit(seen * look.pictures, geometry.to_matrix(pose))  # one pose from all pictures of a look
+    if found is None:
+        return None
     follows = look.duration_s is not None
     return Sighting(
         pose=pose.tolist(),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
-from rtc.protocol.primitive import HandMotion, JointTrajectory
+from rtc.protocol.primitive import HandMotion, JointTrajectory, Look
 from tests.workers.conftest import Bench, Kinematic
+from tests.workers.rehearsal.on_paper import SERVICING, OnPaper
 from workers.planning.world_query import WorldQuery
 from workers.rehearsal.predicted_report import end_report
 
@@ -42,3 +45,37 @@ def test_predictions_are_what_exact_arms_report():
         assert predicted.duration_s == pytest.approx(measured.duration_s, rel=0.05, abs=slack_s + touches)
         assert predicted.tcp_pose[:3] == pytest.approx(measured.tcp_pose[:3], abs=0.005)
         assert predicted.hand_width_m == pytest.approx(measured.hand_width_m, abs=0.001)
+
+
+@pytest.mark.parametrize(("sentence", "angle_deg"), [("OPEN DOOR-2 BY 90 DEG", 90.0), ("OPEN DOOR-2 TO 40 DEG", 40.0)])
+def test_a_door_ends_at_the_angle_of_the_sentence(sentence, angle_deg):
+    """The path leads farther, because friction keeps the arm behind its command."""
+    paper = OnPaper(SERVICING)
+    paper.test("GRASP LEFT-END-EFF DOOR-2 LATCH-PULL")
+    found = paper.test(sentence)
+    assert found.refusal is None
+    angle = next(fact.value for fact in paper.paper.facts if fact.key == "DOOR-2.angle")
+    assert math.degrees(angle) == pytest.approx(angle_deg, abs=0.1)
+    back = paper.test("CLOSE DOOR-2 BY 15 DEG")
+    assert back.refusal is None
+    angle = next(fact.value for fact in paper.paper.facts if fact.key == "DOOR-2.angle")
+    assert math.degrees(angle) == pytest.approx(angle_deg - 15.0, abs=0.1)
+
+
+def test_a_predicted_sighting_is_as_certain_as_one_of_ideal_pictures():
+    arms = Kinematic()
+    bench, pairs = Bench(arms), []
+    perform = arms.perform
+
+    def beside(made, bound):
+        predicted = end_report(WorldQuery(bench.model, bench.world, bench.now_s), bound, 0.0)
+        measured = perform(made, bound)
+        pairs.append((made, predicted.sighting, measured.sighting))
+        return measured
+
+    arms.perform = beside  # type: ignore[method-assign]
+    assert bench.do("LOCATE MACS-NEW VIA CAMERA-1").succeeded
+    [(made, predicted, measured)] = pairs
+    assert isinstance(made.trajectory, Look)
+    assert predicted.tags == measured.tags
+    assert predicted.covariance == pytest.approx(measured.covariance, rel=0.02, abs=1e-12)

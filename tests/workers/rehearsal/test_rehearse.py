@@ -100,7 +100,7 @@ def test_a_whole_journey_through_a_door_is_feasible():
     )
     assert [(text, paper.test(text).refusal) for text in sentences] == [(text, None) for text in sentences]
     angle = next(fact.value for fact in (paper.paper.facts if paper.paper else []) if fact.key == "DOOR-2.angle")
-    assert angle == pytest.approx(1.5708, abs=0.06)
+    assert angle == pytest.approx(1.5708, abs=0.002)
 
 
 # --- live motions ----------------------------------------------------------------------------------------
