@@ -21,9 +21,23 @@ from workers.planning.motion import path as paths
 from workers.planning.motion.blended import lengths, widest
 from workers.planning.motion.path import CHECK_RAD, Path
 from workers.planning.motion.request import FreeWay, PlanningRequest, fault, free_posture, is_free
-from workers.planning.motion.sampling import MIN_RAD, REACH_RAD, VAIN, Found, GrowingTrees, Trees, search, shorten, size
+from workers.planning.motion.sampling import (
+    MIN_RAD,
+    NARROW,
+    REACH_RAD,
+    VAIN,
+    WIDE,
+    Draw,
+    Found,
+    GrowingTrees,
+    Trees,
+    search,
+    shorten,
+    size,
+)
 
-SAMPLES = 2000  # budget of one search
+SAMPLES = 2000  # budget of all searches for one way
+WIDE_SAMPLES = 1000  # of them, of the first search; the rest is for one that finds out of a narrow place
 ROOMY_SAMPLES = 80  # budget of the search with more room, before that
 ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects all but the last
 MORE_M = 0.002  # clearance of the search beyond that of the request
@@ -59,14 +73,16 @@ def find_sampled_way(
         if attempt == 0 and roomy is request:
             continue
         seed = ATTEMPTS * request.seed + max(0, attempt - 1)
-        samples = ROOMY_SAMPLES if attempt == 0 else SAMPLES - drawn
+        samples = ROOMY_SAMPLES if attempt == 0 else max(0, min(SAMPLES, WIDE_SAMPLES) - drawn)
         space = _Space(asked)
         found = space.search(ends, seed, samples, guides if attempt < 2 else ())
         if not isinstance(found, Found):
             drawn += found
             if attempt == 0:
                 continue
-            return drawn
+            found = space.search(ends, seed, max(0, SAMPLES - drawn), draw=NARROW)
+        if not isinstance(found, Found):
+            return drawn + found
         drawn += found.samples
         corners = shorten(found.waypoints, space.join, space.weights, seed=seed)
         way = rounded(request, corners) or rounded(request, found.waypoints)
@@ -127,15 +143,18 @@ class _Space:
         self._attitude = None if request.path_constraints.attitude is None else request.path_constraints.attitude.pose
         self.join = self._joined if self._attitude is None else self._projected
 
-    def search(self, goals: Sequence[Array], seed: int, samples: int, guides: Sequence[Array]) -> Found | int:
+    def search(
+        self, goals: Sequence[Array], seed: int, samples: int, guides: Sequence[Array] = (), draw: Draw = WIDE
+    ) -> Found | int:
         """As `sampling.search`, from the start to these goals.
 
         Compiled trees do not leave an end that is nearly too near to a body, because they do not ask coal."""
         trees, ends = self.trees(goals), np.vstack([self._start, *goals])
-        found = search(trees, ends, *self.limits, seed=seed, samples=samples, guides=guides)
+        found = search(trees, ends, *self.limits, seed=seed, samples=samples, guides=guides, draw=draw)
         if isinstance(found, Found) or isinstance(trees, Trees) or trees.have_grown():
             return found
-        return search(self._trees_in_python(goals), ends, *self.limits, seed=seed, samples=samples, guides=guides)
+        more = self._trees_in_python(goals)
+        return search(more, ends, *self.limits, seed=seed, samples=samples, guides=guides, draw=draw)
 
     def trees(self, goals: Sequence[Array]) -> GrowingTrees:
         """The trees of a search: compiled if boxes prove the ends free and can judge a way alone."""

@@ -21,13 +21,24 @@ REACH_RAD = 2.0  # maximum length of one extension, by the largest weighted join
 MIN_RAD = 0.05  # a shorter extension adds no node
 AROUND_RAD = 0.6  # margin of the first samples around start and goals
 WIDE_AFTER = 120  # samples after which the box covers the joint limits
-MIXED = 0.3  # share of the samples that keep each joint of an end with a probability of one half
 VAIN = 1.3  # factor of the squared distance of a node for each extension that added no node
 BATCH = 32  # samples that are drawn at once
-STUCK_AFTER = 96  # samples after which the search ends if one of the trees has not grown at all
 SHORTCUTS = 24  # maximum number of pairs of points of a path between which a line is tried
 IN_VAIN = 10  # shortcuts in a row without a gain after which the rest are left out
 GAIN = 0.95  # a shortcut must be shorter than this share of the part that it replaces
+
+
+class Draw(NamedTuple):
+    """How samples are drawn: the share of those that keep joints of an end, the probability with which each joint is
+    kept, and the samples after which the search ends if one of the trees has not grown at all."""
+
+    mixed: float
+    keeps: float
+    stuck_after: int
+
+
+WIDE = Draw(0.3, 0.5, 96)
+NARROW = Draw(0.8, 0.65, 288)  # two joints alone often lead out of a narrow place, as of a hand round the bar of a door
 
 
 class Found(NamedTuple):
@@ -169,16 +180,17 @@ def search(
     seed: int,
     samples: int,
     guides: Sequence[Array] = (),
+    draw: Draw = WIDE,
 ) -> Found | int:
     """Way-points from the start to one of the goals (rad), or the number of samples that were drawn in vain.
 
     `ends` [n][joints]: the start and the goals. `lower`, `upper`: joint limits (rad). `guides`: postures that are taken
-    before random ones, in turn for the tree of the start and that of the goals.
+    before random ones, in turn for the tree of the start and that of the goals. `draw`: of the random ones.
     """
     drawn = 0
-    for rows in _samples(np.random.default_rng(seed), ends, lower, upper, guides):
+    for rows in _samples(np.random.default_rng(seed), ends, lower, upper, guides, draw):
         rows = rows[: max(0, samples - drawn)]
-        if not len(rows) or (drawn >= STUCK_AFTER and not trees.have_grown()):
+        if not len(rows) or (drawn >= draw.stuck_after and not trees.have_grown()):
             return drawn
         met = trees.grow(rows)
         if met is not None:
@@ -189,7 +201,7 @@ def search(
 
 
 def _samples(
-    rng: np.random.Generator, ends: Array, lower: Array, upper: Array, guides: Sequence[Array]
+    rng: np.random.Generator, ends: Array, lower: Array, upper: Array, guides: Sequence[Array], draw: Draw
 ) -> Iterator[Array]:
     """The guides, then random postures in batches: around these ends, and farther away as their number grows."""
     least = np.maximum(ends.min(axis=0) - AROUND_RAD, lower)
@@ -201,7 +213,7 @@ def _samples(
         wide = np.minimum(1.0, (first + np.arange(BATCH)) / WIDE_AFTER)[:, None]
         low, high = least + wide * (lower - least), most + wide * (upper - most)
         rows = low + rng.random(low.shape) * (high - low)
-        kept = (rng.random((BATCH, 1)) < MIXED) & (rng.random(low.shape) < 0.5)
+        kept = (rng.random((BATCH, 1)) < draw.mixed) & (rng.random(low.shape) < draw.keeps)
         yield np.where(kept, ends[rng.integers(len(ends), size=BATCH)], rows)
         first += BATCH
 

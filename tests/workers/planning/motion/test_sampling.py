@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from workers.planning.motion.sampling import STUCK_AFTER, Found, Trees, search, shorten
+from workers.planning.motion.sampling import NARROW, WIDE, Found, Trees, search, shorten
 
 LOWER, UPPER, WEIGHTS = np.full(2, -3.0), np.full(2, 3.0), np.ones(2)
 START, GOAL = np.array([-2.0, 0.0]), np.array([2.0, 0.0])
@@ -77,7 +77,7 @@ def test_a_goal_behind_a_closed_wall_costs_the_budget():
 
 
 def test_a_goal_without_any_room_ends_the_search_early():
-    assert find(lambda x, y: max(abs(x - 2.0), abs(y)) > 0.5 or (x, y) == (2.0, 0.0), samples=5000) == STUCK_AFTER
+    assert find(lambda x, y: max(abs(x - 2.0), abs(y)) > 0.5 or (x, y) == (2.0, 0.0), samples=5000) == WIDE.stuck_after
 
 
 def test_guides_come_before_random_samples():
@@ -89,3 +89,22 @@ def test_guides_come_before_random_samples():
 
 def test_samples_that_no_projection_brings_onto_the_constraint_are_left_out():
     assert find(beside_a_wall, samples=40, project=lambda q: None) == 40
+
+
+def test_two_joints_lead_out_of_a_place_where_the_others_have_no_room():
+    ends = np.zeros((2, 6))
+    ends[1, 1:3] = 2.0
+
+    def free(*q):
+        """A slot that bends: joint 1 and joint 2 together, all others where they are."""
+        others = max(abs(q[n]) for n in (0, 3, 4, 5))
+        return others < 0.01 and abs(q[1] - q[2]) < 0.3 if q[1] < 0.6 else True
+
+    def samples(draw):
+        trees = (Trees(ends[0], ends[1:], steering(free), np.ones(6)) for _ in range(8))
+        lower, upper = np.full(6, -3.0), np.full(6, 3.0)
+        found = [search(one, ends, lower, upper, seed=n, samples=600, draw=draw) for n, one in enumerate(trees)]
+        return sum(isinstance(one, Found) for one in found)
+
+    assert samples(NARROW) == 8
+    assert samples(WIDE) < 8
