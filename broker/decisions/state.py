@@ -107,6 +107,7 @@ class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"
     further: list[int] = []
     keep: dict[str, msgspec.Raw] = {}
     clears: str = ""
+    by_operator: str = ""
     remark: str = ""
     compared: Compared | None = None
     drift: str = ""
@@ -435,6 +436,19 @@ def request_key(client: str, request: str) -> str:
     return f"{client} {request}"
 
 
+class Surrender(msgspec.Struct, kw_only=True):
+    """An arm that rests after a command has failed, and that the operator is asked to take (R81)."""
+
+    arms: list[str]
+    """Arms of the command."""
+    cause: str
+    """Why it has failed, in words."""
+    sentence: str
+    """Asks the operator for the same."""
+    waiting: list[str] = []
+    """Commands that were to follow it or to use its arms; they wait for him, or for RESUME."""
+
+
 class State(msgspec.Struct, kw_only=True):
     """The whole state of the Decision Unit. Only `decide` changes it."""
 
@@ -472,6 +486,8 @@ class State(msgspec.Struct, kw_only=True):
     """Command -> commands that start after its success (AFTER)."""
     joining: dict[str, list[str]] = {}
     """Command -> commands that start when it begins to move (TOGETHER-WITH)."""
+    surrenders: dict[str, Surrender] = {}
+    """Failed command -> its arms until the operator has done it, at most one for each arm."""
     answers: dict[str, OperatorAnswer] = {}
     """Command of a DONE, CANNOT or TAKE -> its answer, until that is settled."""
     subsystems: dict[str, Subsystem] = {}

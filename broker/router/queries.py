@@ -10,7 +10,7 @@ from typing import Any
 
 from broker.decisions import program_rollout
 from broker.decisions.command.nominal import read_primitive
-from broker.decisions.state import ArmMotion, Command, State
+from broker.decisions.state import ArmMotion, Command, State, Surrender
 from broker.dispatch.worker_registry import Worker
 from broker.persistence.journal import number
 from broker.router.core import Core
@@ -47,6 +47,7 @@ def status(core: Core, now: float) -> dict[str, Any]:
         "motions": [_motion(arm, motion, now) for arm, motion in state.motions.items()],
         "commands_accepted": state.accepted,
         "subsystems": _subsystems(core),
+        "surrenders": [_surrender(name, one) for name, one in state.surrenders.items()],
         "breakpoints": [str(one) for one in state.breakpoints],
         "halts": {"called": state.counts.get("halts", 0)},
         "counters": {
@@ -119,6 +120,16 @@ def _subsystems(core: Core) -> list[dict[str, Any]]:
         }
         for name, subsystem in core.state.subsystems.items()
     ]
+
+
+def _surrender(name: str, one: Surrender) -> dict[str, Any]:
+    return {
+        "command": name,
+        "arms": one.arms,
+        "cause": one.cause,
+        "sentence": one.sentence,
+        "waiting": one.waiting,
+    }
 
 
 def _motion(arm: str, motion: ArmMotion, now: float) -> dict[str, Any]:

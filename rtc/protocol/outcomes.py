@@ -165,6 +165,7 @@ class OutcomeKind(StrEnum):
 
 
 IN_THE_WAY = "in_the_way"  # key of `Refusal.detail`: name of the arm that blocks a motion, now or on its way
+BY_OPERATOR = "by_operator"  # key of `Refusal.detail`: the sentence that asks the operator for what has failed
 LEAVING = "leaving"  # key of `Refusal.detail`: the body that the arm may touch where it is; it cannot leave it this way
 
 
@@ -180,6 +181,18 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     owner: str = ""  # command that holds the resource, e.g. "C-3"
     clears: str = ""  # what would clear it
     detail: dict[str, float | str] = {}  # figures: joint, limit_rad, value_rad, bodies, distance_m ...
+
+    def offering(self, sentence: str) -> Refusal:
+        """With the sentence that asks the operator instead, as the last advice (R81); unchanged if it is empty."""
+        if not sentence:
+            return self
+        clears = f"{self.clears}; or {sentence}" if self.clears else sentence
+        return msgspec.structs.replace(self, clears=clears, detail={**self.detail, BY_OPERATOR: sentence})
+
+    @property
+    def by_operator(self) -> str:
+        """The sentence of `offering`; empty if there is none."""
+        return str(self.detail.get(BY_OPERATOR, ""))
 
 
 class Refused(Exception):

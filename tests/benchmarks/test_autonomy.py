@@ -12,6 +12,10 @@ import pytest
 from benchmarks import autonomy
 from benchmarks.autonomy import MODULES, MOST_M, MOST_RAD, STAGES, AutonomyRun
 from rtc.apps.demos import lines, swapout
+from rtc.protocol.outcomes import StopReason
+from tests.campaigns import advice
+from tests.campaigns.advice import Answer
+from tests.workers.conftest import Bench, Reporter
 
 
 def test_a_number_has_the_same_errors_within_their_limits() -> None:
@@ -52,3 +56,16 @@ def test_runs_of_shards_are_counted_once(tmp_path: Path) -> None:
     assert metrics["success_rate"] == 0.5
     assert ("reached: extraction", "1 of 2") in rows
     assert ("surrendered, 1 x", "C16: no way") in rows
+
+
+def test_the_answer_of_a_failed_sentence_names_the_operator_whom_no_planner_asks() -> None:
+    reporter = Reporter()
+    reporter.instead["C-1.1"] = StopReason.FORCE_LIMIT
+    bench = Bench(reporter)
+    answer = Answer.of(bench.do("MOVE RIGHT-ARM TO CLEAR-POINT-1"))
+    assert not answer.succeeded
+    assert answer.clears.endswith("or MOVE RIGHT-ARM TO CLEAR-POINT-1 VIA OPERATOR-INTERVENTION")
+    advised = advice.steps(answer.clears, "MOVE RIGHT-ARM TO CLEAR-POINT-1", dict)
+    assert not any("OPERATOR" in sentence for step in advised for sentence in step)
+    run = AutonomyRun(0, {}, reached=["door"], line="C26", cause=answer.message, advice=answer.clears)
+    assert autonomy.metrics_of([run])[0]["operator_offered"] == 1

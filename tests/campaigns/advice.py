@@ -12,8 +12,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Any, Literal, NamedTuple
 
+from broker.decisions.command.nominal import failure
 from rtc.protocol.outcomes import Outcome, OutcomeKind
-from rtc.protocol.sentence import ParsedCommand
+from rtc.protocol.sentence import OPERATOR, ParsedCommand
 from rtc.spatial import geometry
 from tests.workers.conftest import GRAMMAR, Bench, Run
 from tests.workers.one_process import OneProcess
@@ -46,8 +47,9 @@ class Answer(NamedTuple):
 
     @classmethod
     def of(cls, run: Run) -> Answer:
-        why = run.failure or run.refusal
-        return cls(run.succeeded, why.message if why else "", why.clears if why else "")
+        why = failure(run.failure).refusal if run.failure else run.refusal
+        message = run.failure.message if run.failure else why.message if why else ""
+        return cls(run.succeeded, message, why.clears if why else "")
 
     @classmethod
     def of_outcome(cls, outcome: Outcome) -> Answer:
@@ -141,6 +143,8 @@ def _sentence(text: str, truth: Truth) -> str:
         return f"MOVE {elsewhere[1]} TO {elsewhere[2]}"
     if (about := STATED.search(text)) and about[2] == "FRAME":
         return stated(about[1], truth())
+    if OPERATOR in text:  # no person performs it here
+        return ""
     sentence = SENTENCE.search(text)
     return sentence[0] if sentence and isinstance(parse_job(GRAMMAR, sentence[0]), ParsedCommand) else ""
 

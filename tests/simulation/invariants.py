@@ -119,6 +119,7 @@ def _commands(state: State) -> Iterable[str]:
             yield f"{name} is not a HALT sentence that waits for rest"
     joined = {c for waiting in [*state.awaiting.values(), *state.joining.values()] for c in waiting}
     joined |= state.answers.keys()
+    joined |= {c for one in state.surrenders.values() for c in one.waiting}
     for answer, message in state.answers.items():
         asked = state.commands.get(command_of(message.primitive))
         if answer in state.commands and (asked is None or asked.primitive != message.primitive):

@@ -307,3 +307,30 @@ def test_the_dialogue_about_a_stripped_bolt() -> None:
         assert physical.sim.bolts.out_turns("BOLT-2") == pytest.approx(2.0, abs=0.1)
     finally:
         physical.close()
+
+
+def test_a_command_whose_trims_are_used_up_is_surrendered_and_goes_on_after_him() -> None:
+    """R81: the arm rests, the outcome asks the operator for the same, and what waits is held until he has done it."""
+    rtc = OneProcess(KinematicCell(MODEL.cell))
+    it, command = Operator(rtc), rtc.give("MOVE RIGHT-ARM TO BAY-2-FRONT")
+    after = rtc.give(f"MOVE RIGHT-ARM TO CLEAR-POINT-1 AFTER {command}")
+    in_line = rtc.give("STOW RIGHT-ARM")
+    while not it.executor.moving:
+        rtc.tick()
+    it.executor.halt(StopReason.FORCE_LIMIT, "pushed")
+    while command not in rtc.outcomes:
+        rtc.tick()
+    refusal = rtc.outcomes[command].refusal
+    assert refusal is not None
+    assert refusal.by_operator == "MOVE RIGHT-ARM TO BAY-2-FRONT VIA OPERATOR-INTERVENTION"
+    assert refusal.clears.endswith(f"or {refusal.by_operator}")
+    assert {rtc.state.commands[name].phase for name in (after, in_line)} == {m.Phase.HELD}
+    rests = it.executor.sample.joints
+    rtc.give(refusal.by_operator)
+    it.wait("move RIGHT-ARM to BAY-2-FRONT")
+    assert it.executor.sample.joints == pytest.approx(rests, abs=1e-6)  # nothing has moved it meanwhile
+    it.go(MODEL.cell.place("BAY-2-FRONT").poses[ARM].pose)
+    assert it.say("DONE").kind is OutcomeKind.SUCCEEDED
+    rtc.run()
+    kinds = {name: rtc.outcomes[name].kind for name in (after, in_line)}
+    assert kinds == dict.fromkeys((after, in_line), OutcomeKind.SUCCEEDED)

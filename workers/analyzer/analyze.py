@@ -192,6 +192,7 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
         further=trims[1:],
         changes=changes,
         clears=clears,
+        by_operator=task.context.by_operator if may else "",
         compared=comparison.unexpected(task),
     )
 

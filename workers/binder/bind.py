@@ -59,7 +59,8 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
         step = step_target.counted_from_now(data.step, query, data.context.object)
         return _bound(BindTask(compiled, query, msgspec.structs.replace(data, step=step)))
     except Refused as refused:
-        return refused.refusal
+        infeasible = refused.refusal.reason is RefusalReason.INFEASIBLE
+        return refused.refusal.offering(data.context.by_operator if infeasible else "")
     except expressions.ExpressionError as error:
         lacking = "a figure that the step needs must be in the script, the program or the cell"
         return refused_program(str(error), lacking).refusal

@@ -35,6 +35,7 @@ from workers.elaborator import (
     set_fact,
     stages,
     strategies,
+    surrender,
     teach,
 )
 from workers.elaborator.backtrack import Planned, can_be_seen
@@ -165,6 +166,9 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list
             notes.append(f"generated {option.name}; tested: {problem}")
             refused.append((problem.refusal, option))
     first = _most_informative(compiled, refused, options)
+    if first.reason is RefusalReason.INFEASIBLE:
+        candidate = options[0].candidate
+        first = first.offering(surrender.by_operator(compiled.program, compiled.scripts, candidate))
     if len(options) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
         raise Refused(first)
     others = "; ".join(notes[1:4]) if len(notes) > 1 else ""

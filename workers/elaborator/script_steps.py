@@ -14,7 +14,7 @@ from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece, Scri
 from rtc.protocol.messages import ScriptContext, Step, StepFigures, StepWords, Trim, TrimOffer
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.conditions import reflexes
-from workers.elaborator import look
+from workers.elaborator import look, surrender
 from workers.elaborator.backtrack import FRAME, GRASP
 from workers.elaborator.script_options import ScriptOption
 from workers.elaborator.task_candidate import TaskCandidate
@@ -250,6 +250,7 @@ def context_for(
         fits={entry.n: entry.fits for entry in entries if entry.fits},
         if_drifting=next((entry.n for entry in script.trimming_stack if entry.drift and entry.n in known), 0),
         offers=_offers(compiled, script, entries),
+        by_operator=surrender.by_operator(compiled.program, compiled.scripts, candidate),
     )
 
 

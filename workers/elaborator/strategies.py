@@ -39,7 +39,7 @@ def via(
     `cameras`: VIA may name one. Without VIA the row of the default strategy comes first."""
     wanted = parsed.performer
     if wanted is None:
-        own = [branch for branch in branches if not _is_by_operator(branch)] or branches
+        own = [branch for branch in branches if not is_by_operator(branch)] or branches
         return parsed, _default_first(parsed, own, query)
     if wanted == OPERATOR:
         return parsed, _by_operator(program, parsed, branches)
@@ -55,16 +55,16 @@ def via(
 
 def _by_operator(program: ElaboratorProgram, parsed: ParsedCommand, branches: list[Branch]) -> list[Branch]:
     """The rows for the operator. Raises Refused."""
-    chosen = [branch for branch in branches if _is_by_operator(branch)]
+    chosen = [branch for branch in branches if is_by_operator(branch)]
     if chosen:
         return chosen
-    verbs = list(dict.fromkeys(row.verb for row in program.decision_tree if _is_by_operator(row)))
+    verbs = list(dict.fromkeys(row.verb for row in program.decision_tree if is_by_operator(row)))
     message = f"there is no script in which the operator performs {parsed.verb}"
     clears = f"leave out VIA; he performs {', '.join(verbs)}"
     raise Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", expected=verbs, clears=clears)
 
 
-def _is_by_operator(branch: Branch) -> bool:
+def is_by_operator(branch: Branch) -> bool:
     return any(check.equals.get("performer") == OPERATOR for check in branch.when)
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from rtc.language.hands import ARM_OF_WORD, OWN_WORDS, hand_in_words
 from rtc.programs.schema import ElaboratorProgram
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import BY_OPERATOR, Refusal, RefusalReason
 from rtc.protocol.rehearsal import Repair
 from rtc.protocol.sentence import ParsedCommand
 from workers.planning.world_query import WorldQuery
@@ -105,7 +105,8 @@ def _elsewhere(sentence: Infeasible, word: str) -> Iterable[str]:
 
 
 def _one_sentence_before(sentence: Infeasible, program: ElaboratorProgram) -> Iterator[Option]:
-    for before in (*SENTENCE.findall(sentence.refusal.clears), *_listed(sentence, program)):
+    advised = [one for one in SENTENCE.findall(sentence.refusal.clears) if one != sentence.refusal.by_operator]
+    for before in (*advised, *_listed(sentence, program)):
         yield [before, sentence.text], f"{before} first"
 
 
@@ -113,7 +114,9 @@ def _listed(sentence: Infeasible, program: ElaboratorProgram) -> Iterator[str]:
     """The lines of the program, with the names of this sentence and of its refusal."""
     query, parsed = sentence.query, sentence.parsed
     own = [arm.name for arm in query.cell.arms if parsed.hand in (arm.name, None)]
-    about = " ".join((sentence.refusal.message, sentence.refusal.where, *map(str, sentence.refusal.detail.values())))
+    refusal = sentence.refusal
+    figures = (str(value) for name, value in refusal.detail.items() if name != BY_OPERATOR)
+    about = " ".join((refusal.message, refusal.where, *figures))
     mentioned = {word.partition(".")[0] for word in re.split(r"[\s,;:()]+", about)}
     bodies = [part.name for group in (query.cell.objects, query.cell.seats) for part in group]
     names = {

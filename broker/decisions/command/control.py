@@ -7,6 +7,7 @@ from typing import Any
 from broker.decisions.command.nominal import take_step
 from broker.decisions.command.pacing import can_pause
 from broker.decisions.command.scope import has_ended, in_scope, no_target, scope_of, subsystem_of
+from broker.decisions.command.surrender import is_held
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import Stimulus
@@ -125,6 +126,7 @@ def _will_resume(context: DecisionContext, command: Command) -> Answer:
     if command.phase is Phase.REHEARSING:
         return False, "is a test, which moves nothing"
     going = command.phase is not Phase.PAUSED and not command.pause_wanted and not command.single_step
+    going = going and not is_held(context, command.id)
     return (False, "was not paused") if going else (True, "goes on")
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Any
 
+from broker.decisions.command import surrender
 from broker.decisions.command.claims import claim_and_elaborate
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
@@ -23,6 +25,9 @@ def wait_for_another(context: DecisionContext, command: Command, head: ParsedHea
         done = state.ended[other].succeeded if other in state.ended else None
         if head.after and done:
             return False
+        if head.after and other in state.surrenders:
+            surrender.join(context, command, other)
+            return True
         message = (
             f"{command.id} cannot come after itself"
             if target is command
@@ -56,6 +61,14 @@ def _waits_for(context: DecisionContext, command: Command | None) -> Collection[
         other = command.head and (command.head.after or command.head.together_with)
         command = context.state.commands.get(other) if other else None
     return chain
+
+
+def on_resumed(context: DecisionContext, command: Command, _: Any) -> None:
+    """Withdraw a pause; go on without the operator if the command waits for him."""
+    command.pause_wanted = command.single_step = False
+    if surrender.is_held(context, command.id):
+        surrender.let_go(context, command.id)
+        claim_and_elaborate(context, command)
 
 
 def on_released(context: DecisionContext, command: Command, begun_or_succeeded: bool | PendingOutcome) -> None:

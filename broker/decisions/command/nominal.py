@@ -30,7 +30,7 @@ from broker.decisions.state import (
 from rtc.programs import action_stack
 from rtc.programs.action_stack import NOMINAL
 from rtc.protocol import wire
-from rtc.protocol.messages import Breakpoint, EndReport, Phase, WorkerKind
+from rtc.protocol.messages import Assessment, Breakpoint, EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Operated, Primitive
 from rtc.protocol.primitive_id import belongs_to, command_of, primitive_id
@@ -241,12 +241,13 @@ def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw
         end(context, command, failure(assessment), compared=assessment.compared)
 
 
-def failure(assessment: AssessmentHead) -> PendingOutcome:
+def failure(assessment: AssessmentHead | Assessment) -> PendingOutcome:
     """The outcome after a step without a usable trim."""
     message = assessment.message or f"{assessment.reason.value} where it was not expected"
     refusal = None
-    if assessment.clears:
+    if assessment.clears or assessment.by_operator:
         refusal = Refusal(reason=RefusalReason.STATE, message=message, clears=assessment.clears)
+        refusal = refusal.offering(assessment.by_operator)
     return PendingOutcome(kind=OutcomeKind.FAILED, message=message, stop=assessment.reason, refusal=refusal)
 
 

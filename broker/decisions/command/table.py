@@ -63,7 +63,7 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
         S.RELEASE: cell(dependencies.on_released, *FROM_ELABORATION),
         S.STOP: cell(termination.stop, P.ENDED),
         S.PAUSE: cell(control.request_pause, P.HELD),
-        S.RESUME: cell(control.withdraw_pause, P.HELD),
+        S.RESUME: cell(dependencies.on_resumed, *FROM_ELABORATION),
     },
     P.WAITING: {
         S.SPACE: cell(space.plan_again, P.ELABORATING, P.BINDING, P.PAUSED),

@@ -10,6 +10,7 @@ from itertools import islice
 import msgspec
 
 from broker.decisions import deferred_analysis
+from broker.decisions.command import surrender
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import CancelJob, ReportEnd
 from broker.decisions.events import Stimulus
@@ -52,6 +53,10 @@ def end(
     if defer_analysis:
         deferred_analysis.defer(context, command)
     command.job = None
+    surrendered = surrender.surrender(context, command, ending)
+    if kind is OutcomeKind.SUCCEEDED and state.surrenders:
+        surrender.taken_up(context, command)
+    surrender.let_go(context, command.id)
     words = f"{kind}: {ending.message}" if ending.message else f"{kind}"
     context.enter(command, Phase.ENDED, words, compared=compared)
     in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
@@ -64,7 +69,7 @@ def end(
         context.enqueue_stimulus(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
     for waiting in state.joining.pop(command.id, ()):
         context.enqueue_stimulus(waiting, Stimulus.RELEASE, False)
-    context.grant(granted)  # last, so that commands that came AFTER it precede those given later
+    context.grant([*surrendered, *granted])  # last, so that commands that came AFTER it precede those given later
     context.count(kind.value)
     ended = _report_end(context, command, outcome)
     del state.commands[command.id]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.text import Text
@@ -59,7 +59,10 @@ def operator(
             _show(name, arm)
             if name in files:
                 console.print(Text(f"  picture: {files[name]}"))
-        if not asked:
+        surrendered = rtc.status()["surrenders"]
+        for one in surrendered:
+            _offer(one)
+        if not asked and not surrendered:
             console.print("the operator is asked for nothing now")
 
 
@@ -106,6 +109,14 @@ def _truth(rtc: Client) -> SimTruthReply | None:
         return rtc.truth()
     except TimedOut:  # real arms: no pictures of simulated cameras
         return None
+
+
+def _offer(surrendered: dict[str, Any]) -> None:
+    """A command that has failed, and that he may do instead."""
+    console.print(f"{surrendered['command']} has failed: {surrendered['cause']}")
+    if waiting := ", ".join(surrendered["waiting"]):
+        console.print(f"  held until you have done it, or RESUME: {waiting}")
+    console.print(f"  to do it: {surrendered['sentence']}")
 
 
 def _distance(operation: Operation) -> str:

@@ -24,7 +24,7 @@ from rich.text import Text
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.language.caret import CUT, show
 from rtc.language.refuse import visible
-from rtc.protocol.outcomes import OutcomeKind, Refusal
+from rtc.protocol.outcomes import BY_OPERATOR, OutcomeKind, Refusal
 from rtc.protocol.units import in_words
 
 NO_CLUSTER = 4
@@ -139,7 +139,7 @@ def _without_repetition(refusal: Refusal, *, located: bool) -> Refusal:
 
 def _figures(refusal: Refusal) -> list[str]:
     """The figures that the message does not contain; numbers without a unit are always shown."""
-    rows = [with_unit(*row) for row in refusal.detail.items() if row[0] != "others"]
+    rows = [with_unit(*row) for row in refusal.detail.items() if row[0] not in ("others", BY_OPERATOR)]
     return [row for row in rows if not _is_in(row.partition(" ")[2], refusal.message)]
 
 

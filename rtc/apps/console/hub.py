@@ -27,7 +27,10 @@ FRAME_S = 0.033  # shortest time between two frames
 BEAT_S = 0.5  # without a change the last frame is sent again: a page that gets none has lost the link
 TRUTH_S, STILL_TRUTH_S = 0.3, 1.5  # age from which on a truth is not shown: while an arm moves, and otherwise
 #: what a page shows of the status
-STATUS = ("processes", "workers", "resources", "subsystems", "queues", "counters", "halts", "uptime_s", "cluster")
+STATUS = (
+    *("processes", "workers", "resources", "subsystems", "queues", "counters", "halts", "uptime_s", "cluster"),
+    "surrenders",
+)
 
 
 class InWords(NamedTuple):

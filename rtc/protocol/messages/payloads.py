@@ -81,6 +81,7 @@ class ScriptContext(Strict, frozen=True, kw_only=True, omit_defaults=True):
     fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
     if_drifting: int = 0  # entry that corrects a grip which weakens, before a step fails of it; 0: none
     offers: dict[int, TrimOffer] = {}  # entry of the trimming stack -> its piece
+    by_operator: str = ""  # the sentence that asks the operator for the same; empty: none can
     # Facts stated by the sentence itself, by key, SI.
     stated: dict[str, Any] = msgspec.field(default_factory=dict)
 
@@ -229,6 +230,7 @@ class Assessment(Message, frozen=True, kw_only=True):
     keep: dict[str, Binding] = {}  # measured values for later steps
     changes: list[WorldChange] = []
     clears: str = ""  # what would clear the failure
+    by_operator: str = ""  # after a failure: the sentence that asks the operator for the same (R81)
     remark: str = ""  # on a success: what the result of the command states if this is its last step
     compared: Compared | None = None  # prediction and report; None: nothing was predicted
     drift: str = ""  # in words: what left its band although the step ended as expected

@@ -106,6 +106,8 @@ function actions(row) {
       ? element('button', { onclick: say('RESUME'), disabled: !able }, 'Resume')
       : element('button', { onclick: say('PAUSE'), disabled: !able }, 'Pause'),
     element('button', { onclick: say('ABORT'), disabled: !able }, 'Abort')];
+  const byOperator = row.outcome?.refusal?.detail?.by_operator;
+  if (byOperator) live.push(element('button', { class: 'primary', onclick: () => submit(byOperator), disabled: !able, title: byOperator }, 'Ask the operator'));
   return element('div', { class: 'actions' }, ...live, element('button', { class: 'quiet', onclick: () => write(row.text) }, 'Edit again'));
 }
 

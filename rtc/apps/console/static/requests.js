@@ -16,6 +16,7 @@ export function openRequests(panel) {
   on('arms', update);
   on('answers', answered);
   on('rows', () => cards.forEach(showVerdict));
+  on('status', offers);
   on('held', () => { for (const card of cards.values()) card.box.classList.toggle('held', holding() === card.arm); });
   update();
 }
@@ -43,6 +44,18 @@ function update() {
   const empty = holder.querySelector('.empty');
   if (now.length) empty?.remove();
   else if (!empty) holder.append(element('p', { class: 'empty' }, 'nothing is asked of the operator. GIVE RIGHT-ARM TO OPERATOR hands an arm over; VIA OPERATOR-INTERVENTION asks for each step.'));
+}
+
+// What has failed and waits for the operator: the sentence that asks him for it, and the commands that are held.
+function offers() {
+  const now = state.status.surrenders ?? [], stamp = JSON.stringify([now, state.role]);
+  if (holder.offered === stamp) return;
+  holder.offered = stamp;
+  for (const old of holder.querySelectorAll('.offer')) old.remove();
+  holder.append(...now.map((one) => element('article', { class: 'request offer' },
+    element('header', {}, element('b', {}, `${one.command} has failed: ${one.cause}`)),
+    one.waiting.length ? element('p', { class: 'note' }, `held until then: ${one.waiting.join(', ')}`) : '',
+    element('div', { class: 'answer' }, element('button', { class: 'primary', onclick: () => submit(one.sentence), disabled: state.role !== 'operator' }, one.sentence)))));
 }
 
 function bar(name) {

@@ -1,0 +1,62 @@
+"""The sentence that asks the operator for what no script has achieved (R81). Pure.
+
+It keeps the regions of the sentence, which protect something. The other limits and the reflexes were those of the
+program's motions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import msgspec
+
+from rtc.language.hands import hand_in_words
+from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.protocol.outcomes import Refused
+from rtc.protocol.sentence import OPERATOR, SHARED, ParsedCommand
+from rtc.protocol.units import in_words
+from workers.elaborator import command_fields
+from workers.elaborator.script_options import fits_sentence
+from workers.elaborator.strategies import is_by_operator
+from workers.elaborator.task_candidate import TaskCandidate
+
+KEPT = ("AVOID-TASK-REGION", "SAFE-WORK-RANGE")
+
+
+def by_operator(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], candidate: TaskCandidate) -> str:
+    """The same task VIA OPERATOR-INTERVENTION; empty if he has no script for it, or has it already."""
+    parsed = candidate.parsed
+    if candidate.hand is None or candidate.partner is not None or parsed.performer == OPERATOR or _shares(parsed):
+        return ""
+    asked = msgspec.structs.replace(parsed, performer=OPERATOR, path=None, through=[])
+    rows = (row for row in program.decision_tree if row.verb == parsed.verb and row.enabled and is_by_operator(row))
+    row = next((row for row in rows if fits_sentence(row, asked)), None)
+    words = "" if row is None or not _is_used(asked, scripts[row.script]) else _words(candidate)
+    if not words:
+        return ""
+    regions = [f"{one.slot} {one.name}" for one in parsed.constraints if one.slot in KEPT and one.name]
+    kept = f"MAINTAIN {' AND '.join(regions)}" if regions else ""
+    return " ".join(filter(None, (words, kept, f"VIA {OPERATOR}-INTERVENTION")))
+
+
+def _shares(parsed: ParsedCommand) -> bool:
+    return any(constraint.slot == SHARED for constraint in parsed.constraints)
+
+
+def _is_used(parsed: ParsedCommand, script: ScriptFile) -> bool:
+    """Whether his script achieves all that the sentence asks for."""
+    try:
+        command_fields.refuse_unused_field(parsed, script.script, script.uses, performer=True)
+    except Refused:
+        return False
+    return True
+
+
+def _words(candidate: TaskCandidate) -> str:
+    """Verb, names and amount; empty for a destination without a name."""
+    parsed, hand = candidate.parsed, hand_in_words(candidate.arm.name)
+    if parsed.place is not None:
+        return f"{parsed.verb} {hand} TO {parsed.place.name}" if parsed.place.name else ""
+    point = candidate.point.name if candidate.point is not None else ""
+    amount = f"BY {in_words(parsed.amount.value, parsed.amount.unit).upper()}" if parsed.amount is not None else ""
+    return " ".join(filter(None, (parsed.verb, parsed.object, point, amount, f"WITH {hand}")))
