@@ -116,10 +116,20 @@ def off_mm(rtc: OneProcess, thing: str) -> float:
     return 1000.0 * math.dist(rtc.world.value(f"{thing}.frame")[:3], rtc.sim.truth()["poses"][thing][:3])
 
 
+def off_deg(rtc: OneProcess, thing: str) -> float:
+    return math.degrees(geometry.angle(rtc.world.value(f"{thing}.frame"), rtc.sim.truth()["poses"][thing]))
+
+
+def knows_where_it_is(rtc: OneProcess, thing: str) -> None:
+    assert rtc.world.get(f"{thing}.frame").validity is m.Validity.VALID
+    assert off_mm(rtc, thing) < 2.0
+    assert off_deg(rtc, thing) < 1.0
+
+
 def displaced(sim: Any) -> OneProcess:
-    """A cell whose rack with the module is 12 mm from where it is believed to be."""
+    """A cell whose rack with the module is 12 mm and 3.5 degrees from where it is believed to be."""
     rtc = OneProcess(sim)
-    assert sim.displace("MACS-NEW", [0.0, 0.006, 0.0104, 0.0, 0.0, 0.0]) == ""
+    assert sim.displace("MACS-NEW", [0.0, 0.006, 0.0104, 0.03, -0.02, 0.05]) == ""
     return rtc
 
 
@@ -129,14 +139,23 @@ def test_in_physics_the_world_knows_what_he_has_gripped_and_moved() -> None:
     try:
         rtc = displaced(sim)
         assert off_mm(rtc, "MACS-NEW") == pytest.approx(12.0, abs=0.1)
+        assert off_deg(rtc, "MACS-NEW") == pytest.approx(3.5, abs=0.1)
         command = rtc.give("GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM VIA OPERATOR-INTERVENTION")
         grasp_by_hand(rtc, command)
         assert sim.held()[ARM] == ["MACS-NEW"]
-        assert off_mm(rtc, "MACS-NEW") < 2.0
-        lift = rtc.give("LIFT MACS-NEW BY 5 CM WITH RIGHT-ARM")
+        knows_where_it_is(rtc, "MACS-NEW")
+        lift = rtc.give("LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM")
         rtc.run()
         assert rtc.outcomes[lift].kind is OutcomeKind.SUCCEEDED, rtc.outcomes[lift]
-        assert off_mm(rtc, "MACS-NEW") < 2.0
+        knows_where_it_is(rtc, "MACS-NEW")
+        rtc.give("GIVE RIGHT-ARM TO OPERATOR")
+        it = Operator(rtc)
+        it.wait("move")
+        it.drive(4.0, twist=[-0.03, 0.02, 0.02, 0.0, 0.06, 0.06])
+        it.drive(0.3, hold=False)
+        assert it.say("TAKE RIGHT-ARM FROM OPERATOR").kind is OutcomeKind.SUCCEEDED
+        rtc.run()
+        knows_where_it_is(rtc, "MACS-NEW")
     finally:
         sim.close()
 

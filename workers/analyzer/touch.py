@@ -27,6 +27,7 @@ ASKEW_RAD = 0.012  # uncertainty of a bar's tilt derived from the hand width
 STRAIGHT_RAD = 0.005  # the sign of a smaller tilt cannot be measured
 # Minimum fraction of a tilted bar's torque that determines the sign. An arm that gives way has shown -0.3.
 TWIST = 0.5
+HALF_TURN = geometry.from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, math.pi])  # about the approach
 NO_TORQUE_NM = 0.02
 FREE_M, FREE_RAD = 0.04, 0.25  # how far a closing hand moves and turns a free module: up to 34 mm and 12 deg in physics
 
@@ -100,6 +101,32 @@ def between_fingers(task: AnalyzeTask, moved: Spread = EXACT) -> Found:
     after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
     spread = pose_spread.spread_after_measurement(before, after, spread, point, measured)
     return after, spread
+
+
+def at_grasp_point(task: AnalyzeTask, within_m: float, within_rad: float) -> Found:
+    """A person has brought the hand to the grasp point: `within_m` and `within_rad` are how well he can see that.
+
+    The object is turned as the hand is, about each axis about which it may be turned so far. A hand that is turned
+    farther is turned itself; so is one about a round bar, and one at an object with a hinge.
+    """
+    before, spread = _current(task)
+    point, tcp = _point(task), np.asarray(task.report.tcp_pose)
+    offset = geometry.relative(tcp, geometry.compose(before, point))
+    if abs(geometry.to_rpy(offset)[2]) > 0.5 * math.pi:  # the two fingers are alike
+        tcp = geometry.compose(tcp, HALF_TURN)
+        offset = geometry.relative(tcp, geometry.compose(before, point))
+    rpy, half_widths = geometry.to_rpy(offset), pose_spread.spread_at(spread, point)[3:]
+    hinged = task.query.hinge(task.context.object) is not None
+    shown = [
+        axis
+        for axis in range(3)
+        if abs(rpy[axis]) <= half_widths[axis] + within_rad and not hinged and not (axis == 0 and task.point.round)
+    ]
+    rpy[shown] = 0.0
+    stands = geometry.compose(tcp, geometry.from_rpy([0.0, 0.0, 0.0], rpy))
+    after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
+    measured = dict.fromkeys(range(3), within_m) | {3 + axis: within_rad for axis in shown}
+    return after, pose_spread.spread_after_measurement(before, after, spread, point, measured)
 
 
 def moved_by_closing(query: WorldQuery, thing: str) -> Spread:

@@ -12,7 +12,7 @@ import msgspec
 
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.spatial import geometry, hinges
-from rtc.world.spread import even, widened
+from rtc.world.spread import widened
 from workers.analyzer import touch, turning
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.sighting import sighted
@@ -194,13 +194,9 @@ def handed(task: AnalyzeTask, validity: Validity) -> Changes:
 
 
 def pointed(task: AnalyzeTask, validity: Validity) -> Changes:
-    """The operator has brought the hand to the grasp point: where the object is follows from where the hand is (R149).
-
-    He sees the object; so it is displaced as the hand is from the believed grasp point. Its attitude stays."""
-    assert task.evaluation.goal_pose is not None
-    off = [there - here for there, here in zip(task.report.tcp_pose[:3], task.evaluation.goal_pose, strict=False)]
-    found = geometry.translate(task.query.frame(task.context.object), off)
-    return _seen(task, (found, even(task.values["pointed_m"], task.values["pointed_rad"])), validity)
+    """The operator has brought the hand to the grasp point: the object is where the hand shows it (R149)."""
+    found = touch.at_grasp_point(task, task.values["pointed_m"], task.values["pointed_rad"])
+    return _seen(task, found, validity)
 
 
 EFFECTS: dict[str, Callable[[AnalyzeTask, Validity], Changes]] = {
