@@ -18,7 +18,7 @@ from rtc.protocol.messages import NODES, WorkerKind
 from rtc.protocol.outcomes import ClusterError, KeyTrouble
 from rtc.runtime import fork_server, handover, process
 from rtc.runtime.keys import KeyFile
-from rtc.runtime.settings import Settings, systemd_socket
+from rtc.runtime.settings import systemd_socket
 from workers.runtime.contact import LIMIT_S, BrokerContact, Systemd
 from workers.runtime.preload import preload
 from workers.runtime.start import join, rehearse, work
@@ -66,19 +66,19 @@ def main() -> None:
         asked.error(f"--node must be from 0 to {NODES - 1}")
     kind = WorkerKind(given.kind) if given.kind else None
     if given.template:
-        serve(handover.load(given.run_dir, given.handed).settings)
+        serve(handover.load(given.run_dir, given.handed))
     elif given.rehearser is not None:
         if given.run_dir is None:
             asked.error("--rehearser is for workers of the cluster's own machine (--run-dir)")
-        settings = handover.load(given.run_dir, given.handed).settings
-        rehearse(settings, given.rehearser, preload(WorkerKind, settings.cell))
+        handed = handover.load(given.run_dir, given.handed)
+        rehearse(handed, given.rehearser, preload(WorkerKind, handed.settings.cell))
     elif kind is None or (given.node is None and given.key is None):
         asked.error("a worker needs --kind, and without a key --node")
     elif given.key:
         far(given.key, kind, given.node, given.lost_after or LIMIT_S, given.health)
     else:
-        settings = handover.load(given.run_dir, given.handed).settings
-        work(settings, kind, given.node, preload([kind], settings.cell))
+        handed = handover.load(given.run_dir, given.handed)
+        work(handed, kind, given.node, preload([kind], handed.settings.cell))
 
 
 class Order(msgspec.Struct, frozen=True):
@@ -88,18 +88,18 @@ class Order(msgspec.Struct, frozen=True):
     kind: WorkerKind | None = None
 
 
-def serve(settings: Settings) -> None:
+def serve(handed: handover.Handover) -> None:
     """Run as the fork server: preload programs and models for all kinds, then fork one worker per order."""
     process.log_to_stderr()
-    prepared = preload(WorkerKind, settings.cell)
+    prepared = preload(WorkerKind, handed.settings.cell)
     read = msgspec.json.Decoder(Order).decode
 
     def be(order: bytes) -> None:
         wanted = read(order)
         if wanted.kind is None:
-            rehearse(settings, wanted.node, prepared)
+            rehearse(handed, wanted.node, prepared)
         else:
-            work(settings, wanted.kind, wanted.node, prepared)
+            work(handed, wanted.kind, wanted.node, prepared)
 
     fork_server.serve(be)
 

@@ -23,6 +23,7 @@ from benchmarks.load.ray_workers import ray_workers
 from deploy.hypercube import addresses, kind_of
 from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import WorkerKind
+from rtc.runtime.handover import OPTION, Handover
 from rtc.runtime.process import die_with_parent
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.world.lease import KEY_BYTES, KEY_FILE
@@ -35,6 +36,7 @@ PROFILED = ("-m", "cProfile", "-o")
 class Running:
     run_dir: Path
     settings: Settings
+    handed: Handover  # as from a supervisor
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
     actors: dict[str, int] = field(default_factory=dict)  # workers that are Ray actors -> process id
 
@@ -74,17 +76,21 @@ def cluster(
         run_dir = prepare_run_dir(Path(folder) / "run")
         settings = Settings(run_dir=str(run_dir), run=secrets.token_hex(4), dim=dim)
         settings.save()
-        (run_dir / KEY_FILE).write_bytes(secrets.token_bytes(KEY_BYTES))
-        running = Running(run_dir, settings)
+        key = secrets.token_bytes(KEY_BYTES)
+        (run_dir / KEY_FILE).write_bytes(key)
+        handed = Handover.make(settings, key, token="")
+        ended.callback(os.close, handed.fd)
+        running = Running(run_dir, settings, handed)
         try:
-            _start(running, "world", "-m", "rtc.world")
-            _start(running, "broker", *((*PROFILED, str(profile)) if profile else ()), "-m", "broker")
+            handing = (OPTION, str(handed.fd))
+            _start(running, "world", "-m", "rtc.world", *handing)
+            _start(running, "broker", *((*PROFILED, str(profile)) if profile else ()), "-m", "broker", *handing)
             arms = [arm.name for arm in Cell.load(settings.cell).arms] if real else []
             _start(running, "MCM", "-m", "benchmarks.load.subsystem", *(("--performers", *arms) if arms else ()))
             trivial = ("benchmarks.load.worker", "--busy-s", str(busy_s), "--asleep-s", str(asleep_s))
             for node in addresses(dim) if engine == "process" else ():
                 kind = kind_of(node)
-                module = ("workers",) if kind in real else trivial
+                module = ("workers", *handing) if kind in real else trivial
                 _start(running, f"{kind}@{node}", "-m", *module, "--kind", kind, "--node", str(node))
             for name, process in running.processes.items():
                 assert process.stdout is not None
@@ -112,6 +118,7 @@ def _start(running: Running, name: str, *command: str) -> None:
             stdout=subprocess.PIPE,
             stderr=log,
             preexec_fn=lambda: die_with_parent(me),
+            pass_fds=(running.handed.fd,),
         )
 
 

@@ -33,12 +33,13 @@ class Node:
 
             work(Path(run_dir), kind, node, busy_s=busy_s, asleep_s=asleep_s)
         else:
+            from rtc.runtime.handover import Handover
             from rtc.runtime.settings import Settings
             from workers.runtime.preload import preload
             from workers.runtime.start import work as work_real
 
             settings = Settings.load(Path(run_dir))
-            work_real(settings, kind, node, preload([kind], settings.cell))
+            work_real(Handover(settings), kind, node, preload([kind], settings.cell))
 
 
 @contextlib.contextmanager

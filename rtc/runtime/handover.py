@@ -83,6 +83,13 @@ class Handover:
         first, second = [*numbers, 0][:2]
         return (life.rstrip(b"\0"), first, second) if life.rstrip(b"\0") else None
 
+    def world_version(self) -> int | None:
+        """Version of the world database on disk, at the cost of a system call; None for a process started by hand.
+
+        It is kept before a commit is acknowledged, and never decreases within a run."""
+        kept = self.remembered("world")
+        return kept[1] if kept else None
+
     def lock(self, name: str) -> None:
         """Lock `name` in the run directory until this process ends. Raises SystemExit if another process has it."""
         path = self.settings.path / f"{name}.lock"

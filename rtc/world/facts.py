@@ -7,6 +7,7 @@ A value is read whether its fact is trusted or not. What has no fact is as the c
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -29,11 +30,12 @@ class Facts:
         self.cell = cell
         self.world = world
 
-    @property
+    @cached_property
     def taught_places(self) -> list[parts.Place]:
         """Those that the cell does not have: see `rtc.model.cells.taught`."""
-        keys = [key for key in self.world.facts if taught.arm_of(key.rpartition(".")[2])]
-        return taught.as_places(self.cell, taught.postures((key, self.world.value(key)) for key in keys))
+        facts = self.world.facts
+        known = taught.postures((key, facts[key].value) for key in facts if taught.POSTURE in key)
+        return taught.as_places(self.cell, known) if known else []
 
     @property
     def places(self) -> list[parts.Place]:

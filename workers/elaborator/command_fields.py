@@ -53,7 +53,7 @@ _WORDS = {
 def field(parsed: ParsedCommand, path: str) -> Any:
     """A field of the record by its path (place.joints); None if the field or one of its parents is not set."""
     value: Any = parsed
-    for name in path.split("."):
+    for name in path.split(".") if "." in path else (path,):
         value = getattr(value, name, None)
         if value is None:
             return None

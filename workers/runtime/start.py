@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Callable
 from typing import Any
 
 from rtc.model.cells.cell import Cell
@@ -16,10 +17,10 @@ from rtc.protocol.messages import REHEARSER, WorkerHello, WorkerKind
 from rtc.protocol.outcomes import ClusterError
 from rtc.protocol.versions import BOXES, VERSION
 from rtc.runtime import process
+from rtc.runtime.handover import Handover
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.link import Link
 from rtc.runtime.process import Process
-from rtc.runtime.settings import Settings
 from rtc.world.client import WorldClient
 from workers.runtime import lazy_import
 from workers.runtime.contact import BrokerContact
@@ -30,16 +31,16 @@ NICENESS = 5  # lower priority than the broker and the MCM
 IDLE_NICENESS = 19  # of a rehearser: it takes the time that live commands leave
 
 
-def work(settings: Settings, kind: WorkerKind, node: int, prepared: Preloaded) -> None:
+def work(given: Handover, kind: WorkerKind, node: int, prepared: Preloaded) -> None:
     """Run a local worker until it is ordered to stop. `prepared`: programs and cell models, compiled."""
     name = f"{kind}@{node}"
     process.show_name(name)
     with process.start(name, ".") as me:
         hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid(), protocol=VERSION, abilities=_abilities())
-        run(me, settings, hello, prepared)
+        run(me, given.settings, hello, prepared, world_version=given.world_version)
 
 
-def rehearse(settings: Settings, number: int, prepared: Preloaded) -> None:
+def rehearse(given: Handover, number: int, prepared: Preloaded) -> None:
     """Run a rehearser until it is ordered to stop. It is no node of the cube."""
     name = f"{REHEARSER}@{number}"
     process.show_name(name)
@@ -53,7 +54,7 @@ def rehearse(settings: Settings, number: int, prepared: Preloaded) -> None:
             abilities=_abilities(),
             rehearses=True,
         )
-        run(me, settings, hello, prepared)
+        run(me, given.settings, hello, prepared, world_version=given.world_version)
 
 
 def _abilities() -> list[str]:
@@ -84,7 +85,12 @@ def join(key: KeyFile, kind: WorkerKind, node: int | None, contact: BrokerContac
 
 
 def run(
-    me: Process, endpoints: Endpoints, hello: WorkerHello, prepared: Preloaded, contact: BrokerContact | None = None
+    me: Process,
+    endpoints: Endpoints,
+    hello: WorkerHello,
+    prepared: Preloaded,
+    contact: BrokerContact | None = None,
+    world_version: Callable[[], int | None] = lambda: None,
 ) -> str:
     """Run the loop of one worker. Returns the reason if it ended by itself; empty after an order to stop."""
     process.nice(IDLE_NICENESS if hello.rehearses else NICENESS)
@@ -98,7 +104,9 @@ def run(
     kinds = WorkerKind if hello.rehearses else (hello.kind,)
     programs = {name: program for kind in kinds for name, program in prepared.programs.get(kind, {}).items()}
     compilers = function.COMPILERS if hello.rehearses else {}
-    loop = WorkerLoop(me, hello, function, link, world, _models_of, programs, prepared.cells, contact, compilers)
+    loop = WorkerLoop(
+        me, hello, function, link, world, _models_of, programs, prepared.cells, contact, compilers, world_version
+    )
     process.freeze_heap()
     gc.set_threshold(50_000, 20, 20)  # jobs leave little garbage; a collection would delay a job
     if contact is None:

@@ -78,6 +78,7 @@ class WorkerLoop:
         cells: Mapping[str, Any] = MappingProxyType({}),
         contact: BrokerContact | None = None,
         compilers: Mapping[m.WorkerKind, Callable[[bytes], Any]] = MappingProxyType({}),
+        world_version: Callable[[], int | None] = lambda: None,
     ) -> None:
         self._me, self._hello, self._function = me, hello, function
         self._link, self._socket = link, link.socket
@@ -92,7 +93,7 @@ class WorkerLoop:
         compilers = compilers or {hello.kind: function.compile}
         self._programs = {kind: CompiledCache(compile, programs) for kind, compile in compilers.items()}
         self._cells = CompiledCache(lambda body: build_cell(Cell.from_bytes(body)), cells)
-        self._view = WorldView(world)
+        self._view = WorldView(world, world_version)
         self._contact = contact
         self._retiring = False
         self._why = ""  # reason of an end that this process did not receive as a signal
@@ -360,10 +361,13 @@ class CompiledCache(dict[str, Any]):
 
 
 class WorldView:
-    """The worker's copy of the world, updated by reading only the changes since its version."""
+    """The worker's copy of the world, updated by reading only the changes since its version.
 
-    def __init__(self, client: WorldClient) -> None:
+    `version_now`: the version on disk, as `Handover.world_version`; None if it is not known without a read."""
+
+    def __init__(self, client: WorldClient, version_now: Callable[[], int | None]) -> None:
         self._client = client
+        self._version_now = version_now
         self._world = World()
         self._read_at_s = -1.0
 
@@ -380,7 +384,8 @@ class WorldView:
         """
         if came_s > self._read_at_s or now_s() - self._read_at_s > FRESH_S:
             read_at_s = now_s()
-            self._world = self._world.updated(self._client.stored(since=self._world.version))
+            if self._version_now() != self._world.version:
+                self._world = self._world.updated(self._client.stored(since=self._world.version))
             self._read_at_s = read_at_s
         return self._world
 

@@ -93,6 +93,7 @@ class ArmModel:
             effort=model.effortLimit.copy(),
         )
         self._lower, self._upper = self.limits.lower.tolist(), self.limits.upper.tolist()
+        self._by_margin: dict[float, tuple[list[float], list[float]]] = {}  # see `_bounds`
         self._speeds = self.limits.velocity.tolist()
         self._base_inverse = np.linalg.inv(geometry.to_matrix(self.base_pose))
         tip = model.frames[self._tcp]
@@ -389,16 +390,22 @@ class ArmModel:
     def _turns_within(self, raw: list[float], margin: float) -> list[Array]:
         """The same posture with each angle shifted by -1, 0 or 1 turn, as far as the limits allow."""
         choices = []
-        margins = self.margins(margin).tolist()
-        for angle, slides, lower, upper, margin in zip(
-            raw, self.slides, self._lower, self._upper, margins, strict=True
-        ):
+        for angle, slides, least, most in zip(raw, self.slides, *self._bounds(margin), strict=True):
             same = (angle,) if slides else (angle, angle - _TURN, angle + _TURN)
-            fits = [a for a in same if lower + margin <= a <= upper - margin]
+            fits = [a for a in same if least <= a <= most]
             if not fits:
                 return []
             choices.append(fits)
         return [np.array(q) for q in itertools.product(*choices)]
+
+    def _bounds(self, margin: float) -> tuple[list[float], list[float]]:
+        """The limits of all joints, this margin inside."""
+        known = self._by_margin.get(margin)
+        if known is None:
+            margins = self.margins(margin)
+            known = (self.limits.lower + margins).tolist(), (self.limits.upper - margins).tolist()
+            self._by_margin[margin] = known
+        return known
 
     def _worst_joint(self, raw: list[float], margin: float) -> tuple[float, int, float, float]:
         """(excess, joint, value, limit) of the joint that exceeds its limits most, each angle at its best turn."""

@@ -13,6 +13,7 @@ from rtc.protocol import wire
 from rtc.protocol.messages import (
     Assessment,
     CancelJobs,
+    Fact,
     Heartbeat,
     HelloWanted,
     Job,
@@ -26,6 +27,7 @@ from rtc.protocol.messages import (
     ResultBatch,
     Shutdown,
     Validity,
+    View,
     WorkerHello,
     WorkerKind,
     WorkerToBroker,
@@ -34,14 +36,14 @@ from rtc.protocol.messages import (
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
 from rtc.protocol.versions import VERSION
 from rtc.runtime.link import Link
-from rtc.runtime.process import Process, send
+from rtc.runtime.process import Process, now_s, send
 from rtc.world.__main__ import serve
 from rtc.world.client import WorldClient
 from rtc.world.lease import sign
 from rtc.world.server import Server
 from rtc.world.store import Store
 from workers.runtime import worker_loop as shells
-from workers.runtime.worker_loop import WorkerLoop
+from workers.runtime.worker_loop import WorkerLoop, WorldView
 
 KEY = b"k" * 32
 HELLO = WorkerHello(protocol=VERSION, name="parser@0", node=0, kind=WorkerKind.PARSER, pid=1)
@@ -386,3 +388,33 @@ def test_a_worker_stopped_while_it_waits_for_a_program_answers_nothing(at):
     at.thread.join(5)
     assert not at.thread.is_alive()
     assert at.broker.socket.poll(0) == 0
+
+
+class Database:
+    """A world database without a process: `version` as in the handover file, `reads` of its clients."""
+
+    def __init__(self):
+        self.version, self.reads = 7, 0
+
+    def stored(self, since):
+        self.reads += 1
+        now = self.version
+        fact = Fact(key="A.seat", value=now, validity=Validity.VALID, version=now, source="test", at_s=0.0)
+        return View(request="1", version=now, facts=[fact])
+
+
+def test_a_world_whose_version_is_unchanged_is_not_read_again():
+    database = Database()
+    view = WorldView(database, lambda: database.version)
+    seen = [view.at(came_s=now_s()).value("A.seat") for _ in range(3)]
+    assert (seen, database.reads) == ([7, 7, 7], 1)
+    database.version = 8
+    assert view.at(came_s=now_s()).value("A.seat") == 8
+    assert database.reads == 2
+
+
+def test_a_world_whose_version_is_not_known_is_read_for_each_batch():
+    database = Database()
+    view = WorldView(database, lambda: None)
+    assert [view.at(came_s=now_s()).value("A.seat") for _ in range(3)] == [7, 7, 7]
+    assert database.reads == 3
