@@ -20,6 +20,7 @@ PRINTED = {  # what each prints at its end
     "guarded_probe.py": "contact with",
     "two_arms.py": "at most 2 commands",
     "planner_loop.py": "succeeded: STOW RIGHT-ARM",
+    "operator_script.py": "both have moved the arm",
     "plugin/use_it.py": "the hand holds at",
 }
 
