@@ -54,6 +54,7 @@ READ: dict[str, Callable[[Sequence[bytes]], Any]] = {
     "world": wire.reader(m.ToWorld),
     "workers": wire.reader(m.WorkerToBroker),
     "subsystems": wire.reader(m.SubsystemToBroker),
+    "operate": wire.reader(m.Operate),
 }
 
 
@@ -221,6 +222,8 @@ class Gateway:
                 self._endpoints.send(endpoint, session, wire.frames(declined))
                 return
             parts = wire.frames(_translated(link, message, now))
+        elif isinstance(message, m.Operate):  # its time is the subsystem's: it needs no translation
+            parts = wire.frames(msgspec.structs.replace(message, operator=f"{key.name}/{message.operator}"))
         self._forward(link, parts, message)
 
     def _forward(self, link: Link, parts: Sequence[bytes], message: Any) -> None:

@@ -62,6 +62,7 @@ from rtc.world.client import WorldClient
 NAME_BYTES = 128  # maximum length of a client's name; it becomes part of other names
 ANSWER_S = 5.0  # longest wait for an answer that needs no motion
 LOADED_S = 40.0  # the same for a program, which the cluster checks first
+REST_S = 2.0  # wait for the rest of what was halted
 ASK_AGAIN_S = 0.2  # pause after the broker declined a query for overload
 WINDOW = 512  # maximum number of sentences in progress in `run_many`
 NO_TEXT = re.compile("[\ud800-\udfff]")  # lone surrogates, made by Python of undecodable bytes; not valid in UTF-8
@@ -124,7 +125,7 @@ class Client:
             self._context, self._endpoints, me, self._endpoints.run if isinstance(self._endpoints, Settings) else ""
         )
         self._heartbeat = HeartbeatSender(self._context, self._endpoints, me) if halt_if_lost else None
-        self._liveness = BrokerLiveness(self.run_dir if key is None else None, on_silence)
+        self._liveness = BrokerLiveness(self.run_dir if key is None else None, on_silence, halt_if_lost)
         self._world: WorldClient | None = None
         if need_broker:
             try:
@@ -181,6 +182,11 @@ class Client:
         """Whether the cluster is reached over tcp, by a key."""
         return bool(self._endpoints.far)
 
+    @property
+    def round_trip_s(self) -> float:
+        """To the broker and back, over tcp (s); 0 on the cluster's machine. Waits for answers are longer by it."""
+        return self._connection.round_trip_s
+
     # --- sentences ------------------------------------------------------------------------------------
 
     def submit(
@@ -205,7 +211,7 @@ class Client:
         handle = self.begin(
             text, on_progress=on_progress, progress=progress, traceparent=traceparent, if_tested=if_tested
         )
-        self.receive_until(lambda: handle.answered, ANSWER_S, "the sentence was not accepted")
+        self.receive_until(lambda: handle.answered, ANSWER_S + self.round_trip_s, "the sentence was not accepted")
         if not handle.number:
             refusal = handle.wait().outcome.refusal
             assert refusal is not None
@@ -306,13 +312,14 @@ class Client:
 
     # --- stopping -------------------------------------------------------------------------------------
 
-    def halt(self, scope: str = "ALL", timeout_s: float = 2.0) -> HaltResult:
+    def halt(self, scope: str = "ALL", timeout_s: float | None = None) -> HaltResult:
         """Stop motion now: ALL, an arm, or a command C-n. The order goes to broker and MCM at once, past all queues.
 
-        Returns when rest is confirmed (`confirmed`) or `timeout_s` has passed. Any thread may call it. Raises
-        ClusterError if neither broker nor MCM could be reached.
+        Returns when rest is confirmed (`confirmed`) or `timeout_s` has passed: None is 2 s, and over tcp the round trip
+        in addition. Any thread may call it. Raises ClusterError if neither broker nor MCM could be reached.
         """
-        return self._halt_line.halt(scope, timeout_s)
+        round_trip_s = self.round_trip_s
+        return self._halt_line.halt(scope, REST_S + round_trip_s if timeout_s is None else timeout_s, round_trip_s)
 
     def halt_ready(self) -> bool:
         """True once the halt sockets of broker and MCM are both connected."""
@@ -395,16 +402,19 @@ class Client:
         return subscribe(self._context, self._endpoints, "telemetry", reader(m.Telemetry), silence_s)
 
     def hand(self, arm: str, operator: str = "OPERATOR") -> HandController:
-        """The stream of an operator's hand to an arm that he has; on the cluster's machine only. Use it as a context
-        manager. Raises KeyTrouble over tcp, ClusterError without telemetry of this arm."""
-        return HandController(self._context, self.settings, arm, operator)
+        """The stream of an operator's hand to an arm that he has. Use it as a context manager. Over tcp it needs the
+        key of an operator; what has seen nothing of the arm for 200 ms does nothing. Raises KeyTrouble for another
+        key, ClusterError without telemetry of this arm."""
+        return HandController(self._context, self._endpoints, arm, operator, self.round_trip_s)
 
     @property
     def world(self) -> WorldClient:
         """Read access to the world database."""
         if self._world is None:
             secure = self._endpoints.secure if self.far else None
-            self._world = WorldClient(self._endpoints.endpoint("world"), self._context, secure=secure)
+            self._world = WorldClient(
+                self._endpoints.endpoint("world"), self._context, secure=secure, round_trip_s=self.round_trip_s
+            )
         return self._world
 
     # --- simulators only ------------------------------------------------------------------------------
@@ -488,7 +498,7 @@ class Client:
                 raise TimedOut(f"{otherwise} (waited {timeout_s:.1f} s)")
             if (message := self._connection.recv(left_s)) is not None:
                 self._requests.take(message)
-            self._liveness.check(self._connection.unanswered, self._connection.replaced)
+            self._liveness.check(self._connection.unanswered, self._connection.replaced, self._connection.lost)
             if key_refused := self._connection.key_refused:
                 raise NoCluster(key_refused)
             if self._connection.refused is not None:
@@ -496,6 +506,7 @@ class Client:
 
     def _query(self, message: Any, answer: type[Answer], within_s: float = ANSWER_S) -> Answer:
         """Send a query; repeat it for `within_s` while the broker declines it for overload."""
+        within_s += self.round_trip_s
         request, limit_s = message.request, time.monotonic() + within_s
         self._requests.queries.add(request)
         try:

@@ -30,6 +30,7 @@ from rtc.runtime.link import Link
 from rtc.runtime.settings import BOUNDS
 
 HELLO_S, REMOTE_HELLO_S = 0.8, 3.0  # time limit of the first Welcome, local and over tcp
+SLOW_HELLO_S = 45.0  # the same over a slow link, whose handshake takes four round trips
 RESTART_S = 10.0  # the same while the supervisor lives and restarts the broker
 LOOK_S = 0.2  # period of checking that the supervisor lives
 FAR_IDLE_S = 60.0  # after this pause the hello is repeated, because a gateway forgets idle clients
@@ -50,6 +51,8 @@ class BrokerConnection:
         self.name = name
         self._address, self._far = endpoints.endpoint("front"), endpoints.far
         self._sent_at_s = 0.0
+        self._hellos: deque[float] = deque()  # when they were sent, of those without a Welcome
+        self.round_trip_s = 0.0  # of the latest hello and its Welcome over tcp: limits of waits are longer by it
         self._cluster = cluster
         self.welcome: m.Welcome | None = None
         self.replaced = False  # another cluster has taken the place of ours: nothing is sent to it
@@ -87,6 +90,8 @@ class BrokerConnection:
         reported = False
         while self.welcome is None:
             left_s = limit_s - time.monotonic()
+            if left_s <= 0 and self._far and self._link.is_slow:
+                left_s = began_s + SLOW_HELLO_S - time.monotonic()
             if self._link.key_refused or (self._far and left_s <= 0):
                 raise NoCluster(self._link.diagnose())
             if left_s <= 0 and time.monotonic() - began_s < RESTART_S and restarting():
@@ -132,12 +137,16 @@ class BrokerConnection:
         if self._received:
             return self._handle(self._received.popleft())
         ready = dict(self._poller.poll(max(0, math.ceil(min(timeout_s, SILENCE_S) * 1000))))
-        if self._link.monitor in ready and self._link.newly_connected() and self._link.handshakes > 1:
-            self._probe()  # a new broker, or the old one again: messages in transit may be lost
+        if self._link.monitor in ready and self._link.newly_connected():
+            waiting, self._hellos = len(self._hellos), deque()
+            if self._link.handshakes > 1:
+                self._probe()  # a new broker, or the old one again: messages in transit may be lost
+            elif waiting:
+                self._hellos.append(time.monotonic())  # it waited for the connection
         if self._waker is not None and self._waker in ready:
             os.eventfd_read(self._waker)
         if self._socket not in ready:
-            if self._open and time.monotonic() - self._received_at_s > SILENCE_S:
+            if self._open and time.monotonic() - self._received_at_s > SILENCE_S + self.round_trip_s:
                 self._received_at_s = time.monotonic()
                 self.unanswered += 1
                 self._probe()
@@ -166,6 +175,11 @@ class BrokerConnection:
         sentence = self._open.get(accepted.request)
         if isinstance(sentence, m.CommandText) and not sentence.known_as:
             self._open[accepted.request] = msgspec.structs.replace(sentence, known_as=accepted.command)
+
+    @property
+    def lost(self) -> bool:
+        """Over tcp: there was a connection, and there is none now."""
+        return self._far and self._link.lost
 
     @property
     def key_refused(self) -> str:
@@ -203,6 +217,7 @@ class BrokerConnection:
             self._send_frames(parts)
 
     def _send_hello(self) -> None:
+        self._hellos.append(time.monotonic())
         self._send_frames(
             frames(m.ClientHello(client=self.name, at_s=time.monotonic(), protocol=VERSION, abilities=[ARRAYS]))
         )
@@ -218,6 +233,8 @@ class BrokerConnection:
             clears = "use the version of rtc that the cluster was started with"
             self.refused = Refusal(reason=RefusalReason.VERSION, message=words, clears=clears)
             return
+        if self._hellos and self._far:
+            self.round_trip_s = time.monotonic() - self._hellos.popleft()
         another = self._cluster not in ("", welcome.cluster)
         if another and (
             self.welcome is not None or self._open

@@ -103,8 +103,8 @@ class HaltLine:
             self._sockets[name] = socket
             self._poller.register(socket, zmq.POLLIN)
 
-    def halt(self, scope: str = "ALL", timeout_s: float = 2.0) -> HaltResult:
-        """Send the order and wait for rest, at most `timeout_s` (s) and at most MAX_S.
+    def halt(self, scope: str = "ALL", timeout_s: float = 2.0, round_trip_s: float = 0.0) -> HaltResult:
+        """Send the order and wait for rest, at most `timeout_s` (s) and at most MAX_S. `round_trip_s`: of the link.
 
         `scope`: ALL, a performer or a command C-n. Raises ClusterError if neither broker nor MCM could be reached.
         """
@@ -124,7 +124,7 @@ class HaltLine:
                     else "neither the broker nor a subsystem of arms answers"
                 )
                 raise ClusterError(f"halt not sent: {who}; use the emergency stop")
-            return self._await_rest(order, sent_to, called_at_s + timeout_s)
+            return self._await_rest(order, sent_to, called_at_s + timeout_s, self._unknown_s + round_trip_s)
 
     def ready(self, timeout_s: float | None = None) -> bool:
         """Wait until both sockets are connected; False after `timeout_s`."""
@@ -157,7 +157,7 @@ class HaltLine:
                 return sent_to
         return []
 
-    def _await_rest(self, order: m.HaltOrder, sent_to: list[str], limit_s: float) -> HaltResult:
+    def _await_rest(self, order: m.HaltOrder, sent_to: list[str], limit_s: float, unknown_s: float) -> HaltResult:
         """Receive until rest is confirmed and both copies are answered.
 
         The broker must have the order, so that no queued command starts. A copy under way would stop the caller's next
@@ -171,7 +171,7 @@ class HaltLine:
                 known = order.scope == EVERYTHING or COMMAND.fullmatch(order.scope) or _reached(subsystems.values())
                 if known and not any(name in unanswered for name in sent_to):
                     break
-                left_s = min(limit_s, order.called_at_s + self._unknown_s) - time.monotonic()
+                left_s = min(limit_s, order.called_at_s + unknown_s) - time.monotonic()
                 if left_s <= 0:
                     break
             unsent = {name: socket for name, socket in self._sockets.items() if name not in sent_to}

@@ -21,10 +21,11 @@ from rtc.client.context import ClientContext
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, WireError
 from rtc.protocol.wire import frames, reader
-from rtc.runtime.settings import Settings
+from rtc.runtime.keys import Endpoints
 
 PERIOD_S = 0.02  # between two messages
 FIRST_S = 1.0  # maximum wait for the first telemetry of the arm
+ROUND_TRIPS = 6  # over tcp in addition: those of a handshake
 STILL = (0.0,) * 6
 
 _read_reply = reader(m.OperateReply)
@@ -34,18 +35,23 @@ _read_telemetry = reader(m.Telemetry)
 class HandController:
     """One arm; one thread. `state` is the latest measurement of the arm, `reply` the latest answer."""
 
-    def __init__(self, context: ClientContext, settings: Settings, arm: str, operator: str) -> None:
+    def __init__(
+        self, context: ClientContext, endpoints: Endpoints, arm: str, operator: str, round_trip_s: float = 0.0
+    ) -> None:
         self.arm, self.operator = arm, operator
         self.state: m.ArmSample | None = None
         self.reply: m.OperateReply | None = None
-        self._context, self._settings = context, settings
+        self._context, self._endpoints = context, endpoints
+        endpoints.endpoint("operate")  # raises if the key has not this right
         self._seen_at_s = 0.0
+        self._first_s = FIRST_S + ROUND_TRIPS * round_trip_s
         self._telemetry: zmq.Socket[Any] = context.socket(zmq.SUB)
         self._telemetry.subscribe(b"")
-        for address in settings.addresses("telemetry").values():
+        endpoints.secure(self._telemetry)
+        for address in endpoints.addresses("telemetry").values():
             self._telemetry.connect(address)
         self._socket: zmq.Socket[Any] | None = None  # of the subsystem of the arm, once it is known
-        self._look(FIRST_S)
+        self._look(self._first_s)
         if self.state is None:
             self.close()
             raise ClusterError(f"no telemetry of {arm}: see its name in rtc status, and whether its subsystem runs")
@@ -93,7 +99,10 @@ class HandController:
         if self.operation is None or self.state is None or self._socket is None:
             return f"{self.arm} is not the operator's now"
         message = m.Operate(primitive=self.state.primitive, operator=self.operator, seen_at_s=self._seen_at_s, **wanted)
-        self._socket.send_multipart(frames(message), zmq.NOBLOCK)
+        try:
+            self._socket.send_multipart(frames(message), zmq.NOBLOCK)
+        except zmq.Again:
+            return f"the subsystem of {self.arm} is not connected, or takes nothing now: it stops by itself"
         self._take_replies()
         return self.reply.refused if self.reply is not None else ""
 
@@ -113,7 +122,11 @@ class HandController:
         if self._socket is None:
             self._socket = self._context.socket(zmq.DEALER)
             self._socket.setsockopt(zmq.SNDHWM, 4)  # what waits is stale
-            self._socket.connect(self._settings.addresses("operate")[subsystem])
+            self._socket.setsockopt(zmq.IMMEDIATE, 1)
+            self._endpoints.secure(self._socket)
+            addresses = self._endpoints.addresses("operate")
+            self._socket.connect(addresses.get(subsystem) or addresses[""])
+            self._socket.poll(int(1000 * self._first_s), zmq.POLLOUT)
 
     def _take_replies(self) -> None:
         assert self._socket is not None

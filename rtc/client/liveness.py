@@ -15,6 +15,8 @@ from rtc.runtime.settings import ENDPOINTS, SETTINGS, shell_command
 
 REPORT_AFTER = 2  # unanswered probes, two seconds each, before the user gets a message
 
+CONTINUE = "motions continue"
+
 Report = Callable[[str], None]
 
 
@@ -43,18 +45,21 @@ def _accepts(path: Path) -> bool:
 class BrokerLiveness:
     """State of one broker: answering or not. `report` gets a message when that changes.
 
-    `run_dir` is None for a cluster on another machine, whose supervisor lock cannot be read.
+    `run_dir` is None for a cluster on another machine, whose supervisor lock cannot be read. `halts`: it halts the
+    commands of a client that it has lost.
     """
 
-    def __init__(self, run_dir: Path | None, report: Report | None) -> None:
+    def __init__(self, run_dir: Path | None, report: Report | None, halts: bool = False) -> None:
         self._run_dir = run_dir
+        self._meanwhile = "it halts your commands after some seconds without a sign of you" if halts else CONTINUE
         self._report = report
         self._reported = False  # that the broker does not answer
 
-    def check(self, unanswered: int, replaced: bool = False) -> None:
+    def check(self, unanswered: int, replaced: bool = False, lost: bool = False) -> None:
         """Judge the connection. Raises NoCluster if no process is left that could answer.
 
-        `unanswered` is the number of probes without an answer; `replaced`: another cluster has answered.
+        `unanswered` is the number of probes without an answer; `replaced`: another cluster has answered;
+        `lost`: there is no connection any more.
         """
         if replaced:
             raise NoCluster(
@@ -67,11 +72,13 @@ class BrokerLiveness:
                 f"the cluster in {self._run_dir} is gone: its supervisor has ended, and all its processes with it; "
                 "commands that had not ended will not end. Start a new cluster with: rtc up -d"
             )
-        if unanswered >= REPORT_AFTER and not self._reported:
-            self._send("the broker does not answer; waiting for it (motions continue; Ctrl-C stops waiting)")
-        elif not unanswered and self._reported:
+        silent = lost or unanswered >= REPORT_AFTER
+        if silent and not self._reported:
+            what = "the link to the cluster is lost" if lost else "the broker does not answer"
+            self._send(f"{what}; waiting for it ({self._meanwhile}; Ctrl-C stops waiting)")
+        elif not silent and not unanswered and self._reported:
             self._send("the broker answers again")
-        self._reported = unanswered >= REPORT_AFTER or (self._reported and unanswered > 0)
+        self._reported = silent or (self._reported and unanswered > 0)
 
     def restarting(self) -> None:
         """Report that the broker was absent at the first connection and that its supervisor is there."""

@@ -48,6 +48,7 @@ MAY: dict[str, dict[Role, Kinds]] = {
     "world": {Role.OBSERVER: READ, Role.PLANNER: READ, Role.OPERATOR: READ, Role.WORKER: (*READ, m.Commit)},
     "workers": {Role.WORKER: JOIN},
     "subsystems": {Role.SUBSYSTEM: PERFORM},
+    "operate": {Role.OPERATOR: (m.Operate,)},
 }
 TCP_ENDPOINTS = tuple(MAY)
 

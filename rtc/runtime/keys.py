@@ -32,7 +32,7 @@ REVOKED_KEPT = 100  # maximum number of records of revoked keys; the oldest go f
 PEERS_OF_KEY = 32  # maximum number of connections of one key per endpoint
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}", re.ASCII)
 BYTES = 4096  # maximum size of a key file; a real one has some hundred
-HANDSHAKE_MS = 5_000  # time limit of a handshake
+HANDSHAKE_MS = 30_000  # time limit of a handshake: four round trips, also over a link of several seconds
 CONNECT_MS = 2_000  # time limit of an attempt to connect; the kernel alone would wait for minutes on a cut link
 # The declared limit until a cut link is noticed. The kernel closes a connection whose peer has acknowledged nothing for
 # UNACKNOWLEDGED_MS (TCP_USER_TIMEOUT), counted from the first repetition of a packet. It checks idle connections every

@@ -26,6 +26,7 @@ class Link:
         self.is_up = False
         self.handshakes = 0  # number of successful ones
         self._listens = False  # over tcp: a process listens there
+        self._refusals = 0  # connections that were closed before their handshake had succeeded
 
     @classmethod
     def connect(
@@ -55,6 +56,11 @@ class Link:
         """There was a connection, and there is none now. False before the first: the messages are queued for it."""
         return bool(self.handshakes) and not self.is_up
 
+    @property
+    def is_slow(self) -> bool:
+        """Over tcp: the other side is there and has refused nothing, so the first answer is only late."""
+        return self._listens and not self._refusals and not self.key_refused
+
     def newly_connected(self) -> bool:
         """Read the events. True if a handshake succeeded since the latest call."""
         before = self.handshakes
@@ -63,6 +69,7 @@ class Link:
             self._listens |= event == zmq.EVENT_CONNECTED
             self.key_refused |= event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
             if event == zmq.EVENT_DISCONNECTED:
+                self._refusals += not self.is_up
                 self.is_up = False
             if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
                 self.key_refused, self.is_up = False, True

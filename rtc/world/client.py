@@ -22,6 +22,7 @@ from rtc.world.model import as_changing
 
 FIRST_TRY_S, MAX_TRY_S = 0.04, 0.5  # wait per attempt: doubled after each, up to the longest
 LIMIT_S = 5.0  # longer than a restart of the server
+ROUND_TRIPS = 6  # over tcp: those of a handshake, and that of the question
 
 _read = wire.reader(m.FromWorld)
 
@@ -35,12 +36,13 @@ class WorldClient:
         context: zmq.Context[Any] | None = None,
         limit_s: float = LIMIT_S,
         secure: process.Secure = None,
+        round_trip_s: float = 0.0,
     ) -> None:
         self._context = context or zmq.Context.instance()
         name = "" if secure else f"w{os.urandom(8).hex()}"  # over tcp the gateway assigns the identity
         self._socket = process.open_socket(self._context, zmq.DEALER, endpoint, identity=name, secure=secure)
         self._numbers = itertools.count(1)
-        self._limit_s = limit_s
+        self._limit_s, self._round_trip_s = limit_s + ROUND_TRIPS * round_trip_s, round_trip_s
 
     def view(self, since: int = 0, keys: Iterable[str] | None = None) -> m.View:
         """The facts newer than version `since`, all or those of some keys or locations, from one version of the world.
@@ -83,7 +85,7 @@ class WorldClient:
         end_s, try_s = now_s() + self._limit_s, FIRST_TRY_S
         while (left_s := end_s - now_s()) > 0:
             process.send(self._socket, message)
-            answer = self._answer_to(message.request, min(try_s, left_s))
+            answer = self._answer_to(message.request, min(try_s + self._round_trip_s, left_s))
             if answer is not None:
                 return answer
             try_s = min(2 * try_s, MAX_TRY_S)

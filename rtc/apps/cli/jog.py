@@ -14,7 +14,7 @@ from typing import Annotated, Literal, cast
 
 import typer
 
-from rtc.apps.cli.output import RunDir, cli_error, console
+from rtc.apps.cli.output import RunDir, With, cli_error, console
 from rtc.client.client import Client
 from rtc.client.hand_controller import PERIOD_S, HandController
 
@@ -36,15 +36,17 @@ def jog(
     tool: Annotated[bool, typer.Option("--tool", help="Keys move along the axes of the tool.")] = False,
     name: Annotated[str, typer.Option(help="Your name, for the others.")] = "OPERATOR",
     run_dir: RunDir = None,
+    key: With = None,
 ) -> None:
     """Move an arm by hand, while the operator has it: after GIVE, or when a sentence VIA OPERATOR-INTERVENTION asks.
 
     Hold a key to move: the arm stops when it is let go. `rtc operator` shows what you are asked to do.
 
     Example:  rtc jog RIGHT-ARM
+    Example:  rtc jog RIGHT-ARM --with alice.key
     Example:  echo "2 0 0 0.02 0 0 0" | rtc jog RIGHT-ARM --lines -
     """
-    with Client(run_dir) as rtc, rtc.hand(arm.upper(), name) as hand:
+    with Client(run_dir, key=key) as rtc, rtc.hand(arm.upper(), name) as hand:
         if not hand.request:
             raise cli_error(f"{hand.arm} is not the operator's now: rtc do 'GIVE {hand.arm} TO OPERATOR'", 2)
         console.print(hand.request)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import EXIT, AsJson, RunDir, cli_error, console, emit_json
+from rtc.apps.cli.output import EXIT, AsJson, RunDir, With, cli_error, console, emit_json
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.drawing.scene import CameraPicture, Picture, believed, request_camera, true_scene
@@ -18,6 +18,7 @@ from rtc.protocol.outcomes import OutcomeKind, TimedOut
 from rtc.protocol.units import in_words
 
 MEASURED_S = 1.0  # maximum wait for a telemetry sample
+ROUND_TRIPS = 6  # over tcp in addition: those of a handshake
 
 
 def operator(
@@ -27,6 +28,7 @@ def operator(
         Path | None, typer.Option("--picture", help="Write the picture of the request to this PNG or JPEG file.")
     ] = None,
     run_dir: RunDir = None,
+    key: With = None,
     json: AsJson = False,
 ) -> None:
     """Show what the operator is asked to do with each arm, or answer it. `rtc jog` moves the arm.
@@ -45,10 +47,10 @@ def operator(
         raise cli_error("one answer at a time: --done or --cannot", 2)
     if picture is not None and not (folder := picture.absolute().parent).is_dir():
         raise cli_error(f"there is no directory {folder} for the picture", 2)
-    with Client(run_dir) as rtc:
+    with Client(run_dir, key=key) as rtc:
         if done or cannot:
             _answer(rtc, "DONE" if done else f'CANNOT "{cannot.replace(chr(34), chr(39))}"')
-        sample = next(rtc.telemetry(silence_s=MEASURED_S), None)
+        sample = next(rtc.telemetry(silence_s=MEASURED_S + ROUND_TRIPS * rtc.round_trip_s), None)
         arms = sample.arms if sample else {}
         asked = {name: arm for name, arm in arms.items() if arm.operation is not None}
         files = {} if picture is None else _pictures(rtc, list(asked), arms, picture)
