@@ -150,7 +150,7 @@ class Station:
         """One servo tick and one simulation step. `answers`: what is sent before its reports."""
         out = [*answers, *self._subsystem.tick(now_s)]
         self._simulation.step()
-        if (self._faults.drifts or self._faults.ends) and self._faults.advance():
+        if self._faults.advances and self._faults.advance():
             self._sockets.send([self._injected])
         if out:
             if any(isinstance(message, m.EndReport) for _, message in out):

@@ -27,6 +27,10 @@ DRIFT_TICKS = 5  # it is moved once in so many ticks
 MAX_SENSED = 1000.0  # N or N.m, maximum offset of a sensor
 MIN_SLOW_S, MAX_SLOW_S = 1e-4, 0.05  # per tick; more would count as a hung process
 MOVED_M, MOVED_RAD = 0.001, 0.01  # a displaced object that is farther from there was moved since
+IN_SEAT_M = 0.05  # an object that is nearer to its place in a seat is in it
+WEAK_TICKS = 20  # the force of a weak hand falls once in so many ticks
+WEAKEST_N_S = 100.0  # greatest loss of grip force
+PRESSES_N = 1.0  # a smaller finger force is no grip
 
 #: reasons with which a motion can be made to end: those of stop functions that find a fault
 FORCED = [
@@ -58,11 +62,20 @@ class Injections:
         self.tick_s = 0.0
         self.drifts: dict[str, list[float]] = {}  # object -> velocity
         self.ends: dict[str, f.ForcedEnd] = {}  # arm -> how its motion is to end
+        self.hands: dict[str, f.MisreadHand | f.WeakHand] = {}  # name of the fault -> a fault that changes with time
         self._ticks = 0
 
+    @property
+    def advances(self) -> bool:
+        """Whether a fault changes with time."""
+        return bool(self.drifts or self.ends or self.hands)
+
     def advance(self) -> bool:
-        """Move what drifts, and end what is to end; True if a fault has ended by that. Call it in every tick if there
-        is a drift or an end."""
+        """Move what drifts, and end what is to end; True if a fault has ended by that. Call it in every tick if
+        `advances`."""
+        read = [name for name, fault in self.hands.items() if self._hand_changes(fault)]
+        for name in read:
+            self._undo(name)
         executing = [fault for fault in self.ends.values() if self._executors[fault.arm].state is Mode.EXECUTING]
         for fault in executing:
             self._executors[fault.arm].halt(fault.reason, f"forced: {fault.words}")
@@ -71,7 +84,16 @@ class Injections:
         if self._ticks % DRIFT_TICKS == 0:
             for name, velocity in self.drifts.items():
                 self._simulation.displace(name, [DRIFT_TICKS * TICK_S * part for part in velocity])
-        return bool(executing)
+        return bool(executing or read)
+
+    def _hand_changes(self, fault: f.MisreadHand | f.WeakHand) -> bool:
+        """One tick of a hand that fails; True if its fault has ended by itself."""
+        faulty = self._faulty(fault.arm)
+        if isinstance(fault, f.MisreadHand):
+            return not faulty.misreads
+        if self._ticks % WEAK_TICKS == 0:
+            faulty.weaken(WEAK_TICKS * TICK_S * fault.n_s)
+        return False
 
     @property
     def active(self) -> list[str]:
@@ -119,24 +141,39 @@ class Injections:
         name, offset = fault.object, fault.offset
         if len(offset) != 6 or not all(abs(part) <= FARTHEST for part in offset):  # false for NaN too
             raise Refused(f"offset: six finite numbers are required, none beyond {FARTHEST:g} m or rad")
-        _known(name, (thing.name for thing in self._cell.objects), "object")
+        seats = [seat.name for seat in self._cell.seats]
+        _known(name, [*(thing.name for thing in self._cell.objects), *seats], "object or seat")
+        if name in seats and (inside := self._inside(name)):
+            raise Refused(f"{inside} is in {name}: displace {inside}, and its seat moves with it")
         holders = [arm for arm, held in self._simulation.held().items() if name in held]
         if holders:
             raise Refused(f"{name} is held by {', '.join(holders)}")
         yield ""
         if error := self._simulation.displace(name, offset):
             raise Refused(error)
-        there = self._simulation.truth()["poses"][name]
+        there = self._true_pose(name)
         turned = geometry.inverse(geometry.from_rpy((0.0, 0.0, 0.0), offset[3:]))
         back = [*(-x for x in offset[:3]), *geometry.to_rpy(turned).tolist()]
         yield ""
         while True:
-            here = self._simulation.truth()["poses"][name]
+            here = self._true_pose(name)
             if geometry.distance(here, there) > MOVED_M or geometry.angle(here, there) > MOVED_RAD:
                 return f"{name} was moved since, and stays where it is"
             if not (error := self._simulation.displace(name, back)):
                 return None
             yield error
+
+    def _true_pose(self, name: str) -> geometry.Floats:
+        """Of an object or a seat."""
+        truth = self._simulation.truth()
+        return {**truth["poses"], **truth["seats"]}[name]
+
+    def _inside(self, seat: str) -> str:
+        """The object in a seat; empty: none."""
+        truth = self._simulation.truth()
+        place = geometry.compose(truth["seats"][seat], self._cell.seat(seat).module_frame.pose)
+        poses = truth["poses"].items()
+        return next((name for name, pose in poses if geometry.distance(pose, place) < IN_SEAT_M), "")
 
     def _drift(self, fault: f.Drifting) -> Course:
         velocity = fault.velocity
@@ -177,6 +214,14 @@ class Injections:
         yield ""
         self._simulation.jam(fault.seat, False)
 
+    def _blunt(self, fault: f.BluntSeat) -> Course:
+        _known(fault.seat, (seat.name for seat in self._cell.seats), "seat")
+        yield ""
+        if error := self._simulation.blunt(fault.seat, True):
+            raise Refused(error)
+        yield ""
+        self._simulation.blunt(fault.seat, False)
+
     def _strip(self, fault: f.StrippedBolt) -> Course:
         bolts = [thing.name for thing in self._cell.objects if thing.thread is not None]
         if not bolts:
@@ -197,6 +242,28 @@ class Injections:
         faulty.fail_hand(self._executors[fault.arm].hand)
         yield ""
         faulty.heal_hand()
+        self._heal(fault.arm)
+
+    def _misread(self, fault: f.MisreadHand) -> Course:
+        _known(fault.arm, self._executors, "arm")
+        yield ""
+        self._faulty(fault.arm).misread()
+        self.hands[fault.name] = fault
+        yield ""
+        del self.hands[fault.name]
+        self._faulty(fault.arm).misreads = False
+        self._heal(fault.arm)
+
+    def _weaken(self, fault: f.WeakHand) -> Course:
+        _known(fault.arm, self._executors, "arm")
+        if not 0.0 < fault.n_s <= WEAKEST_N_S:  # false for NaN too
+            raise Refused(f"a hand can lose up to {WEAKEST_N_S:g} N/s of its force, not {fault.n_s:g}")
+        yield ""
+        self._faulty(fault.arm).grip(self._executors[fault.arm].hand)
+        self.hands[fault.name] = fault
+        yield ""
+        del self.hands[fault.name]
+        self._faulty(fault.arm).grip(None)
         self._heal(fault.arm)
 
     def _blind(self, fault: f.BlindCamera) -> Course:
@@ -245,27 +312,53 @@ class FaultyArm:
         self.sound = sound
         self.wrench: list[float] | None = None  # what the sensor reads too much, or always
         self.frozen = False
+        self.misreads = False  # that its hand is closed on nothing, from when it closes on something until it opens
+        self._reads_empty = False
         self._hand: HandCommand | None = None  # that it would obey if it had not failed
+        self._grip: HandCommand | None = None  # of a hand that becomes weaker: as commanded
+        self._lost_n = 0.0  # of its force since then
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.sound, name)
 
     @property
     def is_sound(self) -> bool:
-        return self.wrench is None and self._hand is None
+        return self.wrench is None and self._hand is None and not self.misreads and self._grip is None
 
     def read(self) -> Sample:
         sample = self.sound.read()
+        if self.misreads:
+            self._reads_empty = self._reads_empty or min(sample.finger_forces) > PRESSES_N
+            if self._reads_empty:
+                nothing = (0.0, 0.0)
+                sample = msgspec.structs.replace(sample, fingers=nothing, finger_speeds=nothing, finger_forces=nothing)
         if self.wrench is None:
             return sample
         false = self.wrench if self.frozen else [a + b for a, b in zip(sample.wrench, self.wrench, strict=True)]
         return msgspec.structs.replace(sample, wrench=list(false))
 
     def command_hand(self, command: HandCommand) -> None:
-        if self._hand is None:
-            self.sound.command_hand(command)
-        else:
+        if self._hand is not None:
             self._hand = command
+            return
+        if self._reads_empty and command.width_m > 0.0:
+            self.misreads = self._reads_empty = False
+        if self._grip is not None:
+            self.grip(command)
+        self.sound.command_hand(command)
+
+    def misread(self) -> None:
+        self.misreads, self._reads_empty = True, False
+
+    def grip(self, command: HandCommand | None) -> None:
+        """It has the force of this command, which it then loses; None: it keeps its force from its next command on."""
+        self._grip, self._lost_n = command, 0.0
+
+    def weaken(self, by_n: float) -> None:
+        grip = self._grip
+        if grip is not None and grip.width_m == 0.0:
+            self._lost_n += by_n
+            self.sound.command_hand(HandCommand(grip.width_m, max(0.0, grip.force_n - self._lost_n), grip.speed_m_s))
 
     def fail_hand(self, command: HandCommand) -> None:
         self._hand = command
@@ -289,8 +382,11 @@ COURSES: dict[type, Callable[..., Course]] = {
     f.StuckJoint: Injections._stick,
     f.FalseSensor: Injections._falsify,
     f.JammedSeat: Injections._jam,
+    f.BluntSeat: Injections._blunt,
     f.StrippedBolt: Injections._strip,
     f.FailedHand: Injections._drop,
+    f.MisreadHand: Injections._misread,
+    f.WeakHand: Injections._weaken,
     f.BlindCamera: Injections._blind,
     f.ForcedEnd: Injections._end,
     f.SlowLoop: Injections._slow,

@@ -30,7 +30,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Displaced(Fault, frozen=True, kw_only=True, tag="displaced"):
-    """An object, with the seat it sits in, is elsewhere than the world database states."""
+    """An object, with the seat it sits in, or an empty seat, is elsewhere than the world database states."""
 
     verb = "displace"
     object: Word
@@ -80,6 +80,13 @@ class JammedSeat(Fault, frozen=True, kw_only=True, tag="jammed-seat"):
     seat: Word
 
 
+class BluntSeat(Fault, frozen=True, kw_only=True, tag="blunt-seat"):
+    """A seat has no lips that guide a module in."""
+
+    verb = "blunt"
+    seat: Word
+
+
 class StrippedBolt(Fault, frozen=True, kw_only=True, tag="stripped-bolt"):
     """A bolt turns without moving along its axis."""
 
@@ -92,6 +99,25 @@ class FailedHand(Fault, frozen=True, kw_only=True, tag="failed-hand"):
 
     verb = "drop"
     arm: Word
+
+
+class MisreadHand(Fault, frozen=True, kw_only=True, tag="misread-hand"):
+    """The hand of an arm that closes on something reads as closed on nothing, until it opens. This happens once."""
+
+    verb = "misread"
+    arm: Word
+
+
+class WeakHand(Fault, frozen=True, kw_only=True, tag="weak-hand"):
+    """The grip of an arm weakens steadily. Each time it closes it has its force again, and then loses it."""
+
+    verb = "weaken"
+    arm: Word
+    n_s: float  # N/s
+
+    @property
+    def words(self) -> str:
+        return f"{self.name} by {self.n_s:g} N/s"
 
 
 class BlindCamera(Fault, frozen=True, kw_only=True, tag="blind-camera"):
@@ -134,8 +160,11 @@ AnyFault = (
     | StuckJoint
     | FalseSensor
     | JammedSeat
+    | BluntSeat
     | StrippedBolt
     | FailedHand
+    | MisreadHand
+    | WeakHand
     | BlindCamera
     | ForcedEnd
     | SlowLoop

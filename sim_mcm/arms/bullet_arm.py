@@ -398,8 +398,13 @@ class BulletCell:
         self._settle()
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
+        if name in self.world.seats:
+            alone = self.world.seats[name]
+            alone.home = displaced(alone.home, offset)
+            self.world.place(alone, alone.home)
+            return ""
         if name not in self.world.objects:
-            return unknown("object", name, self.world.objects)
+            return unknown("object or seat", name, [*self.world.objects, *self.world.seats])
         holders = [arm for arm, names in self.held().items() if name in names]
         if holders:
             return f"{name} is held by {', '.join(holders)}"
@@ -419,6 +424,9 @@ class BulletCell:
 
     def jam(self, seat: str, jammed: bool) -> None:
         self._detents.jam(seat, jammed)
+
+    def blunt(self, seat: str, blunted: bool) -> str:
+        return self.world.blunt(seat, blunted)
 
     def change_physics(self, mass: float, friction: float) -> str:
         for name in self.world.movable:

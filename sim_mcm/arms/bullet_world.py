@@ -41,6 +41,8 @@ BLACK, PAINT = (0.0, 0.0, 0.0, 1.0), (0.82, 0.83, 0.84, 1.0)
 
 HINGED = THREADED = 0  # the link of an object with a hinge or a thread
 THREAD_N = 200.0  # that a thread holds along its axis
+LIP = "lip"  # last word of the name of a shape that guides a module into its seat
+AWAY = [0.0, 0.0, -100.0]  # where shapes are put that are not there
 ASK_AGAIN = 32  # steps after a contact in which arms ask for their own contacts at once
 
 
@@ -86,6 +88,7 @@ class PhysicsWorld:
         self.in_contact = False  # whether any bodies may touch each other since the latest step
         self._ask_at = 0  # the first step after which all contacts are asked for
         self.names: dict[int, str] = {}  # pybullet id -> name for messages
+        self._lips: dict[str, list[tuple[int, Array]]] = {}  # seat -> its lips that were put away
         self.seats = {seat.name: self._fixed(seat, seat.frame.pose) for seat in cell.seats}
         self.objects: dict[str, Body] = {}
         for thing in cell.objects:
@@ -184,6 +187,20 @@ class PhysicsWorld:
             return [0.0, 0.0, 0.0, *(rate * geometry.rotate(body.home, body.hinge.axis)).tolist()]
         linear, angular = pybullet.getBaseVelocity(self.objects[name].id, physicsClientId=self.client)
         return [*linear, *angular]
+
+    def blunt(self, name: str, blunted: bool) -> str:
+        """Put the lips of a seat away, or back. Returns the reason of a refusal, or ''."""
+        seat, shapes = self.seats[name], self.cell.seat(name).shapes
+        every = [*seat.parts, *self._lips.get(name, [])]
+        lips = [part for part in every if self.names[part[0]].endswith(LIP)]
+        if not lips:
+            return f"{name} has no lips; its shapes are {', '.join(shape.name for shape in shapes)}"
+        self._lips[name] = lips if blunted else []
+        seat.parts = [part for part in every if part not in self._lips[name]]
+        for part, _ in self._lips[name]:
+            pybullet.resetBasePositionAndOrientation(part, AWAY, [0, 0, 0, 1], physicsClientId=self.client)
+        self.place(seat, seat.home)
+        return ""
 
     def weigh(self, name: str, factor: float) -> None:
         """Scale the mass and inertia of an object relative to the cell file."""

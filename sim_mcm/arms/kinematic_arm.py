@@ -152,13 +152,14 @@ class KinematicCell:
             arm.restore(state.arms[name])
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
-        if name not in self.poses or name not in {thing.name for thing in self.cell.objects}:
-            return unknown("object", name, self.poses)
+        if name not in self.poses:
+            return unknown("object or seat", name, self.poses)
         if name in self.carried:
             return f"{name} is held by {self.carried[name][0]}"
         before = self.poses[name]
         after = displaced(before, offset)
-        for owner in (name, self.cell.object(name).seat):
+        objects = {thing.name for thing in self.cell.objects}
+        for owner in (name, self.cell.object(name).seat if name in objects else None):
             if owner is not None:
                 moved = geometry.compose(after, geometry.relative(before, self.poses[owner]))
                 self.poses[owner] = geometry.normalise(moved)  # else errors grow with each displacement
@@ -175,6 +176,9 @@ class KinematicCell:
         self.seats.jam(seat, jammed)
         for arm in self.arms.values():
             arm.forget_clearance()
+
+    def blunt(self, seat: str, blunted: bool) -> str:
+        return "a seat without lips is simulated for arms with physics (rtc up --mcm bullet)"
 
     def strip(self, bolt: str, stripped: bool = True) -> str:
         return "exact arms turn no bolts; arms with physics do (rtc up --mcm bullet)"

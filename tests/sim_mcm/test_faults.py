@@ -192,6 +192,76 @@ def test_a_failed_hand_drops_what_it_holds_and_closes_again_when_it_is_undone(ex
     assert exact.world.held()[ARM] == [MODULE]
 
 
+def test_a_hand_that_closes_on_something_reads_empty_once(exact) -> None:
+    exact.at_handle()
+    close, free = p.HandMotion(width_m=0.0, force_n=30.0), p.HandMotion(width_m=0.08, force_n=30.0)
+    assert exact.faults.inject(f.MisreadHand(arm=ARM)) == ""
+    ended = []
+
+    def do(motion: p.HandMotion) -> list[float]:
+        report = exact.do(motion, watch=lambda *_: ended.append(exact.faults.advance()))
+        assert report.reason is StopReason.GOAL
+        return [report.hand_width_m, report.hand_force_n]
+
+    assert do(close) == [0.0, 0.0]
+    assert exact.world.held()[ARM] == [MODULE]  # in truth
+    assert (any(ended), exact.faults.active) == (False, ["misread RIGHT-ARM"])
+    assert do(free) == pytest.approx([0.08, 0.0], abs=0.001)
+    assert (ended.count(True), exact.faults.active) == (1, [])
+    assert exact.executor.arm is exact.world.arms[ARM]
+    assert do(close) == pytest.approx([0.02, 30.0], rel=0.05)
+
+
+def test_a_weak_hand_loses_its_force_and_has_it_again_when_it_closes(exact) -> None:
+    exact.grip()
+    assert exact.faults.inject(f.WeakHand(arm=ARM, n_s=5.0)) == ""
+
+    def force_n(trajectory: p.Trajectory) -> float:
+        return exact.do(trajectory, watch=lambda *_: exact.faults.advance()).hand_force_n
+
+    assert force_n(p.HoldStill(duration_s=2.0)) == pytest.approx(20.0, abs=0.5)
+    assert force_n(p.HoldStill(duration_s=1.0)) == pytest.approx(15.0, abs=0.5)
+    assert force_n(p.HandMotion(width_m=0.0, force_n=30.0)) > 29.0
+    assert force_n(p.HoldStill(duration_s=2.0)) == pytest.approx(20.0, abs=1.0)
+    assert exact.faults.undo("ALL") == ("", "")
+    kept_n = exact.do(p.HoldStill(duration_s=0.1)).hand_force_n
+    assert exact.do(p.HoldStill(duration_s=1.0)).hand_force_n == kept_n
+    assert exact.executor.arm is exact.world.arms[ARM]
+
+
+@pytest.mark.physics
+def test_a_blunt_seat_has_no_lips_until_this_is_undone(physical) -> None:
+    def has_lips() -> bool:
+        world = physical.world.world
+        lip = next(part for part, name in world.names.items() if name == "BAY-2 left-lip")
+        at, _ = pybullet.getBasePositionAndOrientation(lip, physicsClientId=world.client)
+        return bool(np.linalg.norm(at) < 10.0)
+
+    assert has_lips()
+    assert physical.faults.inject(f.BluntSeat(seat="BAY-2")) == ""
+    assert not has_lips()
+    before = physical.world.truth()["seats"]["BAY-2"]
+    assert physical.faults.inject(f.Displaced(object="BAY-2", offset=[0.0, 0.002, 0.0, 0.0, 0.0, 0.0])) == ""
+    assert not has_lips()
+    after = physical.world.truth()["seats"]["BAY-2"]
+    assert np.subtract(after, before)[:3] == pytest.approx([0.0, 0.002, 0.0])
+    physical.faults.undo("ALL")
+    assert has_lips()
+    assert physical.world.truth()["seats"]["BAY-2"] == pytest.approx(before)
+
+
+@pytest.mark.parametrize("kind", ["exact", pytest.param("physical", marks=pytest.mark.physics)])
+def test_a_seat_is_displaced_if_it_is_empty(kind, request) -> None:
+    rig = request.getfixturevalue(kind)
+    offset = [0.0, 0.01, 0.0, 0.0, 0.0, 0.0]
+    assert "MACS-NEW is in RACK-1" in rig.faults.inject(f.Displaced(object="RACK-1", offset=offset))
+    before = rig.world.truth()["seats"]["BAY-2"]
+    assert rig.faults.inject(f.Displaced(object="BAY-2", offset=offset)) == ""
+    assert np.subtract(rig.world.truth()["seats"]["BAY-2"], before)[:3] == pytest.approx(offset[:3])
+    assert rig.faults.undo("ALL") == ("", "")
+    assert rig.world.truth()["seats"]["BAY-2"] == pytest.approx(before)
+
+
 def test_a_displaced_object_returns_unless_it_was_moved_since(exact) -> None:
     before = exact.world.truth()["poses"][MODULE]
     offset = [0.01, -0.02, 0.03, 0.1, -0.2, 0.3]
@@ -249,11 +319,17 @@ def test_a_fault_of_the_same_name_replaces_the_first(exact) -> None:
         (f.Drifting(object="SATELLITE", velocity=[0.0] * 5 + [np.inf]), "six finite numbers"),
         (f.StuckJoint(arm="NO-ARM", joint="joint_1"), "there is no arm NO-ARM"),
         (f.StuckJoint(arm=ARM, joint="joint_9"), "there is no joint of RIGHT-ARM joint_9"),
-        (f.Displaced(object="NOTHING", offset=[0.0] * 6), "there is no object NOTHING"),
+        (f.Displaced(object="NOTHING", offset=[0.0] * 6), "there is no object or seat NOTHING"),
         (f.Displaced(object=MODULE, offset=[float("nan")] * 6), "six finite numbers"),
         (f.FalseSensor(arm=ARM, offset=[1e9] * 6), "six finite numbers"),
         (f.FalseSensor(arm=ARM, offset=[1.0]), "six finite numbers"),
         (f.JammedSeat(seat="BAY-9"), "there is no seat BAY-9"),
+        (f.BluntSeat(seat="BAY-9"), "there is no seat BAY-9"),
+        (f.BluntSeat(seat="BAY-2"), "arms with physics"),
+        (f.MisreadHand(arm="NO-ARM"), "there is no arm NO-ARM"),
+        (f.WeakHand(arm="NO-ARM", n_s=1.0), "there is no arm NO-ARM"),
+        (f.WeakHand(arm=ARM, n_s=0.0), "up to 100 N/s"),
+        (f.WeakHand(arm=ARM, n_s=float("nan")), "up to 100 N/s"),
         (f.StrippedBolt(bolt="BOLT-1"), "the cell swapout has no bolts"),
         (f.FailedHand(arm=ARM), "RIGHT-ARM holds nothing"),
         (f.BlindCamera(camera="CAMERA-9"), "there is no camera CAMERA-9"),

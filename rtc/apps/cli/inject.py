@@ -28,7 +28,9 @@ Arm = Annotated[str, typer.Argument(help="An arm, by its name: rtc names arms.")
 
 @app.command()
 def displace(
-    object: Annotated[str, typer.Argument(help="An object of the cell; the seat in which it sits moves with it.")],
+    object: Annotated[
+        str, typer.Argument(help="An object of the cell, with the seat in which it sits; or a seat that is empty.")
+    ],
     by: Annotated[str, typer.Option(help="X,Y,Z in metres, world axes.")] = "0,0,0",
     turn: Annotated[str, typer.Option(help="ROLL,PITCH,YAW in degrees, world axes, about the object.")] = "0,0,0",
     run_dir: RunDir = None,
@@ -114,6 +116,21 @@ def jam(
 
 
 @app.command()
+def blunt(
+    seat: Annotated[str, typer.Argument(help="A seat of the cell that has lips, such as BAY-2.")],
+    run_dir: RunDir = None,
+    json: AsJson = False,
+) -> None:
+    """Take away the lips of a seat: they guide no module in any more.
+
+    Refused with exact arms.
+
+    Example:  rtc inject blunt BAY-2
+    """
+    _inject(f.BluntSeat(seat=_name(seat)), run_dir, json)
+
+
+@app.command()
 def strip(
     bolt: Annotated[str, typer.Argument(help="A bolt of the cell.")],
     run_dir: RunDir = None,
@@ -137,6 +154,29 @@ def drop(arm: Arm, run_dir: RunDir = None, json: AsJson = False) -> None:
     Example:  rtc inject drop RIGHT-ARM
     """
     _inject(f.FailedHand(arm=_name(arm)), run_dir, json)
+
+
+@app.command()
+def misread(arm: Arm, run_dir: RunDir = None, json: AsJson = False) -> None:
+    """Make a hand that closes on something read as closed on nothing, until it opens. This happens once.
+
+    Example:  rtc inject misread RIGHT-ARM
+    """
+    _inject(f.MisreadHand(arm=_name(arm)), run_dir, json)
+
+
+@app.command()
+def weaken(
+    arm: Arm,
+    by: Annotated[float, typer.Argument(help="Force that it loses in a second, N.", metavar="N")],
+    run_dir: RunDir = None,
+    json: AsJson = False,
+) -> None:
+    """Weaken the grip of an arm steadily. Each time it closes it has its force again, and then loses it.
+
+    Example:  rtc inject weaken RIGHT-ARM 0.5
+    """
+    _inject(f.WeakHand(arm=_name(arm), n_s=by), run_dir, json)
 
 
 @app.command()

@@ -6,6 +6,7 @@ was repaired, and what was reported.
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 from collections.abc import Callable
@@ -17,18 +18,29 @@ from rtc.apps.demos.lines import Course, Line
 from rtc.apps.demos.narrator import Narrator
 from rtc.client.client import Client
 from rtc.client.halt import HaltResult
+from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
-from rtc.protocol.faults import StrippedBolt
-from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.faults import BluntSeat, Displaced, MisreadHand, StrippedBolt, WeakHand
+from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.runtime.chaos import Chaos
+from rtc.spatial import geometry
 
+CELL, HALFWAY = "servicing", "halfway"  # before the first line; before C22
 DISPLACED_M = 0.020  # to where the first search ends without a touch, inside the straddle of the hand
-HALT_AFTER_S = 1.0  # from the begin of the motion of both arms
+ASIDE_M = 0.002  # of a seat: more than its play
+SEATED_M = 0.004
+OBSTACLE = [0.36, 0.05, 1.25]  # of POWER-DRIVER with its rack: before the left arm on its way to its stowed posture
+REACHED_RAD = 0.01
+WEAKENS_N_S = (
+    0.8  # more than a third of the force is lost while the right arm brings the module to where the left one takes it
+)
+AROUND = "MOVE LEFT-ARM TO JOINTS {joints} DEG THROUGH CLEAR-POINT-1 MAINTAIN AVOID-NEIGHBORS BY 3 CM"
+HALT_AFTER_S = 0.3  # from the begin of the motion of both arms
 REST_S = 60.0
 OPENED = ["C3", "C5", "C7"]
-TAKEN_OUT = ["C4", "C22", "C24"]
-TO_THE_CARRY = [f"C{n}" for n in range(3, 26) if n != 13]  # the left hand is level only after these
+CARRIED = ["C4", "C22", "C24", "C25"]
 GOOD = (OutcomeKind.SUCCEEDED,)
+LOST = (StopReason.SLIP, StopReason.OBJECT_LOST)
 
 
 @dataclass
@@ -46,6 +58,24 @@ class Scene:
 
     def strip(self) -> None:
         self.rtc.inject(StrippedBolt(bolt="BOLT-2"))
+
+    def misread(self) -> None:
+        self.rtc.inject(MisreadHand(arm="RIGHT-ARM"))
+
+    def blunt(self) -> None:
+        self.rtc.inject(BluntSeat(seat="BAY-2"))
+        self.rtc.inject(Displaced(object="BAY-2", offset=[0.0, ASIDE_M, 0.0, 0.0, 0.0, 0.0]))
+
+    def obstruct(self) -> None:
+        """Elsewhere than the world database states: in the way of the left arm."""
+        home = self.rtc.truth().poses["POWER-DRIVER"][:3]
+        offset = [there - here for there, here in zip(OBSTACLE, home, strict=True)]
+        self.rtc.displace("POWER-DRIVER", [*offset, 0.0, 0.0, 0.0])
+
+    def weaken(self) -> None:
+        if not self.struck:
+            self.struck.append("RIGHT-ARM")
+            self.rtc.inject(WeakHand(arm="RIGHT-ARM", n_s=WEAKENS_N_S))
 
     def kill_binder(self) -> None:
         """The binder that has a job of the command; at the next step again, if that one had just finished."""
@@ -81,6 +111,8 @@ class Injection(NamedTuple):
     step: str = ""  # it happens when a step whose label contains this is bound or executed; empty: before the line
     phase: m.Phase = m.Phase.EXECUTING
     ends: tuple[OutcomeKind, ...] = GOOD  # of the line
+    cell: str = CELL
+    text: str = ""  # of the line, if it differs from that of the task
 
     def notes(self, scene: Scene, line: Line, note: m.ProgressNote) -> None:
         if self.step and line.label == self.at and note.phase is self.phase and self.step in note.step:
@@ -111,6 +143,61 @@ def _seen_and_felt(narrator: Narrator, scene: Scene, course: Course) -> None:
     narrator.check(what, _in_order(steps, "(GP1)", "look for MACS-OLD", "(GP1)", "(GP2)", "close on HANDLE-A"))
 
 
+def _closed_again(narrator: Narrator, scene: Scene, course: Course) -> None:
+    notes = _notes(scene, course, "C22")
+    steps, trims = [note.step for note in notes], [note.trim for note in notes if note.trim]
+    narrator.check(f"the hand read empty; entry 1 of the trimming stack, once; entries used: {trims}", trims == [1])
+    what = "it opened, went back to the start, and closed again"
+    again = ["close on HANDLE-A", "open again", "back off", "(AP)", "(NP)", "(GP)", "close on HANDLE-A"]
+    narrator.check(what, _in_order(steps, *again))
+    narrator.check("it holds the module", _holds(scene, "MACS-NEW") == "RIGHT-ARM")
+
+
+def _realigned(narrator: Narrator, scene: Scene, course: Course) -> None:
+    notes = _notes(scene, course, "C28")
+    jams, trims = [note.note for note in notes if "backed off" in note.note], [note.trim for note in notes if note.trim]
+    narrator.check(f"jams at which the MCM backed off by itself: {len(jams)}", bool(jams))
+    narrator.check(f"after each a search: entries used of the trimming stack: {trims}", len(trims) == len(jams))
+    steps = [note.step for note in notes]
+    what = "the module was moved before the bay, and inserted again"
+    narrator.check(what, _in_order(steps, "bring", "before BAY-2", "bring", "let go"))
+    truth, seat = scene.rtc.truth(), Cell.load(HALFWAY).seat("BAY-2")
+    off_m = geometry.distance(truth.poses["MACS-NEW"], geometry.compose(truth.seats["BAY-2"], seat.module_frame.pose))
+    narrator.check(f"it is {1e3 * off_m:.1f} mm from its place", off_m <= SEATED_M)
+
+
+def _went_around(narrator: Narrator, scene: Scene, course: Course) -> None:
+    notes, end = _notes(scene, course, "C26"), course.ends["C26"].outcome
+    touched = end.stop in (StopReason.FORCE_LIMIT, StopReason.COLLISION, StopReason.CONTACT)
+    narrator.check(f"the arm was stopped by a touch on its free way: {end.message}", touched)
+    narrator.check("no trim: it is for the planner", not any(note.trim for note in notes))
+    stowed = Cell.load(HALFWAY).arm("LEFT-ARM").stow_rad
+    for text in ("RETRACT LEFT-ARM", AROUND.format(joints=" ".join(f"{math.degrees(rad):g}" for rad in stowed))):
+        outcome = scene.rtc.run(text, timeout_s=1800.0).outcome
+        narrator.check(f"{text}: {outcome.kind.value} {outcome.message}", outcome.kind is OutcomeKind.SUCCEEDED)
+    joints = scene.rtc.truth().joints["LEFT-ARM"]
+    off_rad = max(abs(a - b) for a, b in zip(joints, stowed, strict=True))
+    narrator.check(f"the arm is {off_rad:.3f} rad from its stowed posture", off_rad < REACHED_RAD)
+
+
+def _gripped_again(narrator: Narrator, scene: Scene, course: Course) -> None:
+    notes = _notes(scene, course, "C25")
+    flagged = [note for note in notes if note.trim]
+    words, warned = "; ".join(note.note for note in flagged), all(note.warning for note in flagged)
+    narrator.check(f"flagged after a step that had succeeded: {words}", bool(flagged) and warned)
+    ended = [note.note for note in notes if note.node == "MCM"]
+    lost = [words for words in ended for reason in LOST if reason.value in words]
+    narrator.check(f"steps that a lost grip has ended: {len(lost)} of {len(ended)}", bool(ended) and not lost)
+    what = "the hand closed again before both arms carried the module"
+    narrator.check(what, _in_order([note.step for note in notes], "bring", "close again", "with both arms"))
+
+
+def _holds(scene: Scene, name: str) -> str:
+    """The arm that holds it, as the world database states and trusts; empty: none."""
+    facts = scene.rtc.world.view(keys=[f"{name}.held_by"]).facts
+    return next((str(fact.value) for fact in facts if fact.validity is m.Validity.VALID), "")
+
+
 def _slips(narrator: Narrator, scene: Scene, course: Course) -> None:
     notes = _notes(scene, course, "C12")
     tried = [note.step for note in notes if note.trim]
@@ -125,6 +212,9 @@ def _slips(narrator: Narrator, scene: Scene, course: Course) -> None:
 def _halted(narrator: Narrator, scene: Scene, course: Course) -> None:
     halt = scene.halts[0] if scene.halts else None
     narrator.check("the halt is confirmed: both arms rest", halt is not None and halt.confirmed)
+    moving = halt.moving if halt else []
+    rest_s = max((one.rest_s or 0.0 for one in halt.subsystems), default=0.0) if halt else 0.0
+    narrator.check(f"both were in motion; at rest after {1e3 * rest_s:.0f} ms", moving == ["LEFT-ARM", "RIGHT-ARM"])
     narrator.check("C25 ended as halted", course.ends["C25"].outcome.kind is OutcomeKind.HALTED)
     facts = scene.rtc.world.view(keys=["MACS-NEW.grasp"]).facts
     narrator.check("how MACS-NEW lies in the hand is in doubt", all(f.validity is m.Validity.SUSPECT for f in facts))
@@ -159,6 +249,41 @@ INJECTIONS = {
         Scene.displace,
         _seen_and_felt,
     ),
+    "O2": Injection(
+        "the hand reads empty at its first closure, by the simple script of GRASP",
+        ["C4", "C22"],
+        "C22",
+        Scene.misread,
+        _closed_again,
+        text="GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN AVOID-NEIGHBORS BY 2 CM GUARDED VIA GRASP-SIMPLE",
+    ),
+    "O3": Injection(
+        "BAY-2 has no lips, and is 2 mm aside: the module jams while it is inserted",
+        [*CARRIED, "C26", "C28"],
+        "C28",
+        Scene.blunt,
+        _realigned,
+        cell=HALFWAY,
+    ),
+    "O4": Injection(
+        "something stands in the way of the left arm",
+        [*CARRIED, "C26"],
+        "C26",
+        Scene.obstruct,
+        _went_around,
+        ends=(OutcomeKind.FAILED,),
+        cell=HALFWAY,
+        text="STOW LEFT-ARM",  # with AVOID-NEIGHBORS the MCM stops it before the touch
+    ),
+    "O10": Injection(
+        "the grip of the right hand weakens while it carries the module",
+        CARRIED,
+        "C25",
+        Scene.weaken,
+        _gripped_again,
+        step="bring MACS-NEW",
+        cell=HALFWAY,
+    ),
     "O5": Injection(
         "BOLT-2 is stripped: it slips for ever",
         [*OPENED, "C6", "C10", "C12"],
@@ -169,12 +294,13 @@ INJECTIONS = {
     ),
     "O6": Injection(
         "HALT ALL while both arms carry the module",
-        TO_THE_CARRY,
+        CARRIED,
         "C25",
         Scene.halt_all,
         _halted,
         step="with both arms",
         ends=(OutcomeKind.HALTED,),
+        cell=HALFWAY,
     ),
     "O7": Injection(
         "a binder is killed while it binds a step of C22",

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from rtc.apps.demos import lines as planner
 from rtc.apps.demos.grasp import Pictures
-from rtc.apps.demos.injections import GOOD, INJECTIONS, Injection, Scene
+from rtc.apps.demos.injections import CELL, GOOD, INJECTIONS, Injection, Scene
 from rtc.apps.demos.lines import Course, Line
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
@@ -27,7 +27,6 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.spatial import geometry, hinges
 
-CELL = "servicing"
 LINES = Path(__file__).with_suffix(".txt")
 OF_OPERATOR = ("C13", "C27")
 TESTS = ("C1", "C2")
@@ -68,12 +67,13 @@ def run(console: Console, speed: str = "1", out: Path = Path("out"), *, test: bo
     """Run the demo; True if every check passed. Writes pictures to `out`; ends all processes.
 
     `test`: all 40 lines on paper first. `inject`: name of what goes wrong; then only the lines that lead to it."""
-    narrator, cell = Narrator(console), Cell.load(CELL)
+    narrator = Narrator(console)
+    cell = Cell.load(INJECTIONS[inject].cell if inject in INJECTIONS else CELL)
     every = planner.read(LINES.read_text())
     narrator.chapter("A satellite with an old module behind a door and two bolts, the new module in a rack, two arms")
     with Renderer() as renderer:
         pictures = Pictures(out, renderer)
-        with own_cluster(cell=CELL, speed=speed) as run_dir, Client(run_dir) as rtc:
+        with own_cluster(cell=cell.name, speed=speed) as run_dir, Client(run_dir) as rtc:
             if inject == ON_PAPER:
                 hypotheses(narrator, rtc, every)
             elif inject:
@@ -111,8 +111,9 @@ def _whole(
 
 def _injected(narrator: Narrator, scene: Scene, cell: Cell, every: list[Line], what: Injection) -> None:
     of = {line.label: line for line in every}
+    of[what.at] = of[what.at]._replace(text=what.text or of[what.at].text)
     lines = [of[label] for label in what.lines]
-    narrator.line(f"{what.about}; lines {', '.join(line.label for line in lines)}")
+    narrator.line(f"{what.about}; cell {cell.name}, lines {', '.join(line.label for line in lines)}")
 
     def ended(line: Line, end: m.CommandEnded) -> bool:
         lasts = (OutcomeKind.ABORTED,) if line.label in LASTING else GOOD

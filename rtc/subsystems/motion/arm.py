@@ -183,13 +183,16 @@ class Simulation(Protocol):
         """Restore a saved state, at rest."""
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
-        """Move an object and its seat (x y z roll pitch yaw; m, rad). Returns the reason of a refusal, or ''."""
+        """Move an object and its seat, or a seat (x y z roll pitch yaw; m, rad). Returns why it is refused, or ''."""
 
     def stick(self, arm: str, joint: int, stuck: bool) -> None:
         """Let a joint of an arm be stuck, or free again."""
 
     def jam(self, seat: str, jammed: bool) -> None:
         """Let a module in a seat, or that comes near its place there, be wedged, or free again."""
+
+    def blunt(self, seat: str, blunted: bool) -> str:
+        """Take away the lips of a seat, or put them back. Returns the reason of a refusal, or ''."""
 
     def strip(self, bolt: str, stripped: bool = True) -> str:
         """Strip a bolt, so that it turns without effect, or mend it. Returns the reason of a refusal, or ''."""

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from rtc.protocol import primitive as p
 from rtc.subsystems.motion.observation import Observation
-from rtc.subsystems.motion.stop_functions import Finding
+from rtc.subsystems.motion.stop_functions import RELAXED_S, Finding
 
 GOAL_RAD = 0.002  # maximum joint error at the goal
 # An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position.
@@ -25,7 +25,7 @@ Arrived = Callable[[float], Finding | None]  # time of the profile (s) -> (measu
 def arrival(trajectory: p.Trajectory, seen: Observation, duration_s: float, turned: Callable[[], float]) -> Arrived:
     """The test of a trajectory. `duration_s`: of its profile; `turned`: what the spindle has turned (rad)."""
     if isinstance(trajectory, p.HandMotion):
-        return lambda time_s: _hand(trajectory, seen)
+        return lambda time_s: _hand(trajectory, seen, time_s)
     if isinstance(trajectory, p.SpindleMotion):
         wanted = abs(trajectory.turn_rad) - TURNED_RAD
         return lambda time_s: (done, wanted, "") if (done := abs(turned())) >= wanted else None
@@ -57,7 +57,7 @@ class _Path:
         return None
 
 
-def _hand(trajectory: p.HandMotion, seen: Observation) -> Finding | None:
+def _hand(trajectory: p.HandMotion, seen: Observation, time_s: float) -> Finding | None:
     if not seen.fingers_rest():
         return None
     error = abs(seen.width_m - trajectory.width_m)
@@ -66,6 +66,8 @@ def _hand(trajectory: p.HandMotion, seen: Observation) -> Finding | None:
     # On an object off the centre of the hand one finger presses more and the other less by the same amount.
     pressed = 0.5 * sum(seen.sample.finger_forces)
     closing = seen.width_m > trajectory.width_m
+    if time_s < RELAXED_S and PRESSED * pressed > trajectory.force_n:
+        return None  # an earlier command has closed it more strongly
     if closing and pressed >= PRESSED * trajectory.force_n and seen.grip_n >= 0.5 * trajectory.force_n:
         return pressed, trajectory.force_n, ""
     return None

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
+from rtc.subsystems.motion import goals
 from rtc.subsystems.motion.arm import HandCommand
 
 
@@ -28,6 +31,17 @@ def test_a_hand_that_presses_with_all_its_force_has_reached_its_goal_and_keeps_i
     rig.until_end()
     assert rig.arm.hand.force_n == 30.0  # all the way
     assert rig.arm.hand.width_m == 0.0
+
+
+@pytest.mark.parametrize(
+    ("presses_n", "after_s", "arrived"), [(45.0, 0.1, False), (31.0, 0.1, True), (45.0, 0.3, True), (28.0, 0.3, False)]
+)
+def test_a_hand_that_shall_press_less_has_reached_its_goal_when_it_does_or_after_a_while(presses_n, after_s, arrived):
+    """Then something else presses its fingers."""
+    sample = SimpleNamespace(finger_forces=(presses_n, presses_n))
+    seen = SimpleNamespace(fingers_rest=lambda: True, width_m=0.02, grip_n=presses_n, sample=sample)
+    found = goals.arrival(p.HandMotion(width_m=0.0, force_n=30.0), seen, 0.0, lambda: 0.0)(after_s)
+    assert (found is not None) is arrived
 
 
 def test_opening_a_hand_that_still_presses_is_not_yet_the_goal(rig, make) -> None:

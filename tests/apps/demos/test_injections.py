@@ -1,0 +1,107 @@
+"""What goes wrong in the swap-out: which lines lead to it, and that its check finds another chain than the wanted."""
+
+from __future__ import annotations
+
+import io
+import math
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+
+from rtc.apps.demos import injections, lines, swapout
+from rtc.apps.demos.injections import INJECTIONS
+from rtc.apps.demos.narrator import Narrator
+from rtc.model.cells.cell import Cell
+from rtc.protocol import messages as m
+from rtc.spatial import geometry
+from rtc.world.model import World, initial_facts
+from tests.workers.conftest import record
+
+TEXTS = {line.label: line.text for line in lines.read(swapout.LINES.read_text())}
+
+
+def test_all_ten_of_the_scenario_exist():
+    assert {*swapout.INJECTED} == {f"O{n}" for n in range(1, 11)}
+
+
+@pytest.mark.parametrize("name", INJECTIONS)
+def test_its_line_is_the_last_and_its_sentence_has_the_verb_of_the_task(name):
+    what = INJECTIONS[name]
+    assert set(what.lines) <= TEXTS.keys()
+    assert what.lines[-1] == what.at
+    if what.text:
+        assert record(what.text).verb == record(TEXTS[what.at]).verb
+    Cell.load(what.cell)
+
+
+def test_halfway_the_door_is_open_the_bay_is_empty_and_its_bolts_fasten_nothing():
+    cell = Cell.load(injections.HALFWAY)
+    world = World().overlay(initial_facts(cell))
+    assert world.value("DOOR-2.angle") == pytest.approx(math.radians(90.0))
+    assert {thing.name: thing.seat for thing in cell.objects if thing.kind == "module"} == {
+        "MACS-OLD": "RACK-2",
+        "MACS-NEW": "RACK-1",
+    }
+    assert cell.seat("BAY-2").bolts == []
+    whole = Cell.load(injections.CELL)
+    assert geometry.distance(cell.seated_pose("BAY-2"), whole.seated_pose("BAY-2")) == 0.0
+
+
+def note(step: str, words: str = "", trim: int = 0, warning: bool = False, node: str = "analyzer@3") -> m.ProgressNote:
+    return m.ProgressNote(
+        seq=1, at_s=0.0, command="C-1", phase=m.Phase.ANALYZING, step=step, note=words, trim=trim, warning=warning,
+        node=node,
+    )  # fmt: skip
+
+
+FLAGGED = note("bring MACS-NEW to CLEAR-POINT-1", "weaker", trim=4, warning=True)
+AGAIN = [note("close again on MACS-NEW"), note("carry MACS-NEW with both arms", "ended: goal", node="MCM")]
+SLIPPED = note("carry MACS-NEW with both arms", "ended: slip", node="MCM")
+
+
+@pytest.mark.parametrize(
+    ("notes", "passes"),
+    [
+        ([FLAGGED, *AGAIN], True),
+        (AGAIN, False),  # nothing was flagged
+        ([FLAGGED, *AGAIN, SLIPPED], False),
+        ([FLAGGED, AGAIN[1]], False),  # it did not close again
+        ([note("bring MACS-NEW", "slip", trim=1), *AGAIN], False),  # a failure, not a drift
+    ],
+)
+def test_a_weak_grip_must_be_flagged_before_it_is_lost(notes, passes):
+    assert checked("O10", "C25", notes) is passes
+
+
+CLOSURES = ["close on HANDLE-A", "open again", "back off from", "to before (AP)", "(NP)", "(GP)", "close on HANDLE-A"]
+
+
+@pytest.mark.parametrize(
+    ("trims", "steps", "holder", "passes"),
+    [
+        ([1], CLOSURES, "RIGHT-ARM", True),
+        ([1], CLOSURES, "", False),
+        ([1, 1], CLOSURES, "RIGHT-ARM", False),  # twice
+        ([], CLOSURES[-1:], "RIGHT-ARM", False),
+        ([1], CLOSURES[:2] + CLOSURES[-1:], "RIGHT-ARM", False),  # not from the start
+    ],
+)
+def test_a_bad_first_closure_must_be_repeated_once_from_the_start(trims, steps, holder, passes):
+    notes = [note(step) for step in steps]
+    notes[:0] = [note("close on HANDLE-A", trim=trim) for trim in trims]
+    assert checked("O2", "C22", notes, {"MACS-NEW.held_by": holder}) is passes
+
+
+def checked(name: str, label: str, notes: list[m.ProgressNote], facts: dict[str, str] | None = None) -> bool:
+    """Whether the check of an injection passes on this trace."""
+    narrator = Narrator(Console(file=io.StringIO()))
+    narrator.check("something else", True)
+    known = [SimpleNamespace(value=value, validity=m.Validity.VALID) for value in (facts or {}).values()]
+    rtc = SimpleNamespace(
+        trace=lambda command: SimpleNamespace(notes=notes),
+        world=SimpleNamespace(view=lambda keys: SimpleNamespace(facts=known)),
+    )
+    course = lines.Course(commands={label: "C-1"})
+    INJECTIONS[name].check(narrator, injections.Scene(None, rtc), course)  # type: ignore[arg-type]
+    return narrator.passed()
