@@ -10,8 +10,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import zmq
-
 from broker.decisions.events import BrokerRestarted, JournalLost, ProgramInstalled
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
@@ -71,18 +69,7 @@ def _serve(
     lost = lost_batches(journal, state, given, now, secrets.token_hex(2))
     store = ProgramStore(journal, state.programs)
     journal.written = lambda batch: given.save_counters("broker", state.life.encode(), batch, state.accepted)
-    world = me.socket(zmq.DEALER, settings.endpoint("world"), poll=False)
-    router = Router(
-        me,
-        settings,
-        journal,
-        state,
-        store,
-        given,
-        start_check=sandbox.CheckProcess,
-        guard=MemoryGuard(),
-        send_world=lambda message: process.send(world, message),
-    )
+    router = Router(me, settings, journal, state, store, given, start_check=sandbox.CheckProcess, guard=MemoryGuard())
     if given.fd >= 0:  # started by a supervisor
         me.end_with_parent(ORPHAN_LIMIT_S * settings.timeout_scale + LAST_S)
     restarted = bool(state.programs)

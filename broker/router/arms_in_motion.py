@@ -1,27 +1,21 @@
-"""Which arms are in motion, sent to the world database after each change: its views mark what they change (R140)."""
+"""Which arms are in motion, stated to the world database after each change: its views mark what they change (R140)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from broker.router.core import Core
-from rtc.protocol import messages as m
-from rtc.world.lease import MOVING, sign
-
-Send = Callable[[m.Moving], object]
 
 
 class ArmsInMotion:
-    """`send`: to the world database. A message that is lost with its process is repeated when the supervisor reports
-    that it has ended."""
+    """The statement is in the memory that the supervisor hands to its processes, so it survives them."""
 
-    def __init__(self, core: Core, send: Send) -> None:
-        self._core, self._send = core, send
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        self._stated: tuple[int, int] | None = None  # counts of motions begun and ended
 
-    def send_changes(self) -> None:
-        """Send the arms, if they may have changed since they were last sent."""
-        core, state = self._core, self._core.state
+    def state_changes(self) -> None:
+        """State the arms, if they may have changed since they were last stated."""
+        state = self._core.state
         now = (state.motions_begun, state.motions_ended)
-        if now != core.motions_stated:
-            core.motions_stated = now
-            self._send(m.Moving(lease=sign(core.given.lease_key, MOVING, state.motions)))
+        if now != self._stated:
+            self._stated = now
+            self._core.given.state_motions(state.motions)

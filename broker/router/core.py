@@ -66,7 +66,6 @@ class Core:
         self.late_results: Counter[str] = Counter()  # results of attempts that a worker does not have now, by worker
         self.injected: dict[str, list[str]] = {}  # active faults of simulated subsystems, in words
         self.strayed: dict[str, dict[str, str]] = {}  # subsystem -> arm that moved without a primitive -> how
-        self.motions_stated: tuple[int, int] | None = None  # counts of motions, as last stated to the world database
         self._subsystem_peers: dict[str, bytes] = {}  # of the subsystems in the state
         self.sockets: dict[str, zmq.Socket[bytes]] = {}
         for name in ("halt", "subsystems", "supervisor", "workers", "front"):

@@ -19,7 +19,7 @@ from broker.persistence.journal import Journal
 from broker.persistence.program_loads import Check, InProcessCheck
 from broker.persistence.program_store import ProgramStore
 from broker.router import part_loads
-from broker.router.arms_in_motion import ArmsInMotion, Send
+from broker.router.arms_in_motion import ArmsInMotion
 from broker.router.core import Core
 from broker.router.egress import Egress
 from broker.router.halts import Halts
@@ -54,13 +54,11 @@ class Router:
         *,
         start_check: Callable[[CheckRequest], Check] = InProcessCheck,
         guard: MemoryGuard | None = None,
-        send_world: Send = lambda _: None,
     ) -> None:
-        """`send_world`: sends a message to the world database."""
         self.core = Core(me, settings, journal, state, store, given, clock, start_check)
         self.egress = Egress(self.core)
         self.halts = Halts(self.core)
-        self._arms_in_motion = ArmsInMotion(self.core, send_world)
+        self._arms_in_motion = ArmsInMotion(self.core)
         self._shutdown = Shutdown(self.core, self.egress, self.halts)
         self._health = Health(self.core, self.egress, guard)
         self._ingress = Ingress(self.core, self.egress, self.halts, self._health, self._shutdown)
@@ -119,7 +117,7 @@ class Router:
             core.loop_times_s.append(core.clock() - began)
         else:
             self.egress.assign_jobs(began)
-        self._arms_in_motion.send_changes()
+        self._arms_in_motion.state_changes()
         self.egress.stream.flush_if_due(began)
 
     def _receive(self, waiting: Collection[str], now: float) -> bool:

@@ -46,8 +46,6 @@ class SupervisorMessages:
         worker = core.registry.workers.get(name)
         if worker is not None and worker.pid == message.pid:
             core.lose_jobs(name, core.registry.remove(name), f"exit status {message.status}", now)
-        if name == "world":
-            core.motions_stated = None
         subsystem = core.state.subsystems.get(name)
         if subsystem is not None and subsystem.pid == message.pid:
             why = f"its process {in_words(message.status)}"

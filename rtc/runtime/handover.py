@@ -15,6 +15,7 @@ import fcntl
 import os
 import struct
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -25,6 +26,7 @@ from rtc.runtime.settings import Settings
 LEASE_KEY = "lease.key"  # in the run directory; see rtc.world.lease
 OPTION = "--handed"
 MEMORY_BYTES = 4096  # size of the roles' memory, in front of the body
+MOTIONS_AT = 128  # offset of the names of the arms in motion, each ended by a line feed, all by a zero byte
 #: role -> offset and format of its memory. broker: journal life, last batch, accepted commands
 MEMORY: dict[str, tuple[int, struct.Struct]] = {
     "broker": (0, struct.Struct("<8sQQ")),
@@ -89,6 +91,23 @@ class Handover:
         It is kept before a commit is acknowledged, and never decreases within a run."""
         kept = self.remembered("world")
         return kept[1] if kept else None
+
+    def state_motions(self, arms: Iterable[str]) -> None:
+        """Tell the world database which arms are in motion. No reader knows it if the process was started by hand.
+
+        Raises ValueError if the names do not fit, with some 200 arms."""
+        names = b"".join(arm.encode() + b"\n" for arm in arms) + b"\0"
+        if len(names) > MEMORY_BYTES - MOTIONS_AT:
+            raise ValueError(f"the names of the arms in motion need {len(names)} bytes")
+        if self.fd >= 0:
+            os.pwrite(self.fd, names, MOTIONS_AT)
+
+    def motions(self) -> list[str]:
+        """The arms in motion, as the broker last stated them."""
+        if self.fd < 0:
+            return []
+        names, _, _ = os.pread(self.fd, MEMORY_BYTES - MOTIONS_AT, MOTIONS_AT).partition(b"\0")
+        return names.decode(errors="replace").splitlines()
 
     def lock(self, name: str) -> None:
         """Lock `name` in the run directory until this process ends. Raises SystemExit if another process has it."""

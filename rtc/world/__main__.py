@@ -57,7 +57,7 @@ def _live(me: Process, given: handover.Handover, store: Store) -> None:
     socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, bounds=BOUNDS["world"])
     broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="world", poll=False)
     send(broker, ProcessHello(name="world", protocol=VERSION))
-    server = Server(store, given.lease_key, lambda: _fixed(settings))
+    server = Server(store, given.lease_key, lambda: _fixed(settings), given.motions)
     store.saved = lambda version: given.save_counters("world", BORN, version)
     process.freeze_heap()
     me.ready()
@@ -141,8 +141,7 @@ def serve(
         answers: list[tuple[bytes, Any]] = []
         for sender, *parts in inbox(socket, PER_TURN):
             try:
-                if (answer := server.answer(read(parts), now_s())) is not None:
-                    answers.append((sender, answer))
+                answers.append((sender, server.answer(read(parts), now_s())))
             except WireError as error:
                 dropped += 1
                 if dropped & (dropped - 1) == 0:  # logs number 1, 2, 4, 8 ...: a flood must not fill the log

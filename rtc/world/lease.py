@@ -15,7 +15,6 @@ from rtc.protocol.messages import Lease
 
 KEY_BYTES = 32
 KEY_FILE = "lease.key"  # in the run directory
-MOVING = "moving"  # job of the lease with the arms in motion
 DOUBT = "doubt/"  # prefix of the job of a lease that makes all facts suspect
 
 

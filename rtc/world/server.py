@@ -19,21 +19,26 @@ from rtc.world.model import MOVED, location, moved_with, problem, selected
 from rtc.world.store import Store
 
 Answer = m.View | m.Committed | m.WorldRefused
-Request = m.ReadView | m.Commit | m.WorldHistory | m.Doubt | m.Moving
+Request = m.ReadView | m.Commit | m.WorldHistory | m.Doubt
 
 
 class Server:
     """Answers requests. The caller must call `store.save()` before it sends the answers."""
 
-    def __init__(self, store: Store, key: bytes, fixed: Callable[[], Collection[str]] = tuple) -> None:
-        """`fixed` returns the names of objects that no motion can change."""
+    def __init__(
+        self,
+        store: Store,
+        key: bytes,
+        fixed: Callable[[], Collection[str]] = tuple,
+        motions: Callable[[], Collection[str]] = tuple,
+    ) -> None:
+        """`fixed` returns the names of objects that no motion can change, `motions` those of the arms in motion."""
         self.store = store
         self._fixed = fixed
         self._key = key
-        self._moving: list[str] = []  # arms in motion, as the broker states them
+        self._motions = motions
 
-    def answer(self, request: Request, at_s: float) -> Answer | None:
-        """The answer; None: the request has none."""
+    def answer(self, request: Request, at_s: float) -> Answer:
         match request:
             case m.ReadView():
                 return self._view(request)
@@ -44,10 +49,6 @@ class Server:
                 return m.View(request=request.request, version=self.store.version, facts=facts)
             case m.Doubt():
                 return self._doubt(request, at_s)
-            case m.Moving(lease=lease):
-                if lease.job == leases.MOVING and leases.check(self._key, lease):
-                    self._moving = lease.locations
-                return None
 
     def _view(self, request: m.ReadView) -> m.View:
         version = self.store.version
@@ -58,7 +59,8 @@ class Server:
         return m.View(request=request.request, version=version, facts=facts, changing=self._changing())
 
     def _changing(self) -> list[str]:
-        return list(moved_with(self.store.facts, self._moving)) if self._moving else []
+        moving = self._motions()
+        return list(moved_with(self.store.facts, moving)) if moving else []
 
     def _commit(self, request: m.Commit, at_s: float) -> m.Committed | m.WorldRefused:
         if refusal := self._refusal_of(request):

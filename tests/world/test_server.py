@@ -11,7 +11,6 @@ from rtc.protocol.messages import (
     Commit,
     Committed,
     Doubt,
-    Moving,
     ReadView,
     Validity,
     View,
@@ -23,7 +22,7 @@ from rtc.protocol.outcomes import RefusalReason
 from rtc.runtime.handover import Handover
 from rtc.runtime.settings import Settings
 from rtc.world.__main__ import BORN, _begin
-from rtc.world.lease import MOVING, sign
+from rtc.world.lease import sign
 from rtc.world.server import Packer, Server
 from rtc.world.store import Store
 
@@ -73,28 +72,18 @@ def test_a_refused_commit_writes_nothing_at_all(server, request_, complaint):
     assert (server.store.version, server.store.facts["A.seat"].value) == (1, "BAY-1")
 
 
-def moving(*arms, key=KEY, job=MOVING):
-    return Moving(lease=sign(key, job, arms))
-
-
 def test_facts_that_an_arm_in_motion_changes_are_stated_and_none_is_written(server):
+    moving = ["A"]
+    server = Server(server.store, KEY, motions=lambda: moving)
     held = {"A.joints": [0.0], "A.holding": "X", "X.frame": [0.0] * 6 + [1.0], "X.mass": 1.0, "B.joints": [0.0]}
     assert isinstance(server.answer(commit("C-1/4", held, ("A", "B", "X")), 5.0), Committed)
-    assert server.answer(moving("A"), 6.0) is None
     view = server.answer(ReadView(request="q"), 6.0)
     assert set(view.changing) == {"A.joints", "X.frame"}
     assert {fact.validity for fact in view.facts} == {Validity.VALID}
     assert server.answer(ReadView(request="q", since=view.version), 6.0).changing == view.changing
     assert wire.decoder(View)(wire.encode(Packer().pack(view))) == view
-    server.answer(moving(), 7.0)
+    moving.clear()
     assert server.answer(ReadView(request="q"), 7.0).changing == []
-
-
-@pytest.mark.parametrize("request_", [moving("A", key=b"other" * 7), moving("A", job="C-1/4")])
-def test_only_the_broker_states_what_moves(server, request_):
-    server.answer(commit("C-1/4", {"A.joints": [0.0]}), 5.0)
-    server.answer(request_, 6.0)
-    assert server.answer(ReadView(request="q"), 6.0).changing == []
 
 
 def test_a_reader_who_is_up_to_date_gets_nothing(server):

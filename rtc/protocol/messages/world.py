@@ -55,13 +55,6 @@ class View(Message, frozen=True, kw_only=True):
     changing: list[str] = []  # keys of those that arms in motion change now, whichever facts were asked for
 
 
-class Moving(Message, frozen=True, kw_only=True):
-    """From the broker: the locations of the lease are the arms in motion now, and no others. It has no answer and
-    changes no fact: it only marks what views state as changing."""
-
-    lease: Lease
-
-
 class Commit(Message, frozen=True, kw_only=True):
     """Write, once per job: the same job again gets the same answer and changes nothing."""
 
@@ -98,5 +91,5 @@ class WorldRefused(Message, frozen=True, kw_only=True):
     refusal: Refusal
 
 
-ToWorld = ReadView | Commit | WorldHistory | Doubt | Moving
+ToWorld = ReadView | Commit | WorldHistory | Doubt
 FromWorld = View | Committed | WorldRefused

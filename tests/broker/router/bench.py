@@ -65,7 +65,6 @@ class Bench:
     def __init__(self, given: Handover | None = None) -> None:
         self.now = 100.0
         self.sockets: dict[str, Socket] = {}
-        self.to_world: list[Any] = []  # messages to the world database
         db = sqlite3.connect(":memory:", isolation_level=None)
         db.executescript(journals.SCHEMA)
         journal = Journal(db)
@@ -81,7 +80,6 @@ class Bench:
             store,
             given or Handover(SETTINGS, b"k" * 32),
             lambda: self.now,
-            send_world=self.to_world.append,
         )
         for kind in m.WorkerKind:
             digest = store.keep(loader.default(kind))
