@@ -36,7 +36,7 @@ from workers.planning.motion.sampling import (
     size,
 )
 
-SAMPLES = 2000  # budget of all searches for one way
+SAMPLES = 4000  # budget of all searches for one way
 WIDE_SAMPLES = 1000  # of them, of the first search; the rest is for one that finds out of a narrow place
 ROOMY_SAMPLES = 80  # budget of the search with more room, before that
 ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects all but the last

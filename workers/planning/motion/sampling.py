@@ -38,7 +38,7 @@ class Draw(NamedTuple):
 
 
 WIDE = Draw(0.3, 0.5, 96)
-NARROW = Draw(0.8, 0.65, 288)  # two joints alone often lead out of a narrow place, as of a hand round the bar of a door
+NARROW = Draw(0.9, 0.65, 288)  # two joints alone often lead out of a narrow place, as of a hand round the bar of a door
 
 
 class Found(NamedTuple):
