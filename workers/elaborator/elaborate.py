@@ -39,7 +39,13 @@ from workers.elaborator import (
     teach,
 )
 from workers.elaborator.backtrack import Planned, can_be_seen
-from workers.elaborator.script_checks import CHECKS, why_uncertain, why_unsure_grasp, why_unsure_place
+from workers.elaborator.script_checks import (
+    CHECKS,
+    a_look_makes_room,
+    why_uncertain,
+    why_unsure_grasp,
+    why_unsure_place,
+)
 from workers.elaborator.script_options import ScriptOption, fits_sentence, in_words, only_looks, ranked
 from workers.elaborator.script_steps import (
     FIRST_SKILL,
@@ -250,7 +256,13 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     if lacks is not None and not can_be_seen(lacks.where, candidate):
         raise Refused(lacks)
     in_hand = [held] if lacks is not None or why_unsure_grasp(script, candidate) is not None else []
-    planned = stages.plan(script, nominal, candidate, in_hand) if candidate.hand else Planned.nothing()
+    try:
+        planned = stages.plan(script, nominal, candidate, in_hand) if candidate.hand else Planned.nothing()
+    except Refused as refused:
+        if in_hand or not a_look_makes_room(refused.refusal, script, candidate):
+            raise
+        in_hand = [held]
+        planned = stages.plan(script, nominal, candidate, in_hand)
     for index, way in planned.ways.items():
         nominal[index] = msgspec.structs.replace(nominal[index], way=way)
     looked_for = [candidate.body] if why_unsure_place(script, candidate) is not None else []

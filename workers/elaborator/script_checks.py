@@ -14,6 +14,7 @@ from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import trust
+from workers.planning.scenes import CLEARANCE_M
 
 
 def _refuse_too_tight(_: ScriptFile, candidate: TaskCandidate) -> None:
@@ -73,6 +74,18 @@ def why_unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | 
     if not held or script.despite_grasp or not any(step.to for step in script.steps):
         return None
     return trust.distrusted(candidate.query, f"{held}.grasp", candidate.program.clears)
+
+
+def a_look_makes_room(refusal: Refusal, script: ScriptFile, candidate: TaskCandidate) -> bool:
+    """Whether the held object lacks room on its way only because its pose in the hand is uncertain, and a camera can
+    see it before."""
+    held = candidate.query.holding(candidate.hand.name) if candidate.hand else ""
+    bodies = [str(refusal.detail.get(name, "")).split(" ")[0] for name in ("body_a", "body_b")]
+    if not held or held not in bodies or script.despite_grasp or refusal.detail.get("cause") != "collision":
+        return False
+    clearance_m = max(CLEARANCE_M, candidate.limits.clearance_m or 0.0)
+    free = float(refusal.detail["distance_m"]) >= clearance_m
+    return free and can_be_seen(f"{held}.grasp", candidate)
 
 
 def why_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
