@@ -411,3 +411,27 @@ def test_what_is_held_in_a_doubtful_grasp_is_not_given_on(held: Bench) -> None:
     held.set_fact(f"{MODULE}.grasp", held.world.value(f"{MODULE}.grasp"), Validity.SUSPECT)
     for sentence in (GIVE, BOTH, f"CARRY {MODULE} TO BAY-2"):
         assert refusal_of(held, sentence).clears == f"VERIFY {MODULE} AT {RIGHT}"
+
+
+# --- INSERT ------------------------------------------------------------------------------------------------
+
+
+def test_a_jammed_module_is_turned_moved_aside_and_turned_again_before_it_is_given_up(held: Bench) -> None:
+    script = held.elaborate(f"INSERT {MODULE} INTO BAY-2")
+    assert isinstance(script, Script)
+    places = [{name for step in trim.steps if (name := step.to)} for trim in script.trims[:6]]
+    assert places == [{"TURN1"}, {"TURN2"}, {"SIDE1"}, {"SIDE2"}, {"TURN3"}, {"TURN4"}]
+    way = {name: script.bindings[name].pose for name in ("MOUTH", "SIDE1", "SIDE2")}
+    for side, by_m in (("SIDE1", 0.002), ("SIDE2", -0.002)):
+        off = geometry.relative(way["MOUTH"], way[side])
+        assert off[:3] == pytest.approx([0.0, by_m, 0.0], abs=1e-9)  # as the fingers close
+    before, bring = held.bind(script, script.steps[0]), script.steps[1]
+    held.subsystem.perform(before.primitive, before)
+    held.set_fact(f"{RIGHT}.joints", held.subsystem.joints[RIGHT].tolist())
+    bound = held.bind(script, bring)
+    report = held.subsystem.perform(bound.primitive, bound)
+    jam = msgspec.structs.replace(report, reason=StopReason.FORCE_LIMIT, measured=0.06, limit=0.06)
+    for used in range(6):
+        judged = held.analyze(bound, jam, used=[*range(1, used + 1)])
+        assert (judged.verdict, judged.trim) == ("trim", used + 1)
+    assert held.analyze(bound, jam, used=[*range(1, 7)]).verdict == "abort"

@@ -95,6 +95,18 @@ def test_a_grip_that_weakens_is_closed_again_before_the_object_is_lost():
     assert bench.world.value("RIGHT-ARM.hand_force") == pytest.approx(45.0)
 
 
+def test_a_grip_that_weakens_while_the_object_is_carried_is_closed_again():
+    bench = Bench(Weakening())
+    assert bench.do(GRASP).succeeded
+    assert bench.do("LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM").succeeded
+    bench.subsystem.force_n = 12.0
+    run = bench.do("CARRY MACS-NEW TO CLEAR-POINT-1 WITH RIGHT-ARM MAINTAIN GRIP-FORCE 30 N")
+    assert run.succeeded
+    assert run.trims == [run.script.context.if_drifting]
+    assert run.labels[-2:] == ["close again on MACS-NEW", "let MACS-NEW settle"]
+    assert bench.world.value("RIGHT-ARM.hand_force") == pytest.approx(30.0)
+
+
 def test_fingers_that_move_while_they_hold_are_closed_again():
     bench = Bench(Weakening())
     assert bench.do(GRASP).succeeded
