@@ -303,7 +303,7 @@ def test_the_dialogue_about_a_stripped_bolt() -> None:
         assert (far.kind, " is near enough" in far.message) == (OutcomeKind.REFUSED, True)
         assert "hand is not part" in it.send(hand="close")
         head = msgspec.msgpack.decode(rtc.state.commands[command].actions.bindings["HEAD"], type=m.Binding)
-        goal = geometry.compose(physical.sim.truth()["poses"]["BOLT-2"], head.pose)
+        goal = SERVICING.arms[ARM].fk(head.joints)
         ahead = geometry.rotate(goal, (0.0, 0.0, 1.0))
         it.go(geometry.translate(goal, -0.006 * ahead))
         assert it.say("DONE").kind is OutcomeKind.SUCCEEDED
@@ -324,6 +324,8 @@ def test_the_dialogue_about_a_stripped_bolt() -> None:
         assert rtc.outcomes[command].kind is OutcomeKind.SUCCEEDED, rtc.outcomes[command]
         assert rtc.world.value("BOLT-2.turns") == pytest.approx(2.0, abs=0.1)
         assert physical.sim.bolts.out_turns("BOLT-2") == pytest.approx(2.0, abs=0.1)
+        here = it.executor.arm.tcp_pose(it.executor.sample.joints)
+        assert geometry.distance(here, goal) > 0.03  # the program has backed off from the head
     finally:
         physical.close()
 

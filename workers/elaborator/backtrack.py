@@ -305,6 +305,7 @@ def _try(
     thing = candidate.thing.name if candidate.thing else ""
     for n, step in enumerate(steps, 1):
         if not step.to:
+            here = np.asarray(joints.get(step.words.place, here), dtype=float)  # where the operator brings it
             continue
         asked = request if step.space == "move_joint" else straight
         now = replace(asked, joints={**request.joints, candidate.arm.name: here})

@@ -13,7 +13,7 @@ import msgspec
 from rtc.language.hands import hand_in_words
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.outcomes import Refused
-from rtc.protocol.sentence import OPERATOR, SHARED, ParsedCommand
+from rtc.protocol.sentence import OPERATOR, SHARED, ParsedCommand, Quantity
 from rtc.protocol.units import in_words
 from workers.elaborator import command_fields
 from workers.elaborator.script_options import fits_sentence
@@ -58,5 +58,10 @@ def _words(candidate: TaskCandidate) -> str:
     if parsed.place is not None:
         return f"{parsed.verb} {hand} TO {parsed.place.name}" if parsed.place.name else ""
     point = candidate.point.name if candidate.point is not None else ""
-    amount = f"BY {in_words(parsed.amount.value, parsed.amount.unit).upper()}" if parsed.amount is not None else ""
+    amount = f"BY {_in_words(parsed.amount)}" if parsed.amount is not None else ""
     return " ".join(filter(None, (parsed.verb, parsed.object, point, amount, f"WITH {hand}")))
+
+
+def _in_words(amount: Quantity) -> str:
+    words = in_words(amount.value, amount.unit).upper()
+    return f"{words}S" if amount.unit == "turn" and amount.value != 1.0 else words
