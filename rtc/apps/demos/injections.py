@@ -216,8 +216,9 @@ def _halted(narrator: Narrator, scene: Scene, course: Course) -> None:
     rest_s = max((one.rest_s or 0.0 for one in halt.subsystems), default=0.0) if halt else 0.0
     narrator.check(f"both were in motion; at rest after {1e3 * rest_s:.0f} ms", moving == ["LEFT-ARM", "RIGHT-ARM"])
     narrator.check("C25 ended as halted", course.ends["C25"].outcome.kind is OutcomeKind.HALTED)
-    facts = scene.rtc.world.view(keys=["MACS-NEW.grasp"]).facts
-    narrator.check("how MACS-NEW lies in the hand is in doubt", all(f.validity is m.Validity.SUSPECT for f in facts))
+    facts = {fact.key: fact.validity for fact in scene.rtc.world.view(keys=["MACS-NEW.grasp", "MACS-NEW.frame"]).facts}
+    doubtful = set(facts.values()) == {m.Validity.SUSPECT} and len(facts) == 2
+    narrator.check("where MACS-NEW is, and how it lies in the hand, is in doubt", doubtful)
     refused = scene.rtc.run(f"RESUME {course.commands['C25']}").outcome
     narrator.check(f"RESUME is refused: {refused.message}", refused.kind is OutcomeKind.REFUSED)
     held = [row["name"] for row in scene.rtc.status()["resources"] if row["owner"]]
