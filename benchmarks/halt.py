@@ -9,6 +9,8 @@ saturated       every core has a busy process, and sentences stream through the 
 planning        the other arm is planned for all the time, and moves
 hung_worker     a binder with a job is stopped
 broker_stopped  SIGSTOP: only the estop socket is left
+operator        an operator in a process of his own moves the arm, by 50 twists per second
+shared          the same, while the program moves it along its path: MAINTAIN SHARED WRIST
 compliant       both arms under impedance, the other one holding, and every core has a busy process
 carrying        both arms under impedance carry one module, every core has a busy process, and both are halted at once;
                 without a cluster: one socket stands for the broker, and sentences play no part
@@ -33,12 +35,14 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from multiprocessing.synchronize import Event
 from pathlib import Path
+from typing import Any
 
 from benchmarks.carrying import carrying
 from benchmarks.mcm import busy_cores
 from benchmarks.report import finish, percentile, question, spread
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
+from rtc.client.hand_controller import PERIOD_S
 from rtc.client.handle import CommandHandle
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
@@ -47,7 +51,17 @@ from rtc.runtime.process_table import processes
 
 SEED = 20
 PLACES = ("BAY-2-FRONT", "CLEAR-POINT-1")
+MOVE = "MOVE RIGHT-ARM TO {place}"
 COMPLIANT = " MAINTAIN STIFFNESS 400 N/M"
+#: condition -> the sentence that moves the arm, if it is another one
+SENTENCES = {
+    "compliant": f"{MOVE}{COMPLIANT}",
+    "operator": "GIVE RIGHT-ARM TO OPERATOR",
+    "shared": f"{MOVE} MAINTAIN SHARED WRIST",
+}
+BY_HAND = ("operator", "shared")  # without a halt or DONE these sentences do not end
+HAND_M_S, HAND_RAD_S = 0.08, 0.2  # of the operator
+COUNTED_S = 0.3  # a message of his has counted within this time, also after a halt
 MOVING_RAD_S = 0.05  # a faster joint counts as moving
 MOTION_S = 20.0  # maximum wait for a motion
 LATER_S = 0.15  # the halt comes at a random time within this after the start
@@ -66,7 +80,7 @@ class Bench:
         self._rtc = rtc
         self._rng = rng
         self._place = 0
-        self.law = ""  # the end of the sentence that moves the arm
+        self.condition = ""
         self.missed = 0  # halts without a latency, or without confirmed rest
         self.undisturbed = 0  # halts that did not count, because the condition did not hold
         self.slowest: list[tuple[float, float, float]] = []  # latency, time until receipt, time of the call; s
@@ -91,8 +105,10 @@ class Bench:
         """
         self._place = 1 - self._place
         samples = self._rtc.telemetry(silence_s=10.0)
-        command = self._rtc.submit(f"MOVE RIGHT-ARM TO {PLACES[self._place]}{self.law}")
+        command = self._rtc.submit(SENTENCES.get(self.condition, MOVE).format(place=PLACES[self._place]))
         if not self._wait_for_motion(samples, command):
+            if self.condition in BY_HAND:
+                self._rtc.halt("RIGHT-ARM")
             command.wait(timeout_s=60.0)
             return []
         with disturbance(self._rtc) as holds:
@@ -150,6 +166,33 @@ def planning(rtc: Client) -> Iterator[Holds]:
     motions = _stream(rtc.run_dir, "STOW LEFT-ARM", "MOVE LEFT-ARM TO RACK-2-FRONT")
     with motions as moves, _stream(rtc.run_dir, "GRASP MACS-NEW WITH LEFT-ARM") as plans:
         yield lambda: moves() and plans()
+
+
+@contextmanager
+def operator(rtc: Client) -> Iterator[Holds]:
+    """A process that moves the arm by hand whenever it is the operator's."""
+    over, counted_at_s = multiprocessing.Event(), multiprocessing.Value("d", 0.0)
+    process = multiprocessing.Process(target=_operate, args=(rtc.run_dir, over, counted_at_s), daemon=True)
+    process.start()
+    try:
+        yield lambda: process.is_alive() and time.monotonic() - counted_at_s.value < COUNTED_S
+    finally:
+        over.set()
+        process.join()
+
+
+def _operate(run_dir: Path, over: Event, counted_at_s: Any) -> None:
+    """Move up and turn in one request, down and back in the next."""
+    with Client(run_dir) as rtc, rtc.hand("RIGHT-ARM", "BENCH") as hand:
+        sign, grant = 1.0, ""
+        while not over.wait(PERIOD_S):
+            if not hand.request:
+                continue
+            assert hand.state is not None
+            if hand.state.primitive != grant:
+                sign, grant = -sign, hand.state.primitive
+            if not hand.move([0.0, 0.0, sign * HAND_M_S, 0.0, 0.0, sign * HAND_RAD_S]):
+                counted_at_s.value = time.monotonic()
 
 
 @contextmanager
@@ -263,6 +306,8 @@ CONDITIONS: dict[str, tuple[Disturbance, bool]] = {  # name -> (disturbance, whe
     "hung_worker": (hung_worker, True),
     "broker_stopped": (broker_stopped, True),
     "compliant": (compliant, False),
+    "operator": (operator, False),
+    "shared": (operator, False),
 }
 
 
@@ -291,7 +336,7 @@ def main() -> None:
             for name, (disturbance, each) in CONDITIONS.items():
                 if given.only not in (None, name):
                     continue
-                bench.slowest, bench.law = [], COMPLIANT if name == "compliant" else ""
+                bench.slowest, bench.condition = [], name
                 measured(name, bench.latencies_s(name, given.halts, disturbance, each=each), bench.slowest)
             metrics["missed"] = bench.missed
             rows.append(("missed", str(bench.missed)))

@@ -14,7 +14,7 @@ from rtc.protocol.primitive import HandMotion, Operated
 from rtc.protocol.units import in_words
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from rtc.subsystems.motion.arm import SpindleCommand
+from rtc.subsystems.motion.arm import TICK_S, SpindleCommand
 from rtc.subsystems.motion.hand import Hand
 from rtc.subsystems.motion.observation import Observation
 from rtc.subsystems.motion.shared_way import SharedWay
@@ -54,6 +54,8 @@ class OperatedArm:
             return f"{self._operator} moves this arm; it is free when he lets go"
         if (age_s := now_s - wanted.seen_at_s) > STALE_S:
             return f"stale: it has seen nothing of this subsystem for {age_s:.2f} s; {STALE_S:g} s are allowed"
+        if age_s < -TICK_S:
+            return "it names a time of this subsystem that has not come: its age is not known"
         if wanted.hand and not self._motion.hand:
             return "the hand is not part of this request"
         if wanted.turn and not self._motion.spindle:

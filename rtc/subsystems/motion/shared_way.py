@@ -19,6 +19,8 @@ from rtc.subsystems.motion.profiles import Follow
 GAIN_PER_S = 4.0  # of what the tcp is off the path
 LAG_M, LAG_RAD = 0.01, 0.05  # so far behind, the path waits
 RATE_PER_S = 2.0  # change of the rate of its time
+REFRESH_TICKS = 5  # the program's twist follows path and arm at this interval; his, and his deadman, in each tick
+REFRESH_S = REFRESH_TICKS * TICK_S
 
 
 class SharedWay:
@@ -28,28 +30,39 @@ class SharedWay:
         self._end = pose_of(along.positions[-1])
         self._time_s = self._rate = 0.0
         self._pose = self._pose_at(0.0)
+        self._ticks = 0
+        self._own: Array = np.zeros(6)  # the twist of the program
+        self._to_his: Array = np.zeros((6, 6))  # a twist -> its part in his axes, both in world axes
 
     def off(self, tcp: Array) -> tuple[float, float]:
         """How far the tcp is off the end of the path in the axes of the program (m, rad)."""
-        return _sizes(self._its_own(tcp, _between(tcp, self._end)))
+        return _sizes(_in_axes(_axes(tcp), _between(tcp, self._end), 1.0 - self._his))
 
     def wait(self) -> None:
         """He has let go: the path begins slowly when he holds again."""
-        self._rate = 0.0
+        self._rate, self._ticks = 0.0, 0
 
     def twist(self, tcp: Array, wanted: Sequence[float]) -> list[float]:
         """One tick further: the twist of the tcp, with what he wants in his axes. Both m/s, rad/s, world axes."""
-        behind = self._its_own(tcp, _between(tcp, self._pose))
-        lag_m, lag_rad = _sizes(behind)
-        self._rate = min(self._rate + RATE_PER_S * TICK_S, max(0.0, 1.0 - max(lag_m / LAG_M, lag_rad / LAG_RAD)))
-        self._time_s = min(self._time_s + self._rate * TICK_S, self._path.duration_s)
-        before, self._pose = self._pose, self._pose_at(self._time_s)
-        ahead = self._its_own(tcp, _between(before, self._pose) / TICK_S)
-        his = _in_axes(tcp, np.asarray(wanted), self._his)
-        return [float(part) for part in ahead + GAIN_PER_S * behind + his]
+        if self._ticks % REFRESH_TICKS == 0:
+            self._go_on(tcp)
+        self._ticks += 1
+        both: list[float] = (self._own + self._to_his @ wanted).tolist()
+        return both
 
-    def _its_own(self, tcp: Array, twist: Array) -> Array:
-        return _in_axes(tcp, twist, 1.0 - self._his)
+    def _go_on(self, tcp: Array) -> None:
+        """The program's twist for the next REFRESH_TICKS."""
+        axes = _axes(tcp)
+        behind = _in_axes(axes, _between(tcp, self._pose), 1.0 - self._his)
+        lag_m, lag_rad = _sizes(behind)
+        self._rate = min(self._rate + RATE_PER_S * REFRESH_S, max(0.0, 1.0 - max(lag_m / LAG_M, lag_rad / LAG_RAD)))
+        self._time_s = min(self._time_s + self._rate * REFRESH_S, self._path.duration_s)
+        before, self._pose = self._pose, self._pose_at(self._time_s)
+        ahead = _in_axes(axes, _between(before, self._pose) / REFRESH_S, 1.0 - self._his)
+        self._own = ahead + GAIN_PER_S * behind
+        for part, which in enumerate(self._his):
+            block = slice(3 * part, 3 * part + 3)
+            self._to_his[block, block] = (axes * which) @ axes.T
 
     def _pose_at(self, time_s: float) -> Array:
         return self._pose_of(self._path.path(np.array([time_s]))[0, 0].tolist())
@@ -60,9 +73,13 @@ def _between(a: Array, b: Array) -> Array:
     return np.concatenate((b[:3] - a[:3], geometry.rotation_vector(a, b)))
 
 
-def _in_axes(tcp: Array, twist: Array, which: Array) -> Array:
+def _axes(tcp: Array) -> Array:
+    axes: Array = geometry.to_matrix(tcp)[:3, :3]
+    return axes
+
+
+def _in_axes(axes: Array, twist: Array, which: Array) -> Array:
     """The part of a twist (world axes) along and about these axes of the tool (2 x 3 of 0 or 1)."""
-    axes = geometry.to_matrix(tcp)[:3, :3]
     part: Array = ((twist.reshape(2, 3) @ axes) * which) @ axes.T
     return part.ravel()
 

@@ -105,6 +105,7 @@ def test_a_silent_stream_stops_the_arm_within_100_ms(hands_on) -> None:
     [
         {"primitive": "C-6.1"},
         {"seen_at_s": 100.0 - STALE_S - 0.01},
+        {"seen_at_s": 101.0},
         {"seen_at_s": math.nan},
         {"twist": [math.nan] * 6},
         {"twist": [math.inf, 0, 0, 0, 0, 0]},
