@@ -1,14 +1,14 @@
 """Demo of the whole task: the module swap-out in physics, 40 sentences, several of them in progress at once.
 
 `swapout.txt` has the sentences. A line is given as soon as the lines that it depends on have ended (`lines`); the
-cluster finds out which may be performed at once. The result is checked against the simulator's truth. The lines of an
-operator are left out; the demo states which.
+cluster finds out which may be performed at once. The result is checked against the simulator's truth. BOLT-2 slips in
+the driver (C12), so the operator, who is a program here, loosens it (C13). C27, his other line, is left out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -20,15 +20,18 @@ from rtc.apps.demos.injections import CELL, GOOD, INJECTIONS, Injection, Scene
 from rtc.apps.demos.lines import Course, Line
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
+from rtc.apps.demos.scripted_operator import BOLT, DIALOGUES, Act, ScriptedOperator
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
+from rtc.protocol.faults import StrippedBolt
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.spatial import geometry, hinges
 
 LINES = Path(__file__).with_suffix(".txt")
-OF_OPERATOR = ("C13", "C27")
+LEFT_OUT = ("C27",)
+SLIPS = "C12"  # its bolt slips until the operator has the driver
 TESTS = ("C1", "C2")
 ON_PAPER = "O9"
 #: C1 and C2 ask about later states: C1 when the door is open and the bolts are loose, C2 when C16 has grasped as well
@@ -79,7 +82,8 @@ def run(console: Console, speed: str = "1", out: Path = Path("out"), *, test: bo
             elif inject:
                 _injected(narrator, Scene(run_dir, rtc), cell, every, INJECTIONS[inject])
             else:
-                _whole(narrator, rtc, cell, every, pictures, on_paper(narrator, rtc, every) if test else {})
+                operator, predicted = ScriptedOperator(run_dir), on_paper(narrator, rtc, every) if test else {}
+                _whole(narrator, rtc, cell, every, pictures, operator, predicted)
         pictures.check(narrator)
     return narrator.passed()
 
@@ -90,23 +94,38 @@ def _whole(
     cell: Cell,
     every: list[Line],
     pictures: Pictures,
+    operator: ScriptedOperator,
     predicted: dict[str, float],
 ) -> None:
     tested = hypotheses(narrator, rtc, every)
-    lines = [line for line in every if line.label not in (*TESTS, *OF_OPERATOR)]
-    narrator.line(f"not given, as they need an operator: {', '.join(OF_OPERATOR)}")
-
-    def ended(line: Line, end: m.CommandEnded) -> bool:
-        if line.label in PICTURES:
-            pictures.take(PICTURES[line.label], rtc.truth())
-        return as_wanted(line.label, end.outcome.kind)
-
-    course = _perform(narrator, rtc, cell, lines, lambda _: None, lambda *_: None, ended)
+    lines = [line for line in every if line.label not in (*TESTS, *LEFT_OUT)]
+    narrator.line(f"not given: {', '.join(LEFT_OUT)}")
+    course = perform_with_operator(narrator, rtc, cell, lines, pictures, operator)
     course.ends |= tested
     show_tracks(narrator, lines, course, cell)
     show_durations(narrator, lines, course, predicted)
     narrator.chapter("The criteria")
-    check(narrator, rtc, cell, [line for line in every if line.label not in OF_OPERATOR], course)
+    check_surrender(narrator, course)
+    check(narrator, rtc, cell, [line for line in every if line.label not in LEFT_OUT], course)
+
+
+def perform_with_operator(
+    narrator: Narrator, rtc: Client, cell: Cell, lines: list[Line], pictures: Pictures, operator: ScriptedOperator
+) -> Course:
+    def begun(line: Line) -> None:
+        if line.label == SLIPS:
+            rtc.inject(StrippedBolt(bolt=BOLT))
+        if line.label in DIALOGUES:
+            operator.begin(line.label)
+
+    def ended(line: Line, end: m.CommandEnded) -> bool:
+        if line.label in PICTURES:
+            pictures.take(PICTURES[line.label], rtc.truth())
+        if line.label in DIALOGUES:
+            check_dialogue(narrator, line.label, operator.end(line.label))
+        return as_wanted(line.label, end.outcome.kind)
+
+    return _perform(narrator, rtc, cell, lines, begun, lambda *_: None, ended)
 
 
 def _injected(narrator: Narrator, scene: Scene, cell: Cell, every: list[Line], what: Injection) -> None:
@@ -192,9 +211,12 @@ def hypotheses(narrator: Narrator, rtc: Client, every: list[Line]) -> dict[str, 
 
 
 def as_wanted(label: str, kind: OutcomeKind) -> bool:
-    """The test of the left arm finds that it cannot; what lasts until it is ended is aborted."""
+    """The test of the left arm finds that it cannot, and a stripped bolt cannot be loosened; what lasts until it is
+    ended is aborted."""
     if label == "C1":
         return kind is OutcomeKind.REFUSED
+    if label == SLIPS:
+        return kind is OutcomeKind.FAILED
     return kind is (OutcomeKind.ABORTED if label in LASTING else OutcomeKind.SUCCEEDED)
 
 
@@ -221,6 +243,28 @@ def show_tracks(narrator: Narrator, lines: list[Line], course: Course, cell: Cel
             first, last = (min(COLUMNS - 1, int(scale * at)) for at in course.executing[line.label])
             row[first : last + 1] = (line.label[1:] + "-" * COLUMNS)[: last + 1 - first]
         narrator.line(f"{name:>9} |{''.join(row)}|")
+
+
+def check_dialogue(narrator: Narrator, label: str, acts: Sequence[Act]) -> None:
+    """The operator has erred and was refused, and what he has proved was believed."""
+    for what, why in acts:
+        narrator.line(f"{label:>4}  operator {what}{f': refused, {why}' if why else ''}", "dim")
+    refused = [what for what, why in acts if why]
+    ended = bool(acts) and acts[-1] == Act("DONE", "")
+    narrator.check(
+        f"{label}: refused {', '.join(refused) or 'nothing'}; the last DONE is believed", ended and "DONE" in refused
+    )
+    if label == "C13":
+        narrator.check("C13: the fingers are not his to close", "closes the hand" in refused)
+
+
+def check_surrender(narrator: Narrator, course: Course) -> None:
+    """The failure of C12 names the sentence of C13."""
+    refusal = course.ends[SLIPS].outcome.refusal if SLIPS in course.ends else None
+    offered = refusal.by_operator if refusal is not None else ""
+    narrator.check(
+        f"{SLIPS} has failed and offers: {offered or 'nothing'}", bool(offered) and offered == course.texts.get("C13")
+    )
 
 
 def check(narrator: Narrator, rtc: Client, cell: Cell, lines: list[Line], course: Course) -> None:

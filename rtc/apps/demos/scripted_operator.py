@@ -1,0 +1,203 @@
+"""A person at one arm of `rtc demo swapout`, as a program: sees a request, moves the arm by hand, answers, errs.
+
+Each dialogue is a function of `Hands`; it runs in a thread, with a client of its own, while the planner waits. Hands
+use what a person sees: the request, the goal that is shown with it, the measured force, whether the head of a bolt
+moves. A dialogue that cannot go on says CANNOT with the reason, which fails its command.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rtc.client.client import Client
+from rtc.client.hand_controller import PERIOD_S, HandController
+from rtc.protocol import messages as m
+from rtc.protocol.faults import StrippedBolt
+from rtc.protocol.outcomes import Outcome, OutcomeKind, RtcError
+from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
+
+BOLT = "BOLT-2"
+GAIN_PER_S = 2.0
+ARRIVED_M, ARRIVED_RAD = 0.0015, 0.01
+BACK_M = 0.06  # along the tool, to look at the head
+BEFORE_M = 0.006  # of the head; from there on it is felt for
+FEEL_M_S, FELT_N = 0.002, 2.0
+TURNED_M = 1e-4  # a head that moves by less within POLL_S rests
+POLL_S = 1.0
+REST_RAD_S, REST_S = 0.002, 0.4
+TRIES = 20  # of a DONE that should be believed
+LIMIT_S = 1200.0  # of each wait, on a machine with many busy processes
+
+
+class Act(NamedTuple):
+    """What he did, and how it was taken; an empty `why`: it was accepted."""
+
+    what: str
+    why: str
+
+
+class Hands:
+    """His hands at one arm, and what he did."""
+
+    def __init__(
+        self, rtc: Client, hand: HandController, record: Callable[[Act], None], over: Callable[[], bool]
+    ) -> None:
+        self.rtc, self.arm = rtc, hand.arm
+        self._hand, self._record = hand, record
+        self._over = over  # the command has ended
+
+    @property
+    def operation(self) -> m.Operation:
+        """What he may do now. Raises RtcError if the arm is not his any more."""
+        operation = self._hand.operation
+        if operation is None:
+            raise RtcError(f"{self._hand.arm} is not the operator's any more")
+        return operation
+
+    @property
+    def seen(self) -> m.ArmSample:
+        self.operation  # noqa: B018 - the arm is his
+        assert self._hand.state is not None
+        return self._hand.state
+
+    def wait(self, words: str) -> None:
+        """Until he is asked for this. Raises RtcError after the limit."""
+        end_s = time.monotonic() + LIMIT_S
+        while words not in self._hand.request:
+            if self._over() or time.monotonic() > end_s:
+                raise RtcError(f"he is not asked to {words}, but: {self._hand.request or 'nothing'}")
+            time.sleep(PERIOD_S)
+        self._record(Act(f"is asked: {self._hand.request}", ""))
+
+    def hold(self, **wanted: Any) -> str:
+        """One moment of the stream; why it did nothing, or empty."""
+        why = self._hand.move(**wanted)
+        time.sleep(PERIOD_S)
+        return why
+
+    def let_go(self) -> None:
+        """Until the arm rests, or nearly so."""
+        self._hand.release()
+        moved_s = time.monotonic()
+        end_s = moved_s + 5.0 * REST_S
+        while time.monotonic() < min(end_s, moved_s + REST_S):
+            if max(map(abs, self.seen.velocities)) > REST_RAD_S:
+                moved_s = time.monotonic()
+            time.sleep(PERIOD_S)
+
+    def say(self, sentence: str) -> Outcome:
+        outcome = self.rtc.run(sentence, timeout_s=LIMIT_S).outcome
+        self._record(Act(sentence, "" if outcome.kind is OutcomeKind.SUCCEEDED else outcome.message))
+        return outcome
+
+    def done(self) -> None:
+        """DONE until it is believed. Raises RtcError if it never is."""
+        for _ in range(TRIES):
+            self.let_go()
+            if (outcome := self.say("DONE")).kind is OutcomeKind.SUCCEEDED:
+                return
+        raise RtcError(f"DONE is not believed: {outcome.message}")
+
+    def close_by_mistake(self) -> None:
+        for _ in range(10):
+            why = self.hold(hand="close")
+        self._record(Act("closes the hand", why))
+        self.let_go()
+
+    def go(self, goal: Array) -> None:
+        """Bring the tcp to a pose (world). Raises RtcError after the limit."""
+        end_s = time.monotonic() + LIMIT_S
+        while time.monotonic() < end_s:
+            here = self.seen.tcp_pose
+            off, turn = np.asarray(goal[:3]) - here[:3], geometry.rotation_vector(here, goal)
+            if np.linalg.norm(off) < ARRIVED_M and np.linalg.norm(turn) < ARRIVED_RAD:
+                return
+            self.hold(twist=[*(GAIN_PER_S * off), *(GAIN_PER_S * turn)])
+        raise RtcError(f"the arm does not come nearer than {1e3 * float(np.linalg.norm(off)):.1f} mm")
+
+    def feel(self, along: Array) -> None:
+        """Move along a direction until a force is felt. Raises RtcError after the limit."""
+        end_s = time.monotonic() + LIMIT_S
+        while float(np.linalg.norm(self.seen.wrench[:3])) < FELT_N:
+            if time.monotonic() > end_s:
+                raise RtcError("he feels nothing")
+            self.hold(twist=[*(FEEL_M_S * along), 0.0, 0.0, 0.0])
+
+
+def turn_the_bolt(it: Hands) -> None:
+    """C13: the bolt whose driver has slipped. He looks, errs twice, seats the driver by feel, and turns."""
+    it.wait(f"neighborhood of {BOLT}")
+    at = it.seen.tcp_pose
+    ahead = geometry.rotate(at, [0.0, 0.0, 1.0])
+    head = geometry.make_pose(it.operation.centre, at[3:])  # a driver at its bolt stands along it
+    it.go(geometry.translate(head, -BACK_M * ahead))
+    it.done()
+    it.wait(f"grasp point of {BOLT}")
+    it.say("DONE")
+    it.close_by_mistake()
+    it.go(geometry.translate(head, -BEFORE_M * ahead))
+    it.feel(ahead)
+    it.done()
+    it.wait(f"turn {BOLT}")
+    it.rtc.undo_fault(StrippedBolt(bolt=BOLT).name)  # in his hands the driver bites
+    it.say("DONE")
+    _turn(it)
+    it.done()
+
+
+def _turn(it: Hands) -> None:
+    """Until the head no longer comes out: the spindle stops by itself after what was asked."""
+    end_s, before = time.monotonic() + LIMIT_S, it.rtc.truth().poses[BOLT]
+    while time.monotonic() < end_s:
+        polled_s = time.monotonic() + POLL_S
+        while time.monotonic() < polled_s:
+            it.hold(turn=-1.0)
+        now = it.rtc.truth().poses[BOLT]
+        if geometry.distance(now, before) < TURNED_M:
+            return
+        before = now
+    raise RtcError("the bolt turns without end")
+
+
+Dialogue = Callable[[Hands], None]
+#: label of a line -> what he does for it
+DIALOGUES: dict[str, Dialogue] = {"C13": turn_the_bolt}
+
+
+class ScriptedOperator:
+    """Performs the dialogue of a line, from its begin to its end. `acts`: label -> what he did, in order."""
+
+    def __init__(self, run_dir: Path, arm: str = "RIGHT-ARM") -> None:
+        self.acts: dict[str, list[Act]] = {}
+        self._run_dir, self._arm = run_dir, arm
+        self._thread: threading.Thread | None = None
+        self._over = threading.Event()
+
+    def begin(self, label: str) -> None:
+        self._over.clear()
+        self._thread = threading.Thread(target=self._perform, args=(label,), name=f"operator {label}", daemon=True)
+        self._thread.start()
+
+    def end(self, label: str) -> Sequence[Act]:
+        """What he did, once his command has ended."""
+        assert self._thread is not None
+        self._over.set()
+        self._thread.join(LIMIT_S)
+        return self.acts.get(label, [])
+
+    def _perform(self, label: str) -> None:
+        acts = self.acts.setdefault(label, [])
+        with Client(self._run_dir) as rtc, rtc.hand(self._arm, "ADA") as hand:
+            try:
+                DIALOGUES[label](Hands(rtc, hand, acts.append, self._over.is_set))
+            except RtcError as error:
+                acts.append(Act("gives up", str(error)))
+                if not self._over.is_set():
+                    rtc.run(f'CANNOT "{str(error)[:100].replace(chr(34), chr(39))}"', timeout_s=LIMIT_S)
