@@ -32,10 +32,10 @@ def angle_at(home: Floats, axis: Floats, point: Floats, where: Floats) -> float:
 
     `point`: in the object's axes (m), not on the axis of the hinge.
     """
-    here = geometry.transform_point(geometry.inverse(home), where)
-    along, first = np.asarray(axis, dtype=float), np.asarray(point, dtype=float)
-    sine, cosine = float(along @ np.cross(first, here)), float(first @ here - (along @ first) * (along @ here))
-    return math.atan2(sine, cosine)
+    x, y, z = geometry.transform_point(geometry.inverse(home), where).tolist()  # plain numbers: an array costs more
+    (a, b, c), (p, q, r) = map(float, axis), map(float, point)
+    sine = a * (q * z - r * y) + b * (r * x - p * z) + c * (p * y - q * x)
+    return math.atan2(sine, p * x + q * y + r * z - (a * p + b * q + c * r) * (a * x + b * y + c * z))
 
 
 def at_hand(home: Floats, axis: Floats, range_rad: tuple[float, float], point: Floats, where: Floats) -> Array:

@@ -76,8 +76,10 @@ def compile(program: bytes) -> Compiled:
     return Compiled(document, {s.script: s for s in document.scripts}, {p.skill: p for p in document.pieces})
 
 
-def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: ElaboratorInput) -> Script | Refusal:
-    """Choose and plan the script for a command."""
+def run(
+    compiled: Compiled, cell: CellModel | None, world: World | None, data: ElaboratorInput, *, advise: bool = True
+) -> Script | Refusal:
+    """Choose and plan the script for a command. `advise`: search a sentence for an arm in the way of a refused one."""
     assert cell is not None
     assert world is not None
     try:
@@ -85,7 +87,7 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
         if data.saved is not None:
             teach.refuse_saved(data.parsed)
         query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
-        return _elaborated(compiled, query, data.parsed, data.owners, data.saved)
+        return _elaborated(compiled, query, data.parsed, data.owners, data.saved, advise=advise)
     except Refused as refused:
         return refused.refusal
 
@@ -96,6 +98,8 @@ def _elaborated(
     parsed: ParsedCommand,
     owners: Mapping[str, str],
     saved: SavedWorld | None = None,
+    *,
+    advise: bool = True,
 ) -> Script:
     """The first feasible script of those that the decision tree has for this sentence. Raises Refused."""
     program, scripts = compiled.program, compiled.scripts
@@ -129,7 +133,8 @@ def _elaborated(
     if not options:
         hinged = parsed.object is not None and query.hinge(parsed.object) is not None
         raise no_script.refused_form(parsed, branches, hinged=hinged)
-    return _first_feasible(compiled, options, [f"not generated: {why.message}; {why.clears}" for why in unstated])
+    notes = [f"not generated: {why.message}; {why.clears}" for why in unstated]
+    return _first_feasible(compiled, options, notes, advise=advise)
 
 
 def _of_data(
@@ -160,7 +165,7 @@ def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:
 # --- choose the script -----------------------------------------------------------------------------------
 
 
-def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list[str]) -> Script:
+def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list[str], *, advise: bool) -> Script:
     """The script of the first feasible option. Raises the most informative refusal, with the number of options.
 
     `notes`: on scripts that are no options; those of this choice are added."""
@@ -171,7 +176,7 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list
         except Refused as problem:
             notes.append(f"generated {option.name}; tested: {problem}")
             refused.append((problem.refusal, option))
-    first = _most_informative(compiled, refused, options)
+    first = _most_informative(compiled, refused, options, advise=advise)
     if first.reason is RefusalReason.INFEASIBLE:
         candidate = options[0].candidate
         first = first.offering(surrender.by_operator(compiled.program, compiled.scripts, candidate))
@@ -184,13 +189,13 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list
 
 
 def _most_informative(
-    compiled: Compiled, refused: list[tuple[Refusal, ScriptOption]], options: list[ScriptOption]
+    compiled: Compiled, refused: list[tuple[Refusal, ScriptOption]], options: list[ScriptOption], *, advise: bool
 ) -> Refusal:
     """The refusal of the lowest rank. An arm in the way that could leave is only named if a sentence for it was found
     that clears the command; else the refusal names the obstacle that remains. From so near to a body that it may be
     touched no way round is sought, so the other arm is not the cause then."""
     first, its = min(refused, key=lambda each: _rank(each[0]))
-    if LEAVING in first.detail or first.reason is RefusalReason.SUSPECT:  # the latter is waited for
+    if not advise or LEAVING in first.detail or first.reason is RefusalReason.SUSPECT:  # the last is waited for
         return first
     other = first.detail.get(IN_THE_WAY)
     if not isinstance(other, str) or not make_way.may_leave(its.candidate.query, other):

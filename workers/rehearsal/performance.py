@@ -52,13 +52,15 @@ class Moment(NamedTuple):
 
 @dataclass
 class Performance:
-    """A sentence on paper. `world` and `now_s` (the broker's clock) are those after the steps so far."""
+    """A sentence on paper. `world` and `now_s` (the broker's clock) are those after the steps so far. `advise`: as of
+    the elaborator; a repair that is refused is not shown."""
 
     programs: Programs
     model: CellModel
     world: PaperWorld
     now_s: float
     command: str
+    advise: bool = True
     script: Script | None = None
     actions: ActionStack[Script, Any] | None = None
     steps: list[RehearsedStep] = field(default_factory=list)
@@ -86,7 +88,8 @@ class Performance:
         """Elaborate the sentence and perform its steps until the last, or until one is refused."""
         data = ElaboratorInput(command=self.command, parsed=parsed, at_s=self.now_s)
         try:
-            self.script = self._call(elaborate, WorkerKind.ELABORATOR, data)
+            program = self.programs[WorkerKind.ELABORATOR]
+            self.script = _unless_refused(elaborate.run(program, self.model, self.world, data, advise=self.advise))
             self.actions = action_stack.begin(self.script)
             self.go_on()
         except Refused as refused:
@@ -158,10 +161,13 @@ class Performance:
             self.follow(judged)
 
     def _call(self, function: Any, kind: WorkerKind, data: Any) -> Any:
-        product = function.run(self.programs[kind], self.model, self.world, data)
-        if isinstance(product, Refusal):
-            raise Refused(product)
-        return product
+        return _unless_refused(function.run(self.programs[kind], self.model, self.world, data))
+
+
+def _unless_refused(product: Any) -> Any:
+    if isinstance(product, Refusal):
+        raise Refused(product)
+    return product
 
 
 def copied(actions: ActionStack[Script, Any]) -> ActionStack[Script, Any]:

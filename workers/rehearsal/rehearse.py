@@ -103,17 +103,18 @@ def plain(text: str) -> str:
 
 
 def _rehearser(first: Performance, world: PaperWorld, at_s: float) -> repairs.Rehearse:
-    """Sentences in the world of a refused one -> how long they take; None: one of them is not feasible."""
+    """Sentences in the world of a refused one -> how long they take; None: one of them is not feasible, or the first is
+    in vain."""
 
-    def rehearse(sentences: list[str]) -> float | None:
+    def rehearse(sentences: list[str], in_vain: repairs.InVain) -> float | None:
         # A record of its own: what a repair reads is nothing that the refusal rests on.
         here, now_s, total_s = on_paper(world, world.predicted()), at_s, 0.0
         for text in sentences:
             parsed = parse.parse_job(first.programs[WorkerKind.PARSER], text)
             if isinstance(parsed, Refusal) or parsed.kind != "task":
                 return None
-            done = Performance(first.programs, first.model, here, now_s, first.command).run(parsed)
-            if done.refusal is not None:
+            done = Performance(first.programs, first.model, here, now_s, first.command, advise=False).run(parsed)
+            if done.refusal is not None or (text is not sentences[-1] and in_vain(done.world)):
                 return None
             here, now_s, total_s = done.world, done.now_s, total_s + done.predicted_s
         return total_s

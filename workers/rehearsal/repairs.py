@@ -9,24 +9,31 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 from rtc.language.hands import ARM_OF_WORD, OWN_WORDS, hand_in_words
 from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol.messages import Fact
 from rtc.protocol.outcomes import BY_OPERATOR, Refusal, RefusalReason
 from rtc.protocol.rehearsal import Repair
 from rtc.protocol.sentence import ParsedCommand
+from rtc.world.model import World
+from workers.planning.scenes import CLEARANCE_M
 from workers.planning.world_query import WorldQuery
 
 TRIED = 12  # maximum number of lists of sentences that are rehearsed
 OFFERED = 3  # maximum number of them that are offered
+SAME = 1e-6  # m and rad: a difference below this is none
 #: reasons of refusals that another sentence may avoid
 REPAIRABLE = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.SUSPECT, RefusalReason.NAME)
 NAMES = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:[-_][A-Za-z0-9]+)*")
 #: words in capitals and figures: a sentence in the midst of advice
 SENTENCE = re.compile(r"[A-Z][A-Z0-9-]+(?: (?:[A-Z][A-Z0-9-]*|-?\d[\d.]*))+")
 
-Rehearse = Callable[[list[str]], float | None]  # sentences -> predicted duration of all (s); None: not feasible
+InVain = Callable[[World], bool]  # the world after the first sentence -> whether it cannot help the next one
+#: sentences -> predicted duration of all (s); None: not feasible, or the first one is in vain
+Rehearse = Callable[[list[str], InVain], float | None]
 
 
 class Infeasible(NamedTuple):
@@ -45,12 +52,46 @@ def tested(sentence: Infeasible, program: ElaboratorProgram, rehearse: Rehearse)
     found: list[Repair] = []
     options = {tuple(one): changes for one, changes in _options(sentence, program)}
     for sentences, changes in list(options.items())[:TRIED]:
-        predicted_s = rehearse([*sentences])
+        advised = sentences[0] in sentence.refusal.clears  # the refusal knows more than its detail says
+        predicted_s = rehearse([*sentences], _never if advised else partial(in_vain, sentence))
         if predicted_s is not None:
             found.append(Repair(sentences=[*sentences], changes=changes, predicted_s=predicted_s))
         if len(found) == OFFERED:
             break
     return found
+
+
+def in_vain(sentence: Infeasible, after: World) -> bool:
+    """Whether the sentence before it leaves the world as it was for the one that was refused. A pose that is known
+    better counts only if the refusal is about a doubt, or about a distance that may be due to one."""
+    refusal, before = sentence.refusal, sentence.query.world
+    unsure = refusal.reason is RefusalReason.SUSPECT or refusal.detail.get("cause") == "spread"
+    unsure |= float(refusal.detail.get("distance_m", 0.0)) >= CLEARANCE_M
+    changed = [fact for key, fact in after.facts.items() if before.facts.get(key) is not fact]
+    return not any(_counts(sentence.query, fact, unsure=unsure) for fact in changed)
+
+
+def _never(after: World) -> bool:
+    return False
+
+
+def _counts(query: WorldQuery, after: Fact, *, unsure: bool) -> bool:
+    body, _, attribute = after.key.rpartition(".")
+    before = query.world.facts.get(after.key)
+    if attribute == "sighting":  # the pose is in other facts; here, that a camera finds again what it had missed
+        return before is not None and before.value is None and after.value is not None
+    if before is None:  # a frame may be that of the cell file
+        return unsure or attribute != "frame" or not _same(query.pose(body).tolist(), after.value)
+    if before.validity is not after.validity or not _same(before.value, after.value):
+        return True
+    return unsure and before.spread != after.spread
+
+
+def _same(before: Any, after: Any) -> bool:
+    numbers = isinstance(before, list) and isinstance(after, list) and len(before) == len(after)
+    if numbers and all(isinstance(n, float | int) for n in (*before, *after)):
+        return all(abs(a - b) < SAME for a, b in zip(before, after, strict=True))
+    return bool(before == after)
 
 
 Option = tuple[list[str], str]

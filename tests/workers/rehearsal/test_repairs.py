@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from rtc.protocol.messages import Validity
 from rtc.protocol.rehearsal import Repair
-from tests.workers.rehearsal.on_paper import OnPaper
+from tests.workers.rehearsal.on_paper import SERVICING, OnPaper
+from workers.elaborator import make_way
 from workers.rehearsal import repairs
+from workers.rehearsal.performance import Performance
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 
@@ -53,6 +56,49 @@ def test_an_arm_in_the_way_is_stowed_first():
     assert ["STOW LEFT-ARM", "MOVE RIGHT-ARM TO BAY-2-FRONT"] in sentences(
         offered(paper, "MOVE RIGHT-ARM TO BAY-2-FRONT")
     )
+
+
+def performed(monkeypatch, paper: OnPaper, sentence: str) -> list[str]:
+    """The verbs and objects of the sentences that were rehearsed to the end for the repairs of this one."""
+    run, found = Performance.run, []
+
+    def counted(self, parsed):
+        found.append(f"{parsed.verb} {parsed.object or parsed.hand}")
+        return run(self, parsed)
+
+    monkeypatch.setattr(Performance, "run", counted)
+    offered(paper, sentence)
+    monkeypatch.undo()
+    return found
+
+
+def test_after_a_look_that_changes_nothing_the_sentence_is_not_rehearsed_again(monkeypatch):
+    """The door is in the way by more than any doubt about it."""
+    paper = OnPaper(SERVICING)
+    for sentence in ("GRASP LEFT-END-EFF DOOR-2 LATCH-PULL", "OPEN DOOR-2 BY 90 DEG", "RELEASE DOOR-2"):
+        assert paper.test(sentence).refusal is None
+    found = performed(monkeypatch, paper, "GRASP LEFT-END-EFF MACS-OLD HANDLE-B")
+    look = found.index("LOCATE MACS-OLD")
+    assert found[look + 1] == "LOCATE DOOR-2"
+
+
+def test_a_look_at_what_is_in_doubt_is_offered():
+    paper = OnPaper()
+    paper.know("MACS-NEW.frame", validity=Validity.INVALID)
+    assert ["LOCATE MACS-NEW", GRASP] in sentences(offered(paper, GRASP))
+
+
+def test_the_sentence_for_an_arm_in_the_way_is_sought_once_and_not_for_repairs(monkeypatch):
+    sought = []
+    advise = make_way.advise
+    monkeypatch.setattr(make_way, "advise", lambda *args: sought.append(args[0]) or advise(*args))
+    paper = OnPaper()
+    for sentence in ("MOVE LEFT-ARM TO BAY-2-FRONT", "MOVE LEFT-ARM BY 15 CM ALONG RIGHT"):
+        paper.test(sentence)
+    found = paper.test("MOVE RIGHT-ARM TO BAY-2-FRONT")
+    assert found.refusal is not None
+    assert found.refusal.clears.startswith("STOW LEFT-ARM")
+    assert len(sought) == 1
 
 
 def test_every_repair_that_is_offered_is_feasible_when_it_is_rehearsed_again():
