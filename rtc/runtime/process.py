@@ -50,6 +50,7 @@ LINGER_MS = 200  # time limit for sending the rest of the queues at the end
 RECONNECT_MS, RECONNECT_MAX_MS = 10, 30  # interval of connecting again to a restarted peer
 # Plain numbers, and frames sent one by one: pyzmq's multipart calls and flag enums cost several times as much.
 AT_ONCE, MORE = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE)
+EVENTS, READABLE = int(zmq.EVENTS), int(zmq.POLLIN)
 OPEN_LIMIT_S = 0.2
 ORPHANED = signal.SIGCONT  # it continues a stopped process, which could not end otherwise
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
@@ -307,7 +308,9 @@ def send_together(socket: zmq.Socket[bytes], messages: Sequence[Any], to: bytes)
 
 def inbox(socket: zmq.Socket[bytes], limit: int = 1000) -> Iterator[Sequence[bytes]]:
     """The received messages, as frames; at most `limit`, so that one busy peer cannot block the loop."""
-    for _ in range(limit):
+    for n in range(limit):
+        if n and not int(socket.getsockopt(EVENTS)) & READABLE:  # a third of the time of a vain receive
+            return
         try:
             first = socket.recv(AT_ONCE, copy=False)
         except zmq.Again:

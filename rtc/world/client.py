@@ -93,10 +93,13 @@ class WorldClient:
 
     def _answer_to(self, request: str, try_s: float) -> Any:
         end_s = now_s() + try_s
-        while self._socket.poll(max(0, int(1000 * (end_s - now_s()) + 0.999))):
+        while (left_s := end_s - now_s()) > 0:
+            self._socket.setsockopt(zmq.RCVTIMEO, int(1000 * left_s + 0.999))
             try:
-                answer = _read(self._socket.recv_multipart(flags=zmq.NOBLOCK))
-            except (WireError, zmq.Again):
+                answer = _read(self._socket.recv_multipart())
+            except zmq.Again:
+                return None
+            except WireError:
                 continue
             if answer.request == request:  # otherwise a late answer to another request
                 return answer

@@ -123,22 +123,27 @@ class PackedView(m.Message, frozen=True, kw_only=True, tag="View"):
 
     request: str
     version: int
-    facts: list[msgspec.Raw]
+    facts: msgspec.Raw
     changing: list[str] = msgspec.field(default_factory=list)
 
 
 class Packer:
-    """Encodes views. It encodes each fact only once, because reads are far more frequent than writes."""
+    """Encodes views. It encodes each fact only once, and the same facts in a row as a whole, because reads are far more
+    frequent than writes."""
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[m.Fact, msgspec.Raw]] = {}
+        self._latest: list[m.Fact] = []
+        self._packed = wire.raw([])
 
     def pack(self, answer: Answer) -> Any:
         """The answer, with encoded facts if it is a View. The encoding of the whole is the same."""
         if not isinstance(answer, m.View):
             return answer
-        facts = [self._fact(fact) for fact in answer.facts]
-        return PackedView(request=answer.request, version=answer.version, facts=facts, changing=answer.changing)
+        if answer.facts != self._latest:  # costs little if they are the same objects
+            self._latest = answer.facts
+            self._packed = wire.raw([self._fact(fact) for fact in answer.facts])
+        return PackedView(request=answer.request, version=answer.version, facts=self._packed, changing=answer.changing)
 
     def _fact(self, fact: m.Fact) -> msgspec.Raw:
         known = self._known.get(fact.key)
