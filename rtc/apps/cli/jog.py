@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import select
 import sys
 import termios
@@ -14,6 +16,7 @@ from typing import Annotated, Literal, cast
 
 import typer
 
+from rtc.apps.cli.halt import print_halt
 from rtc.apps.cli.output import RunDir, With, cli_error, console
 from rtc.client.client import Client
 from rtc.client.hand_controller import PERIOD_S, HandController
@@ -22,6 +25,8 @@ from rtc.client.hand_controller import PERIOD_S, HandController
 KEYS = {key: (axis, sign) for axis, pair in enumerate(("ws", "ad", "rf", "ui", "jk", "nm")) for key, sign in
         zip(pair, (1.0, -1.0), strict=True)}  # fmt: skip
 HELD_S = 0.15  # a key counts as held for so long after its latest repetition
+HALT, END = " ", "q"
+ESCAPES = re.compile(r"\x1b(\[[0-9;]*[A-Za-z~]|O.|.)?", re.DOTALL)
 HELP = "w s a d r f: along x y z; u i j k n m: about x y z; c o: close, open hand; - +: spindle; space: HALT; q: end"
 LINE = "SECONDS VX VY VZ WX WY WZ [open|close] [turn SHARE] [tool]"
 Moment = tuple[list[float], Literal["", "open", "close"], float]
@@ -40,7 +45,8 @@ def jog(
 ) -> None:
     """Move an arm by hand, while the operator has it: after GIVE, or when a sentence VIA OPERATOR-INTERVENTION asks.
 
-    Hold a key to move: the arm stops when it is let go. `rtc operator` shows what you are asked to do.
+    Hold a key to move: the arm stops 0.15 s after the latest repetition of the key. `rtc operator` shows what you are
+    asked to do.
 
     Example:  rtc jog RIGHT-ARM
     Example:  rtc jog RIGHT-ARM --with alice.key
@@ -91,21 +97,33 @@ def _by_keys(hand: HandController, rtc: Client, speed: float, frame: Literal["to
     if not sys.stdin.isatty():
         raise cli_error("there is no keyboard here; use --lines", 2)
     console.print(HELP)
+    keyboard = sys.stdin.fileno()  # read without a buffer: what waits there could be a HALT
     key, at_s, shown = "", 0.0, ""
     with _raw():
-        while (request := hand.request) and key != "q":
-            if select.select([sys.stdin], [], [], PERIOD_S)[0]:
-                key, at_s = sys.stdin.read(1), time.monotonic()
-                if key == " ":
-                    rtc.halt(hand.arm)
+        while request := hand.request:
+            if select.select([keyboard], [], [], PERIOD_S)[0]:
+                typed = os.read(keyboard, 1024)
+                keys = _keys(typed)
+                if HALT in keys:
+                    print_halt(rtc.halt(hand.arm))
+                if not typed or END in keys:  # also a terminal that is gone
+                    break
+                key, at_s = keys[-1:], time.monotonic()  # the latest: what was typed before it is over
             twist, fingers, turn = _wanted(key, speed)
-            held = time.monotonic() - at_s < HELD_S and (any(twist) or fingers or turn)
+            acts = any(twist) or fingers or turn
+            held = time.monotonic() - at_s < HELD_S and acts
             words = hand.move(twist, frame=frame, hand=fingers, turn=turn) if held else hand.release()
             cut = hand.reply.cut if hand.reply is not None else ""
-            if (words or cut or request) != shown:
-                shown = words or cut or request
+            unknown = "" if acts or key in ("", HALT) else f"{key!r} moves nothing; {HELP}"
+            if (unknown or words or cut or request) != shown:
+                shown = unknown or words or cut or request
                 console.print(shown + "\r")
     return ""
+
+
+def _keys(typed: bytes) -> str:
+    """The keys in what a terminal has sent, as small letters; arrows and other keys with an escape sequence are not."""
+    return ESCAPES.sub("", typed.decode(errors="ignore")).lower()
 
 
 def _wanted(key: str, speed: float) -> Moment:
