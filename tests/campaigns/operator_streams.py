@@ -148,7 +148,8 @@ class Judge:
 
     def _look_at_tcp(self) -> Iterator[str]:
         before, self._tcp = self._tcp, self._place()
-        if self.grant is not None and self.motion.along is None:
+        # In a stop each joint brakes as hard as it may: then the tcp may be faster for some milliseconds.
+        if self.grant is not None and self.motion.along is None and self.executor.trip is None:
             speed_m_s = math.dist(before, self._tcp) / (5 * TICK_S)
             if speed_m_s > OVER * self.motion.speed_m_s:
                 yield f"the tcp moves at {speed_m_s:.3f} m/s; {self.motion.speed_m_s} are granted"

@@ -92,22 +92,26 @@ def _parts(given: Given, access: Access) -> Iterator[tuple[Console, Hub, Desk]]:
     """What pages use: desks with clients, halt lines, pictures."""
     endpoints = given.endpoints
     sentences, questions = Desk("sentences", given.connect), Desk("questions", given.connect)
-    halts = Halts(endpoints)
+    halts: Halts | None = None
     settings = endpoints if isinstance(endpoints, Settings) else None
     pictures = CameraPictures(settings.cell) if settings is not None else None
     try:
         with given.connect() as client:
             grammar = Grammar(client.program(m.WorkerKind.PARSER).body.decode())
-        hello = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
+            round_trip_s, far = client.round_trip_s, client.far
+        halts = Halts(endpoints, round_trip_s)
+        hello: dict[str, Any] = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
+        hello |= {"delay_s": 0.5 * round_trip_s} if far else {}
         hub = Hub(given.cell, given.in_words, now_s, hello)
-        console = Console(hub, access, halts, sentences, questions, given.in_words.why, grammar, pictures, settings)
+        console = Console(hub, access, halts, sentences, questions, given.in_words.why, grammar, pictures, endpoints)
         yield console, hub, questions
     finally:
         if pictures is not None:
             pictures.close()
         sentences.close()
         questions.close()
-        halts.close()
+        if halts is not None:
+            halts.close()
 
 
 def _where(endpoints: Endpoints) -> str:

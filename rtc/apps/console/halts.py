@@ -20,8 +20,8 @@ TIMEOUT_S = 2.0
 class Halts:
     """`halt` may be called from any thread; `order` from the event loop."""
 
-    def __init__(self, endpoints: Endpoints) -> None:
-        self._context = ClientContext()
+    def __init__(self, endpoints: Endpoints, round_trip_s: float = 0.0) -> None:
+        self._context, self._round_trip_s = ClientContext(), round_trip_s
         self._lines: SimpleQueue[HaltLine] = SimpleQueue()
         self._all = [HaltLine(self._context, endpoints) for _ in range(LINES)]
         for line in self._all:
@@ -40,7 +40,7 @@ class Halts:
         except Empty:  # all lines wait for rest: this order has been sent as often
             return {"error": "all halt lines wait for rest; the orders before have been sent"}
         try:
-            return as_json(line.halt(scope, TIMEOUT_S))
+            return as_json(line.halt(scope, TIMEOUT_S + self._round_trip_s, self._round_trip_s))
         except ClusterError as error:
             return {"error": str(error)}
         finally:

@@ -24,6 +24,7 @@ from rtc.protocol.primitive_id import command_of
 from rtc.protocol.rehearsal import Rehearsal
 
 FRAME_S = 0.033  # shortest time between two frames
+CLOCK_S = 0.002  # a smaller difference of clocks is not reported again
 BEAT_S = 0.5  # without a change the last frame is sent again: a page that gets none has lost the link
 TRUTH_S, STILL_TRUTH_S = 0.3, 1.5  # age from which on a truth is not shown: while an arm moves, and otherwise
 #: what a page shows of the status
@@ -69,6 +70,7 @@ class Hub:
         self._measured_at_s = 0.0
         self._truth_at_s = -1e9
         self._frame_at_s = 0.0
+        self._clock_s: float | None = None if hello.get("delay_s") is not None else 0.0
         self._number = 0
         self._rows: dict[str, Any] = {}
         self._last: tuple[list[float], list[float], bool] | None = None
@@ -119,6 +121,7 @@ class Hub:
         yield from self.story.since(0)
         yield _text({"facts": list(map(self._fact, self.facts.values())), "anew": True})
         yield _text(self._status())
+        yield _text({"clock_s": self._clock_s or 0.0})
         yield _text({"moving": self.moving, "arms": self._arm_rows()})
         yield _text(self._predicted())
 
@@ -145,6 +148,7 @@ class Hub:
     # --- inside ---------------------------------------------------------------------------------------
 
     def _take_sample(self, sample: m.Telemetry) -> None:
+        self._compare_clocks(sample.at_s)
         self._arms |= sample.arms
         moving = sorted(name for name, arm in self._arms.items() if arm.primitive)
         if moving != self.moving:
@@ -154,6 +158,16 @@ class Hub:
         if not self.has_truth():  # otherwise the arms and objects of one instant, by the truth
             self._measured_at_s = sample.at_s
             self._make_frame()
+
+    def _compare_clocks(self, at_s: float) -> None:
+        """Over tcp: how far the clock of the subsystem is behind this one, by the sample with the shortest way."""
+        delay_s = self.hello.get("delay_s")
+        if delay_s is None:
+            return
+        behind_s = self._now() - at_s - delay_s
+        if self._clock_s is None or behind_s < self._clock_s - CLOCK_S:
+            self._clock_s = behind_s
+            self._post({"clock_s": behind_s})
 
     def has_truth(self) -> bool:
         """Whether the truth is new enough to be shown."""

@@ -19,7 +19,8 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import WireError
-from rtc.runtime.settings import BOUNDS, Settings
+from rtc.runtime.keys import Endpoints
+from rtc.runtime.settings import BOUNDS
 
 _read = wire.reader(m.OperateReply)
 Answered = Callable[[dict[str, Any]], Awaitable[None]]
@@ -28,8 +29,8 @@ Answered = Callable[[dict[str, Any]], Awaitable[None]]
 class OperatorStream:
     """One page. `operator`: its name, for people; `answered` gets what a subsystem has done with a message."""
 
-    def __init__(self, settings: Settings, cell: Cell, operator: str, answered: Answered) -> None:
-        self._settings, self._cell, self._operator, self._answered = settings, cell, operator, answered
+    def __init__(self, endpoints: Endpoints, cell: Cell, operator: str, answered: Answered) -> None:
+        self._endpoints, self._cell, self._operator, self._answered = endpoints, cell, operator, answered
         self._context = zmq.asyncio.Context()
         self._sockets: dict[str, zmq.asyncio.Socket] = {}  # subsystem -> its socket
         self._readers: set[asyncio.Task[None]] = set()
@@ -74,7 +75,9 @@ class OperatorStream:
         socket.setsockopt(zmq.MAXMSGSIZE, wire.MAX_BYTES)
         socket.setsockopt(zmq.SNDHWM, BOUNDS["operate"].unread)
         socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
-        socket.connect(self._settings.endpoint("operate", subsystem))
+        self._endpoints.secure(socket)
+        addresses = self._endpoints.addresses("operate")
+        socket.connect(addresses.get(subsystem) or addresses[""])  # over tcp that of the first subsystem
         self._sockets[subsystem] = socket
         task = asyncio.create_task(self._read_answers(socket, arm))
         self._readers.add(task)

@@ -44,7 +44,7 @@ from rtc.language.parse import Grammar
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason, RequestDeclined, RtcError
 from rtc.protocol.roles import MAY, Role, a_role
-from rtc.runtime.settings import Settings
+from rtc.runtime.keys import Endpoints
 
 NOT_HERE = 4404  # close code of a socket
 STATIC = Path(__file__).parent / "static"
@@ -87,11 +87,11 @@ class Console:
         why: Callable[[m.CommandRecord], list[str]],
         grammar: Grammar,
         pictures: CameraPictures | None,
-        settings: Settings | None,
+        endpoints: Endpoints,
     ) -> None:
         self.hub, self._access, self._halts = hub, access, halts
         self._sentences, self._questions, self._why = sentences, questions, why
-        self._grammar, self._pictures, self._settings = grammar, pictures, settings
+        self._grammar, self._pictures, self._endpoints = grammar, pictures, endpoints
         self._operators = itertools.count(1)
         self._names = hub.names()
 
@@ -262,11 +262,10 @@ class Console:
 
     async def _operate_socket(self, socket: WebSocket) -> None:
         await socket.accept()
-        if self._settings is None or self._access.role is not Role.OPERATOR:
-            why = "arms are moved by hand only from the cluster's own machine, by an operator"
-            return await socket.close(NOT_HERE, why)
+        if self._access.role is not Role.OPERATOR:
+            return await socket.close(NOT_HERE, "arms are moved by hand only by an operator")
         name = f"console page {next(self._operators)}"
-        stream = OperatorStream(self._settings, self.hub.cell, name, socket.send_json)
+        stream = OperatorStream(self._endpoints, self.hub.cell, name, socket.send_json)
         try:
             while True:
                 asked = await socket.receive_json()

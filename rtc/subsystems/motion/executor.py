@@ -314,7 +314,9 @@ class Executor:
         operated = self.operated = OperatedArm(trajectory, self._seen, self._hand)
         arm, laden = self.arm, self._hand.grips
         still = self.command[0]
-        self._setpoints.use(Jog(still, arm.traits, arm.jacobian, lambda: operated.twist(self._seen.tcp()), laden=laden))
+        most_m_s = trajectory.speed_m_s if trajectory.along is None else math.inf  # the program has speeds of its own
+        wanted = lambda: operated.twist(self._seen.tcp())  # noqa: E731
+        self._setpoints.use(Jog(still, arm.traits, arm.jacobian, wanted, laden=laden, most_m_s=most_m_s))
 
     def operate(self, wanted: m.Operate, caller: bytes, now_s: float) -> str:
         """Follow the hand of the operator. Returns why it does nothing; empty: it counts."""

@@ -23,7 +23,7 @@ MARGIN_RAD = 0.03  # kept to joint limits; F trips at a smaller one
 
 
 class Jog:
-    """`wanted`: the twist now (m/s, rad/s, world axes). It has no end of its own."""
+    """`wanted`: the twist now (m/s, rad/s, world axes). `most_m_s`: of the tcp. It has no end of its own."""
 
     duration_s = math.inf
 
@@ -35,6 +35,7 @@ class Jog:
         wanted: Callable[[], Sequence[float]],
         *,
         laden: bool,
+        most_m_s: float = math.inf,
     ) -> None:
         self._jacobian, self._wanted = jacobian, wanted
         self._joints, self._speeds = np.array(start, dtype=float), np.zeros(len(start))
@@ -45,6 +46,7 @@ class Jog:
         self._accelerates = min(min(traits.acceleration), LADEN_ACCELERATION_RAD_S2 if laden else math.inf)
         self._brakes = LADEN_ACCELERATION_RAD_S2 if laden else STOP_ACCELERATION_RAD_S2
         self._inverse: Array = np.zeros((len(start), 6))
+        self._forward, self._most_m_s = np.zeros((3, len(start))), most_m_s
         self._ticks = 0
         self.at_limit = False
 
@@ -68,11 +70,14 @@ class Jog:
             return np.zeros_like(self._speeds)
         if self._ticks % REFRESH_TICKS == 0:
             jacobian = self._jacobian(self._joints.tolist())
+            self._forward = jacobian[:3]
             square = jacobian @ jacobian.T + DAMPING**2 * np.eye(6)
             self._inverse = jacobian.T @ np.linalg.inv(square)
         self._ticks += 1
         aim: Array = self._inverse @ wanted
         aim = aim * min(1.0, float((self._fastest / np.maximum(np.abs(aim), 1e-12)).min()))
+        # Near a singular posture the least squares give a turn that moves the tcp, also faster than it may.
+        aim = aim * min(1.0, self._most_m_s / max(float(np.linalg.norm(self._forward @ aim)), 1e-12))
         ahead = self._joints + aim * np.abs(aim) / (2.0 * self._brakes) + aim * TICK_S
         if ((ahead < self._lower) & (aim < 0.0)).any() or ((ahead > self._upper) & (aim > 0.0)).any():
             self.at_limit = True

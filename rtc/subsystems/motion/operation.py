@@ -25,6 +25,8 @@ TURNED = 0.98  # share of a turn that proves it
 DONE_RAD = 0.02  # of the attitude that the program gives to a shared motion, at its end
 TURNED_RAD = 1e-3  # what is left of a turn that is complete
 
+BEYOND_M = 0.0005  # beyond the edge of the ball he may only go back
+
 NO_TWIST = (0.0,) * 6
 
 
@@ -130,6 +132,8 @@ class OperatedArm:
         linear, angular = _within(parts[:3], self._motion.speed_m_s), _within(parts[3:], self._motion.turn_rad_s)
         if self._way is not None:
             return self._way.twist(tcp, [*linear, *angular])
+        if self._motion.centre and math.dist(tcp[:3], self._motion.centre) > self._reach_m + BEYOND_M:
+            angular = [0.0] * 3  # near a singular posture a turn moves the tcp too
         return [*self._inside(linear, tcp), *angular]
 
     def _inside(self, linear: list[float], tcp: Array) -> list[float]:
@@ -141,6 +145,9 @@ class OperatedArm:
         if off_m < 1e-6:
             return linear
         outwards = sum(a * v for a, v in zip(away, linear, strict=True)) / off_m
+        if off_m > self._reach_m + BEYOND_M and outwards >= 0.0:
+            self.cut = f"the edge of the neighbourhood: {in_words(round(off_m, 3), 'm')} from its centre"
+            return [0.0] * 3
         most = max(0.0, 5.0 * (self._reach_m - off_m))  # m/s: the edge is approached within 0.2 s
         if outwards <= most:
             return linear

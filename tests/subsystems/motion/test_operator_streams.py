@@ -28,7 +28,7 @@ def test_no_stream_moves_an_arm_against_f_or_its_grant() -> None:
         (4, operation, "STALE_S", 0.5, "counts"),
         (5, OperatedArm, "_inside", lambda self, linear, tcp: linear, "outside the neighbourhood"),
         (1, OperatedArm, "_is_moved_by_another", lambda self, caller, now_s: False, "counts"),
-        (0, operation, "_within", lambda parts, most: parts, "the tcp moves at"),
+        (6038, operation, "BEYOND_M", 1.0, "outside the neighbourhood"),
         (0, jog, "STOP_ACCELERATION_RAD_S2", 40.0, "beyond its limits"),
     ],
 )

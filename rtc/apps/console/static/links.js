@@ -88,6 +88,7 @@ class Story extends Link {
       if (state.life && state.life !== message.hello.life) { state.rows.clear(); state.n = 0; }
       state.life = message.hello.life;
       state.where = message.hello.where;
+      state.delayS = message.hello.delay_s ?? 0;
     }
     if (message.snapshot) {
       state.rows.clear();
@@ -102,6 +103,7 @@ class Story extends Link {
       for (const fact of message.facts) state.facts.set(fact.key, fact);
       emit('facts');
     }
+    if ('clock_s' in message) state.clockS = message.clock_s;
     if (message.status) { state.status = message.status; state.statusAt = message.at_s; emit('status'); }
     if (message.moving) { state.moving = message.moving; emit('moving'); }
     if (message.arms) { state.arms = message.arms; emit('arms'); }

@@ -5,7 +5,7 @@ import { answers, hold, holding, release, sent, watchHold } from './operate.js';
 import { choose, openPanels } from './panels.js';
 import { dress, grip, openScene, redraw, view } from './scene.js';
 import { openLine, submit, write } from './sentence.js';
-import { element, nowS, on, post, seconds, state } from './store.js';
+import { element, measuredAge, nowS, on, post, seconds, state } from './store.js';
 import { openTracks } from './tracks.js';
 
 const STALE_S = 1.5; // age of poses from which on the arms count as silent
@@ -34,9 +34,9 @@ let lostAt = 0;
 
 function watch() {
   const { poses, story, halt: halting } = state.links;
-  const old = nowS() - state.measuredAt;
+  const old = measuredAge();
   const lost = !poses || !story || !halting;
-  const silent = !lost && (state.measuredAt === 0 || old > STALE_S);
+  const silent = !lost && (state.measuredAt === 0 || old > STALE_S + state.delayS);
   if (lost && !lostAt) lostAt = performance.now();
   if (!lost) lostAt = 0;
   if (Boolean(state.lost) !== lost) { state.lost = lost; redraw(); }

@@ -1,6 +1,6 @@
 // Hold to move: a stream of twists to one arm while something is held, and nothing otherwise. It knows no request.
 import { links } from './links.js';
-import { emit, nowS, on, state } from './store.js';
+import { emit, measuredAge, on, state } from './store.js';
 
 const PERIOD_MS = 25; // the arm stops 60 ms after the latest message
 const OLD_S = 0.5; // no one moves an arm by a picture that is older
@@ -16,7 +16,7 @@ function send(hold) {
   const { arm, grant, want } = held;
   // The grant is that of the beginning: a hold does not go over to the next request.
   const seen = Math.max(state.measuredAt, answers[arm]?.at_s ?? 0); // of the subsystem: the latest that has arrived
-  const old = nowS() - state.measuredAt;
+  const old = measuredAge();
   if (hold && !(old < OLD_S)) {
     emit('operated', { ...answers[arm], arm, refused: `the picture is ${old.toFixed(1)} s old`, cut: '' });
     hold = false;

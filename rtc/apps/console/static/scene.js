@@ -5,7 +5,7 @@ import {
   TransformControls, Vector3, WebGLRenderer,
 } from './vendor.js';
 import { links } from './links.js';
-import { element, emit, nowS, on, seconds, state } from './store.js';
+import { element, emit, measuredAge, on, seconds, state } from './store.js';
 
 const HEADER = 24;
 const OFF_M = 0.002, OFF_RAD = 0.02; // a ghost is shown where it differs by more
@@ -205,7 +205,7 @@ function draw(nowMs) {
     emit('drawn');
   }
   if (data) {
-    const latency = nowS() - state.measuredAt;
+    const latency = measuredAge();
     if (state.moving.length && Number.isFinite(latency)) {
       view.latencies.push(latency);
       if (view.latencies.length > 5000) view.latencies.shift();
@@ -233,10 +233,10 @@ function legend() {
 }
 
 function age() {
-  const old = nowS() - state.measuredAt;
+  const old = measuredAge();
   const shown = document.getElementById('age');
   shown.textContent = Number.isFinite(old) ? `${seconds(Math.max(0, old))} old` : '';
-  shown.classList.toggle('old', old > 1.5);
+  shown.classList.toggle('old', old > 1.5 + state.delayS);
 }
 
 let named = [];

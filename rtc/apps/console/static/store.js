@@ -9,7 +9,9 @@ export const state = {
   arms: {}, facts: new Map(), status: {}, statusAt: 0, moving: [], prediction: null,
   chosen: '', // the command whose details are shown
   links: { poses: false, story: false, halt: false, operate: false },
-  measuredAt: 0, // when the shown poses were measured, by the clock of the gateway (s)
+  measuredAt: 0, // when the shown poses were measured, by the clock of their subsystem (s)
+  clockS: 0, // what that clock is behind the one of the gateway (s); other than 0 only over tcp
+  delayS: 0, // of the link to the cluster, one way (s)
   frameAt: -Infinity, // when the last frame arrived, by performance.now (ms)
 };
 
@@ -35,6 +37,9 @@ export function nowS() {
   if (!answers.length) return NaN;
   return performance.now() / 1000 + answers.reduce((a, b) => (b.way < a.way ? b : a)).offset;
 }
+
+// The age of the shown poses (s).
+export const measuredAge = () => nowS() - state.measuredAt - state.clockS;
 
 // --- for people ---
 
