@@ -17,13 +17,14 @@ import numpy as np
 
 from rtc.client.client import Client
 from rtc.client.hand_controller import PERIOD_S, HandController
+from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.faults import StrippedBolt
 from rtc.protocol.outcomes import Outcome, OutcomeKind, RtcError
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 
-BOLT = "BOLT-2"
+BOLT, PLACE = "BOLT-2", "BAY-2-MOUTH"
 GAIN_PER_S = 2.0
 ARRIVED_M, ARRIVED_RAD = 0.0015, 0.01
 BACK_M = 0.06  # along the tool, to look at the head
@@ -31,6 +32,7 @@ BEFORE_M = 0.006  # of the head; from there on it is felt for
 FEEL_M_S, FELT_N = 0.002, 2.0
 TURNED_M = 1e-4  # a head that moves by less within POLL_S rests
 POLL_S = 1.0
+WRIST_RAD_S, WRIST_S = 0.05, 1.0
 REST_RAD_S, REST_S = 0.002, 0.4
 TRIES = 20  # of a DONE that should be believed
 LIMIT_S = 1200.0  # of each wait, on a machine with many busy processes
@@ -131,7 +133,7 @@ class Hands:
             self.hold(twist=[*(FEEL_M_S * along), 0.0, 0.0, 0.0])
 
 
-def turn_the_bolt(it: Hands) -> None:
+def turn_the_bolt(it: Hands, cell: Cell) -> None:
     """C13: the bolt whose driver has slipped. He looks, errs twice, seats the driver by feel, and turns."""
     it.wait(f"neighborhood of {BOLT}")
     at = it.seen.tcp_pose
@@ -166,17 +168,36 @@ def _turn(it: Hands) -> None:
     raise RtcError("the bolt turns without end")
 
 
-Dialogue = Callable[[Hands], None]
+def guide_the_wrist(it: Hands, cell: Cell) -> None:
+    """C27: the program brings the module before the bay, and he holds it level, after a turn that he takes back."""
+    it.wait("its WRIST is yours")
+    it.say("DONE")
+    level = cell.place(PLACE).poses[it.arm].pose
+    began_s = time.monotonic()
+    while True:
+        aside = [WRIST_RAD_S, 0.0, 0.0] if time.monotonic() - began_s < WRIST_S else [0.0] * 3
+        turn = geometry.rotation_vector(it.seen.tcp_pose, level)
+        operation = it.operation
+        arrived = (operation.off_m or 0.0) < 0.5 * (operation.done_m or 0.0)
+        if arrived and np.linalg.norm(turn) < ARRIVED_RAD:
+            break
+        if time.monotonic() - began_s > LIMIT_S:
+            raise RtcError("the arm does not arrive")
+        it.hold(twist=[0.0, 0.0, 0.0, *(a + GAIN_PER_S * b for a, b in zip(aside, turn, strict=True))])
+    it.done()
+
+
+Dialogue = Callable[[Hands, Cell], None]
 #: label of a line -> what he does for it
-DIALOGUES: dict[str, Dialogue] = {"C13": turn_the_bolt}
+DIALOGUES: dict[str, Dialogue] = {"C13": turn_the_bolt, "C27": guide_the_wrist}
 
 
 class ScriptedOperator:
     """Performs the dialogue of a line, from its begin to its end. `acts`: label -> what he did, in order."""
 
-    def __init__(self, run_dir: Path, arm: str = "RIGHT-ARM") -> None:
+    def __init__(self, run_dir: Path, cell: Cell, arm: str = "RIGHT-ARM") -> None:
         self.acts: dict[str, list[Act]] = {}
-        self._run_dir, self._arm = run_dir, arm
+        self._run_dir, self._cell, self._arm = run_dir, cell, arm
         self._thread: threading.Thread | None = None
         self._over = threading.Event()
 
@@ -196,7 +217,7 @@ class ScriptedOperator:
         acts = self.acts.setdefault(label, [])
         with Client(self._run_dir) as rtc, rtc.hand(self._arm, "ADA") as hand:
             try:
-                DIALOGUES[label](Hands(rtc, hand, acts.append, self._over.is_set))
+                DIALOGUES[label](Hands(rtc, hand, acts.append, self._over.is_set), self._cell)
             except RtcError as error:
                 acts.append(Act("gives up", str(error)))
                 if not self._over.is_set():
