@@ -24,9 +24,14 @@ class PathConstraints:
     attitude_name: str = ""
     attitude_tolerance_rad: float = math.radians(5.0)
 
+    @property
+    def any(self) -> bool:
+        """Whether there is a constraint."""
+        return self.work_range is not None or self.attitude is not None
+
     def violation(self, arm: ArmModel, joints: Array) -> Refusal | None:
         """The refusal for the first constraint that this posture (rad) violates; None if it violates none."""
-        if self.work_range is None and self.attitude is None:
+        if not self.any:
             return None
         pose = arm.fk(joints)
         if self.work_range is not None and not self.work_range.contains(pose[:3]):

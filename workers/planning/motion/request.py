@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from rtc.model.robot.collision import Collision, CollisionWorld
+from rtc.model.robot.collision import Collision, CollisionWorld, PathCollision
 from rtc.model.robot.collision_scene import AS_BUILT, Scene
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal
@@ -104,14 +105,11 @@ def _fault_of(
 ) -> Refusal | None:
     """`fault` of a path that is given in steps of collision checks: (s, joints)."""
     s, configurations = dense
-    off = way.off_chords(s)
-    hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene, off)
-    if hit is not None and hit.collision.distance_m > hit.collision.margin_m and step_rad > FINEST_RAD:
-        return fault(request, way, step_rad / FINER, least_room=least_room)  # perhaps its chords alone are too near
+    hit = _first_hit(request, way, step_rad, s, configurations)
     free = configurations if hit is None else configurations[: hit.index]
     margin = request.way_margin_rad - 1e-9
     within = len(free) == 0 or request.arm.limit_margin_rad(free) >= margin  # one vectorized check; usually true
-    for n, joints in enumerate(free):
+    for n, joints in enumerate(free) if request.path_constraints.any or not within else ():
         problem = None if within else request.arm.why_not_within(joints, margin)
         problem = problem or request.path_constraints.violation(request.arm, joints)
         if problem is not None:
@@ -119,6 +117,31 @@ def _fault_of(
     if hit is not None and least_room and hit.collision.distance_m > 0.0:
         hit = request.world.least_room(request.arm.name, configurations, request.joints, request.scene, hit)
     return None if hit is None else _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)
+
+
+def _first_hit(
+    request: PlanningRequest, way: Path, step_rad: float, s: Array, configurations: Array
+) -> PathCollision | None:
+    """The first of these configurations before which, or at which, the path is in collision.
+
+    A chord between two configurations may be too near where the path is not: there it is checked in finer steps. A path
+    that leaves a contact is checked so from its start, because the contact is followed from there."""
+    world, first = request.world, 0
+    arm, joints, scene, off = request.arm.name, request.joints, request.scene, way.off_chords(s)
+    while (hit := world.check_path(arm, configurations[first:], joints, scene, off[first:])) is not None:
+        n = first + max(1, hit.index)  # a chord may be too near from its begin
+        if hit.collision.distance_m <= hit.collision.margin_m or step_rad <= FINEST_RAD:
+            return PathCollision(n, hit.collision)
+        leaves = first == 0 and world.check({**joints, arm: configurations[0]}, scene) is not None
+        begin, end = (0, len(s) - 1) if leaves else (n - 1, n)
+        finer = np.interp(np.arange(FINER * begin, FINER * end + 1) / FINER, np.arange(len(s)), s)
+        found = _first_hit(request, way, step_rad / FINER, finer, way.joints_at(finer))
+        if found is not None:
+            return PathCollision(begin + math.ceil(found.index / FINER), found.collision)
+        if leaves:
+            return None
+        first = n
+    return None
 
 
 def _at(problem: Refusal, fraction: float) -> Refusal:
