@@ -250,6 +250,32 @@ def test_an_arm_moves_while_a_button_is_held_and_rests_when_it_is_let_go(page: P
     assert math.dist(hand(run_dir), after) < 1e-4
 
 
+#: A gamepad of the standard mapping: `rtcPad.buttons[n].value`, `rtcPad.axes[n]`.
+PAD = """(() => {
+  const buttons = Array.from({length: 17}, () => ({value: 0}));
+  window.rtcPad = {connected: true, mapping: 'standard', axes: [0, 0, 0, 0], buttons};
+  navigator.getGamepads = () => [window.rtcPad];
+  window.dispatchEvent(new Event('gamepadconnected'));
+})()"""
+
+
+@pytest.mark.usefixtures("at_home", "given")
+def test_a_gamepad_moves_the_arm_only_while_its_deadman_is_held(page: Page, run_dir: Path):
+    before = hand(run_dir)
+    page.ask(f"{PAD}; rtcPad.buttons[7].value = 1")  # up, without the deadman
+    page.ask("requestAnimationFrame(() => requestAnimationFrame(() => { rtcPad.seen = true; })) && 0")
+    page.wait("rtcPad.seen")
+    assert page.ask("rtcConsole.holding()") == ""
+    page.ask("rtcPad.buttons[5].value = 1")
+    page.wait("rtcConsole.holding() === 'RIGHT-ARM'")
+    page.wait(f"rtcConsole.sent.count > {page.ask('rtcConsole.sent.count') + 20}")
+    page.ask("rtcPad.buttons[5].value = 0")
+    page.wait("document.querySelector('.request .who').textContent === 'at rest' && rtcConsole.holding() === ''")
+    after = hand(run_dir)
+    assert after[2] > before[2] + 0.001
+    assert math.dist(after[:2], before[:2]) < 0.002
+
+
 @pytest.mark.usefixtures("at_home", "given")
 def test_the_hand_follows_the_gizmo(page: Page, run_dir: Path):
     before = hand(run_dir)

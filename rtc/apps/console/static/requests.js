@@ -1,4 +1,5 @@
 // Requests to the operator: what he is asked to do, how far he is, and the means to do it. One card per operated arm.
+import { openGamepad } from './gamepad.js';
 import { answers, hold, holding, release } from './operate.js';
 import { gizmo, grip } from './scene.js';
 import { submit } from './sentence.js';
@@ -17,6 +18,7 @@ export function openRequests(panel) {
   on('answers', answered);
   on('rows', () => cards.forEach(showVerdict));
   on('status', offers);
+  openGamepad({ speeds: () => SPEEDS[speed], frame: () => frame, arms: () => operated().map(([name]) => name) });
   on('held', () => { for (const card of cards.values()) card.box.classList.toggle('held', holding() === card.arm); });
   update();
 }
