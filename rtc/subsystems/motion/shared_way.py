@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rtc.protocol.primitive import JointTrajectory
+from rtc.protocol.units import measured_in_words
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.subsystems.motion.arm import TICK_S
@@ -18,6 +19,7 @@ from rtc.subsystems.motion.profiles import Follow
 
 GAIN_PER_S = 4.0  # of what the tcp is off the path
 LAG_M, LAG_RAD = 0.01, 0.05  # so far behind, the path waits
+WAITS = 0.9  # share of them at which it nearly stands
 RATE_PER_S = 2.0  # change of the rate of its time
 REFRESH_TICKS = 5  # the program's twist follows path and arm at this interval; his, and his deadman, in each tick
 REFRESH_S = REFRESH_TICKS * TICK_S
@@ -31,6 +33,7 @@ class SharedWay:
         self._time_s = self._rate = 0.0
         self._pose = self._pose_at(0.0)
         self._ticks = 0
+        self.waits_for = ""  # how far the arm is behind, while the path waits for it
         self._own: Array = np.zeros(6)  # the twist of the program
         self._to_his: Array = np.zeros((6, 6))  # a twist -> its part in his axes, both in world axes
 
@@ -55,7 +58,11 @@ class SharedWay:
         axes = _axes(tcp)
         behind = _in_axes(axes, _between(tcp, self._pose), 1.0 - self._his)
         lag_m, lag_rad = _sizes(behind)
-        self._rate = min(self._rate + RATE_PER_S * REFRESH_S, max(0.0, 1.0 - max(lag_m / LAG_M, lag_rad / LAG_RAD)))
+        lag = max(lag_m / LAG_M, lag_rad / LAG_RAD)
+        self.waits_for = ""
+        if lag > WAITS:
+            self.waits_for = f"{measured_in_words(lag_m, 'm')} and {measured_in_words(lag_rad, 'rad')}"
+        self._rate = min(self._rate + RATE_PER_S * REFRESH_S, max(0.0, 1.0 - lag))
         self._time_s = min(self._time_s + self._rate * REFRESH_S, self._path.duration_s)
         before, self._pose = self._pose, self._pose_at(self._time_s)
         ahead = _in_axes(axes, _between(before, self._pose) / REFRESH_S, 1.0 - self._his)

@@ -18,6 +18,7 @@ from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.executor import Executor
 from rtc.subsystems.motion.modes import Mode
 from rtc.subsystems.motion.operation import LOST_S, STALE_S
+from rtc.subsystems.motion.shared_way import SharedWay
 
 ME, ANOTHER = b"me", b"another"
 GRANT = "C-7.1"
@@ -321,6 +322,15 @@ def test_the_program_moves_only_while_he_holds(hands_on, way) -> None:
     assert it.moved == pytest.approx(stood)
     it.drive(6.0, twist=[0.0] * 6)
     assert off_way(it, it.rig.arm.tcp_pose(way.positions[-1]))[0] < 0.001
+
+
+def test_a_path_that_waits_for_the_arm_says_so(rig, way) -> None:
+    shared, stuck = SharedWay(way, WRIST, rig.arm.tcp_pose), rig.arm.tcp_pose(rig.home)
+    shared.twist(stuck, [0.0] * 6)
+    assert shared.waits_for == ""
+    wanted = [shared.twist(stuck, [0.0] * 6) for _ in range(3000)]  # an arm that cannot follow
+    assert shared.waits_for
+    assert wanted[-1] == pytest.approx(wanted[-100], abs=1e-3)  # it does not go on
 
 
 @pytest.mark.parametrize("granted", [{"his": WRIST}, {"his": [7]}])
