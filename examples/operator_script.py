@@ -11,6 +11,7 @@ from rtc.client.hand_controller import PERIOD_S, STILL, HandController
 
 SHARED = "MOVE RIGHT-ARM TO CLEAR-POINT-1 MAINTAIN SHARED WRIST"
 TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.1)  # m/s, rad/s
+BACK = (0.0, 0.0, 0.0, 0.0, 0.0, -0.1)
 TURN_S, LIMIT_S = 2.0, 60.0
 
 
@@ -23,15 +24,19 @@ def wait_for_request(hand: HandController) -> None:
     print(f"asked: {hand.request}")
 
 
-def turn_and_follow(hand: HandController) -> None:
-    """Turn the wrist for a while, and hold the deadman until the arm is at its place; then let go."""
+def follow(hand: HandController, turn_s: float) -> None:
+    """Turn the wrist for a while, and hold the deadman until the arm is at its place; then let go. Turn back as long as
+    the arm cannot follow its path."""
     began_s, on_the_way = time.monotonic(), True
     while on_the_way and (operation := hand.operation) is not None:
-        turning = (elapsed_s := time.monotonic() - began_s) < TURN_S
-        if refused := hand.move(TURN if turning else STILL):
+        turning = (elapsed_s := time.monotonic() - began_s) < turn_s
+        wanted = BACK if operation.cut else TURN if turning else STILL
+        if refused := hand.move(wanted):
             print(f"did nothing: {refused}")
         off_m, done_m = operation.off_m or 0.0, operation.done_m or 0.0
-        on_the_way = turning or (off_m > 0.5 * done_m and elapsed_s < LIMIT_S)
+        on_the_way = turning or off_m > 0.5 * done_m
+        if elapsed_s > LIMIT_S:
+            raise SystemExit(f"{hand.arm} is still {off_m:.3f} m from its place; {operation.cut}")
         time.sleep(PERIOD_S)
     hand.release()
 
@@ -48,9 +53,10 @@ def main() -> None:
         wait_for_request(hand)
         if done(rtc):
             raise SystemExit("DONE was believed before the arm has moved")
-        turn_and_follow(hand)
+        follow(hand, TURN_S)
         while not done(rtc) and hand.request:
             time.sleep(0.2)  # the arm comes to rest
+            follow(hand, 0.0)
         command.wait(LIMIT_S).raise_for_outcome()
         rtc.run("STOW RIGHT-ARM").raise_for_outcome()
         print("both have moved the arm, and it is stowed")

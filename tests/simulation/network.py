@@ -76,6 +76,10 @@ class Router:
     def readable(self) -> bool:
         return bool(self._inbox)
 
+    def getsockopt(self, option: int) -> int:
+        assert option == zmq.EVENTS
+        return int(zmq.POLLIN) if self._inbox else 0
+
     def recv(self, flags: int = 0, copy: bool = True) -> Frame:
         if not self._inbox:
             raise AGAIN

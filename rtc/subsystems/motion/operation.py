@@ -132,8 +132,8 @@ class OperatedArm:
         linear, angular = _within(parts[:3], self._motion.speed_m_s), _within(parts[3:], self._motion.turn_rad_s)
         if self._way is not None:
             both = self._way.twist(tcp, [*linear, *angular])
-            if behind := self._way.waits_for:
-                self.cut = f"the path waits: the arm is {behind} behind it; another attitude of yours may let it follow"
+            if self._way.waits_for:
+                self.cut = f"the path waits: the arm is {self._way.waits_for}"
             return both
         if self._motion.centre and math.dist(tcp[:3], self._motion.centre) > self._reach_m + BEYOND_M:
             angular = [0.0] * 3  # near a singular posture a turn moves the tcp too

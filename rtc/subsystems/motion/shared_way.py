@@ -33,7 +33,7 @@ class SharedWay:
         self._time_s = self._rate = 0.0
         self._pose = self._pose_at(0.0)
         self._ticks = 0
-        self.waits_for = ""  # how far the arm is behind, while the path waits for it
+        self.waits_for = ""  # where the arm is, while the path waits for it
         self._own: Array = np.zeros(6)  # the twist of the program
         self._to_his: Array = np.zeros((6, 6))  # a twist -> its part in his axes, both in world axes
 
@@ -61,7 +61,8 @@ class SharedWay:
         lag = max(lag_m / LAG_M, lag_rad / LAG_RAD)
         self.waits_for = ""
         if lag > WAITS:
-            self.waits_for = f"{measured_in_words(lag_m, 'm')} and {measured_in_words(lag_rad, 'rad')}"
+            aside = _sizes(_in_axes(axes, _between(tcp, self._pose), self._his))
+            self.waits_for = f"{_in_words(lag_m, lag_rad)} behind it, and in your axes {_in_words(*aside)} off it"
         self._rate = min(self._rate + RATE_PER_S * REFRESH_S, max(0.0, 1.0 - lag))
         self._time_s = min(self._time_s + self._rate * REFRESH_S, self._path.duration_s)
         before, self._pose = self._pose, self._pose_at(self._time_s)
@@ -89,6 +90,10 @@ def _in_axes(axes: Array, twist: Array, which: Array) -> Array:
     """The part of a twist (world axes) along and about these axes of the tool (2 x 3 of 0 or 1)."""
     part: Array = ((twist.reshape(2, 3) @ axes) * which) @ axes.T
     return part.ravel()
+
+
+def _in_words(m: float, rad: float) -> str:
+    return f"{measured_in_words(m, 'm')} and {measured_in_words(rad, 'rad')}"
 
 
 def _sizes(twist: Array) -> tuple[float, float]:

@@ -96,7 +96,7 @@ def test_displacing_moves_a_module_with_its_seat(cell, make, hand_at_handle) -> 
     bench, model, joints, pose = hand_at_handle()
     world = bench.simulation
     assert world.displace("MACS-NEW", [0.0, 0.005, 0.0, 0.0, 0.0, 0.0]) == ""
-    assert world.displace("NOTHING", [0.0] * 6).startswith("there is no object NOTHING; ")
+    assert world.displace("NOTHING", [0.0] * 6).startswith("there is no object or seat NOTHING; ")
 
     goal = geometry.translate(pose, (0.0, 0.045, 0.0))
     feel = make.stop(StopReason.CONTACT, p.ForceAbove(limit_n=5.0))
