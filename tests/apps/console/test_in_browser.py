@@ -336,6 +336,11 @@ def test_the_operator_grasps_what_is_displaced_and_his_word_alone_is_not_believe
         steer(page, geometry.translate(goal, -0.12 * geometry.rotate(goal, (0.0, 0.0, 1.0))), 0.02)
         page.click(".request .answer .primary")
         asked_to(page, "grasp point")
+        width_m = page.ask("rtcConsole.state.arms['RIGHT-ARM'].hand_width_m")
+        page.ask("rtcConsole.hold('RIGHT-ARM', () => ({hand: 'close'})) && 0")  # by mistake
+        page.wait("document.querySelector('.request .note[role=status]').textContent.includes('not part of')")
+        page.ask("rtcConsole.release()")
+        assert page.ask("rtcConsole.state.arms['RIGHT-ARM'].hand_width_m") == pytest.approx(width_m, abs=1e-4)
         steer(page, goal, 0.001)
         page.click(".request .answer .primary")
         asked_to(page, "close the hand")
