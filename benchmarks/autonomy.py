@@ -41,8 +41,9 @@ import msgspec
 import numpy as np
 import pybullet
 
-from benchmarks.grasp import REST_RAD, REST_TICKS, wilson
+from benchmarks.grasp import wilson
 from benchmarks.report import finish, question
+from benchmarks.skills import rests
 from rtc.apps.demos import lines as demo_lines
 from rtc.apps.demos import swapout
 from rtc.model.cells.cell import Cell
@@ -209,7 +210,7 @@ class Trial:
         answer = Answer.of(done)
         if not answer.succeeded:
             run.failed.append(f"{text}: {answer}")
-            if not self._rests():
+            if not rests(self.subsystem):
                 run.restless = text
         found = judge(self.bench.world.facts.values(), self.truth())
         run.wrong += [f"after {text}: {one}" for one in found.wrong]
@@ -217,18 +218,6 @@ class Trial:
         if self.verbose:
             print(f"    {time.process_time() - began_s:5.1f} s  {text[:60]}: {str(answer)[:200]}", flush=True)
         return answer
-
-    def _rests(self) -> bool:
-        before = {name: arm.read().joints for name, arm in self.sim.arms.items()}
-        for _ in range(REST_TICKS):
-            for executor in self.subsystem.executors.values():
-                executor.tick(0.0)
-            self.sim.step()
-        return all(
-            abs(now - then) < REST_RAD
-            for name, arm in self.sim.arms.items()
-            for now, then in zip(arm.read().joints, before[name], strict=True)
-        )
 
     def check_seated(self) -> None:
         truth = self.truth()

@@ -168,7 +168,7 @@ class Trial:
         if self.scene.displaced != door.DOOR:  # with a door the satellite is displaced, which the cell states exactly
             found = judge(self.bench.world.facts.values(), self._truth())
             run.wrong += [f"after {sentence}: {one}" for one in found.wrong]
-        run.restless = run.restless or not self._rests()
+        run.restless = run.restless or not rests(self.subsystem)
         return done.succeeded or (sentence != self.scene.sentence and bool(run.repaired))
 
     def _do(self, sentence: str) -> Run:
@@ -187,17 +187,20 @@ class Trial:
     def _truth(self) -> dict[str, Any]:
         return {**self.sim.truth(), "held": self.sim.held()}
 
-    def _rests(self) -> bool:
-        before = {name: arm.read().joints for name, arm in self.sim.arms.items()}
-        for _ in range(REST_TICKS):
-            for executor in self.subsystem.executors.values():
-                executor.tick(0.0)
-            self.sim.step()
-        return all(
-            abs(now - then) < REST_RAD
-            for name, arm in self.sim.arms.items()
-            for now, then in zip(arm.read().joints, before[name], strict=True)
-        )
+
+def rests(subsystem: Physical) -> bool:
+    """Whether all arms stand still for the next `REST_TICKS`."""
+    arms = subsystem.sim.arms
+    before = {name: arm.read().joints for name, arm in arms.items()}
+    for _ in range(REST_TICKS):
+        for executor in subsystem.executors.values():
+            executor.tick(0.0)
+        subsystem.sim.step()
+    return all(
+        abs(now - then) < REST_RAD
+        for name, arm in arms.items()
+        for now, then in zip(arm.read().joints, before[name], strict=True)
+    )
 
 
 def perform(verb: str, number: int, *, cameras: bool) -> SkillRun:

@@ -31,9 +31,8 @@ ASIDE_M = 0.002  # of a seat: more than its play
 SEATED_M = 0.004
 OBSTACLE = [0.36, 0.05, 1.25]  # of POWER-DRIVER with its rack: before the left arm on its way to its stowed posture
 REACHED_RAD = 0.01
-WEAKENS_N_S = (
-    0.8  # more than a third of the force is lost while the right arm brings the module to where the left one takes it
-)
+# More than a third of the force is lost while the right arm brings the module to where the left one takes it.
+WEAKENS_N_S = 0.8
 AROUND = "MOVE LEFT-ARM TO JOINTS {joints} DEG THROUGH CLEAR-POINT-1 MAINTAIN AVOID-NEIGHBORS BY 3 CM"
 HALT_AFTER_S = 0.3  # from the begin of the motion of both arms
 REST_S = 60.0

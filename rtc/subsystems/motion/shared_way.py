@@ -19,7 +19,7 @@ from rtc.subsystems.motion.profiles import Follow
 
 GAIN_PER_S = 4.0  # of what the tcp is off the path
 LAG_M, LAG_RAD = 0.01, 0.05  # so far behind, the path waits
-WAITS = 0.9  # share of them at which it nearly stands
+WAITS = 0.9  # share of these lags from which on the path is reported to wait
 RATE_PER_S = 2.0  # change of the rate of its time
 REFRESH_TICKS = 5  # the program's twist follows path and arm at this interval; his, and his deadman, in each tick
 REFRESH_S = REFRESH_TICKS * TICK_S
