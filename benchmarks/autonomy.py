@@ -28,7 +28,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import multiprocessing
 import random
 import time
 from collections import Counter
@@ -41,6 +40,7 @@ import msgspec
 import numpy as np
 import pybullet
 
+from benchmarks.copies import in_copies
 from benchmarks.grasp import wilson
 from benchmarks.report import finish, question
 from benchmarks.skills import rests
@@ -287,12 +287,11 @@ def _joined(files: Iterable[Path]) -> list[AutonomyRun]:
 def _made(given: argparse.Namespace) -> list[AutonomyRun]:
     prepare(verbose=given.verbose)
     done = []
-    with multiprocessing.get_context("fork").Pool(given.processes, maxtasksperchild=1) as pool:
-        for run in pool.imap_unordered(perform, given.only or range(given.seed_from, given.seed_from + given.runs)):
-            done.append(run)
-            print(f"  {run.in_words()}", flush=True)
-            if given.out:  # after each run: a series that is ended early keeps its results
-                given.out.write_text(json.dumps([asdict(run) for run in done]))
+    for run in in_copies(perform, given.only or range(given.seed_from, given.seed_from + given.runs), given.processes):
+        done.append(run)
+        print(f"  {run.in_words()}", flush=True)
+        if given.out:  # after each run: a series that is ended early keeps its results
+            given.out.write_text(json.dumps([asdict(run) for run in done]))
     return done
 
 

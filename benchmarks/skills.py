@@ -1,12 +1,15 @@
 """How often does each verb succeed in physics when things are not where they are believed to be?
 
-    python -m benchmarks.skills [--runs 100] [--verb EXTRACT ...] [--touch-only] [--out FILE]
+    python -m benchmarks.skills [--runs 100] [--seed-from 0] [--only 7 12] [--verb EXTRACT ...] [--touch-only]
+                                [--processes 1] [--out FILE]
+    python -m benchmarks.skills --join a.json b.json ...
 
-In physics, sentence by sentence in one process, without a broker. A run prepares a scene with sentences, displaces a
-thing with the seat it is in, and gives the sentence of the verb. The errors are normally distributed about all six
-axes: sigma 5 mm and 1 degree; at most three sigma. Run n has the same errors for every verb. After the sentence all
+In physics, sentence by sentence in one process, without a broker. A run displaces a thing with the seat it is in,
+prepares a scene with sentences, and gives the sentence of the verb. The errors are normally distributed about all six
+axes: sigma 5 mm and 1 degree; at most three sigma. Run n has the same errors for every verb. After each sentence all
 valid facts are compared with the truth, and the arms must rest. After a refusal or a failure the first advised sentence
-is given, then the sentence again.
+is given, then the sentence again. Verbs with the same first sentences share them: these are performed once, and each
+verb continues in a copy of that process. If one of them fails, each verb behind it fails there.
 
     lowest_rate           share of successes of the verb with the fewest
     wrong_valid_facts     valid facts that are off by more than 5 mm or 2 deg beyond their spread
@@ -22,12 +25,14 @@ import math
 import random
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 
+from benchmarks.copies import in_copies
 from benchmarks.grasp import REST_RAD, REST_TICKS, wilson
 from benchmarks.report import finish, question
 from rtc.model.cells.cell import Cell
@@ -43,14 +48,17 @@ MOST_SIGMAS = 3.0
 
 
 class Scene(NamedTuple):
-    """How a verb is tried: the cell, the sentences before, the thing that is displaced after so many of them."""
+    """How a verb is tried: the cell, the thing that is displaced in it, the sentences; the last one is of the verb."""
 
     cell: str
-    before: list[str]
     displaced: str
-    sentence: str
-    after: int = 0  # the thing is displaced after so many of the sentences before
+    sentences: list[str]
     opened: bool = False  # the door stands open from the beginning
+
+    @property
+    def root(self) -> tuple[str, str, bool]:
+        """What scenes must have in common to share their first sentences."""
+        return self.cell, self.displaced, self.opened
 
 
 GRASPED = ["GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"]
@@ -64,16 +72,16 @@ HANDOFF = "HANDOFF MACS-NEW FROM RIGHT-ARM TO LEFT-ARM"
 
 
 def _of_module(before: list[str], sentence: str) -> Scene:
-    return Scene("swapout", before, "MACS-NEW", sentence)
+    return Scene("swapout", "MACS-NEW", [*before, sentence])
 
 
 def _of_door(before: list[str], sentence: str) -> Scene:
-    return Scene("servicing", before, door.DOOR, sentence)
+    return Scene("servicing", door.DOOR, [*before, sentence])
 
 
 def _of_bolt(before: list[str], sentence: str) -> Scene:
     """The driver is displaced on its rack. The bolt is where the cell states it."""
-    return Scene("servicing", before, "POWER-DRIVER", sentence, opened=True)
+    return Scene("servicing", "POWER-DRIVER", [*before, sentence], opened=True)
 
 
 #: verb -> its scene
@@ -106,13 +114,14 @@ class SkillRun:
     number: int
     offset: list[float]
     succeeded: bool = False
-    stage: str = ""  # the sentence that failed, or the step of the verb that did
+    stage: str = ""  # the sentence that failed
     cause: str = ""
     repaired: bool | None = None  # after the first advised sentence; None: nothing failed
     trims: int = 0
     wrong: list[str] = field(default_factory=list)
     restless: bool = False
-    seconds: float = 0.0
+    simulated_s: float = 0.0  # with the sentences before
+    seconds: float = 0.0  # processor time of its last sentence
 
     def in_words(self) -> str:
         how = "succeeded" if self.succeeded else f"{self.stage}: {self.cause}"
@@ -128,10 +137,11 @@ def offset(number: int) -> list[float]:
 
 
 class Trial:
-    """The simulated cell of one run."""
+    """The simulated cell of a run, from the common beginning of several scenes."""
 
-    def __init__(self, run: SkillRun, scene: Scene, *, cameras: bool) -> None:
-        self.run, self.scene = run, scene
+    def __init__(self, scene: Scene, *, cameras: bool) -> None:
+        self.displaced = scene.displaced
+        self.run = SkillRun("", -1, [])
         cell = Cell.load(scene.cell)
         self.model = CellModel(cell if cameras else msgspec.structs.replace(cell, cameras=[]))
         self.subsystem = Physical(self.model.cell)
@@ -141,39 +151,54 @@ class Trial:
         if scene.opened:
             door.stand_open(self.bench)
 
-    def perform(self) -> None:
-        run, scene = self.run, self.scene
-        for n, sentence in enumerate(scene.before):
-            if n == scene.after:
-                self._displace()
-            if not self._done(sentence):
-                return
-        if len(scene.before) <= scene.after:
-            self._displace()
-        run.succeeded = self._done(scene.sentence)
+    def perform(self, verbs: Sequence[str], number: int) -> list[SkillRun]:
+        """The runs of this number of verbs whose scenes begin here. This process can make no other run after it."""
+        self.run = SkillRun("", number, offset(number))
+        self._displace()
+        return self._branch(verbs, 0)
+
+    def _branch(self, verbs: Sequence[str], depth: int) -> list[SkillRun]:
+        """The runs of verbs whose first `depth` sentences were performed: a copy for each next sentence."""
+        self.subsystem.close_eyes()  # each copy opens its own
+        behind = [(sentence, ones, depth) for sentence, ones in by_next_sentence(verbs, depth).items()]
+        return [run for runs in in_copies(self._continue, behind) for run in runs]
+
+    def _continue(self, way: tuple[str, list[str], int]) -> list[SkillRun]:
+        sentence, verbs, depth = way
+        began_s, before = time.process_time(), self.run
+        last = [verb for verb in verbs if len(SCENES[verb].sentences) == depth + 1]
+        behind = [verb for verb in verbs if verb not in last]
+        self.run = replace(before, wrong=list(before.wrong))
+        succeeded = self._done(sentence)
+        self.run.seconds = time.process_time() - began_s
+        runs = [replace(self.run, verb=verb, succeeded=succeeded) for verb in last]
+        if succeeded or self.run.repaired:
+            return runs + (self._branch(behind, depth + 1) if behind else [])
+        return runs + [replace(self.run, verb=verb) for verb in behind]
 
     def _displace(self) -> None:
-        if self.scene.displaced == door.DOOR:
+        if self.displaced == door.DOOR:
             door.displace(self.sim, self.run.offset)
         else:
-            self.subsystem.displace_and_turn(self.scene.displaced, list(self.run.offset))
+            self.subsystem.displace_and_turn(self.displaced, list(self.run.offset))
 
     def _done(self, sentence: str) -> bool:
-        """Whether it succeeds, by itself or in the end; notes the first failure, and judges after it."""
+        """Whether it succeeds by itself; notes its failure, and whether the advice repaired it, and judges after it."""
         run = self.run
         done = self._do(sentence)
         if not done.succeeded:
             run.stage, run.cause = sentence, str(Answer.of(done))
             run.repaired = self._repaired(sentence, done)
-        if self.scene.displaced != door.DOOR:  # with a door the satellite is displaced, which the cell states exactly
+        if self.displaced != door.DOOR:  # with a door the satellite is displaced, which the cell states exactly
             found = judge(self.bench.world.facts.values(), self._truth())
             run.wrong += [f"after {sentence}: {one}" for one in found.wrong]
         run.restless = run.restless or not rests(self.subsystem)
-        return done.succeeded or (sentence != self.scene.sentence and bool(run.repaired))
+        return done.succeeded
 
     def _do(self, sentence: str) -> Run:
         done = self.bench.do(sentence)
         self.run.trims += len(done.trims)
+        self.run.simulated_s += sum(report.duration_s for report in done.reports)
         return done
 
     def _repaired(self, sentence: str, done: Run) -> bool:
@@ -203,16 +228,28 @@ def rests(subsystem: Physical) -> bool:
     )
 
 
-def perform(verb: str, number: int, *, cameras: bool) -> SkillRun:
-    began_s = time.process_time()
-    run = SkillRun(verb, number, offset(number))
-    trial = Trial(run, SCENES[verb], cameras=cameras)
-    try:
-        trial.perform()
-    finally:
-        trial.subsystem.close()
-    run.seconds = time.process_time() - began_s
-    return run
+def by_next_sentence(verbs: Iterable[str], depth: int) -> dict[str, list[str]]:
+    """Verbs by the sentence that follows the first `depth` ones of their scenes."""
+    found: dict[str, list[str]] = {}
+    for verb in verbs:
+        found.setdefault(SCENES[verb].sentences[depth], []).append(verb)
+    return found
+
+
+prepared: list[tuple[Trial, list[str]]] = []  # one for each common beginning, with its verbs; runs continue in copies
+
+
+def prepare(verbs: Sequence[str], *, cameras: bool) -> None:
+    roots: dict[tuple[str, str, bool], list[str]] = {}
+    for verb in verbs:
+        roots.setdefault(SCENES[verb].root, []).append(verb)
+    prepared[:] = [(Trial(SCENES[ones[0]], cameras=cameras), ones) for ones in roots.values()]
+
+
+def perform(number: int) -> list[SkillRun]:
+    """The runs of this number, in a copy of the prepared process."""
+    done = [run for trial, verbs in prepared for run in trial.perform(verbs, number)]
+    return sorted(done, key=lambda run: list(SCENES).index(run.verb))
 
 
 def metrics_of(done: list[SkillRun]) -> tuple[dict[str, float | None], list[tuple[str, str]]]:
@@ -238,25 +275,45 @@ def metrics_of(done: list[SkillRun]) -> tuple[dict[str, float | None], list[tupl
     return metrics, rows
 
 
+def joined(files: Iterable[Path]) -> list[SkillRun]:
+    """The runs of several files; of the same verb and number the last one."""
+    rows = [row for file in files for row in json.loads(file.read_text())]
+    return list({(row["verb"], row["number"]): SkillRun(**row) for row in rows}.values())
+
+
+def _made(given: argparse.Namespace) -> list[SkillRun]:
+    prepare(given.verb or list(SCENES), cameras=not given.touch_only)
+    done: list[SkillRun] = []
+    numbers = given.only or range(given.seed_from, given.seed_from + given.runs)
+    for runs in in_copies(perform, numbers, given.processes):
+        done += runs
+        print("\n".join(run.in_words() for run in runs), flush=True)
+        if given.out:  # after each number: a series that is ended early keeps its results
+            given.out.write_text(json.dumps([asdict(run) for run in done], indent=1))
+    return done
+
+
 def main() -> None:
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        prog="python -m benchmarks.skills", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--runs", type=int, default=100, help="runs of each verb")
     words.add_argument("--seed-from", type=int, default=0, help="number of the first run")
+    words.add_argument("--only", type=int, nargs="+", help="these numbers alone")
     words.add_argument("--verb", nargs="+", choices=SCENES, help="these alone")
     words.add_argument("--touch-only", action="store_true", help="without cameras")
-    words.add_argument("--out", type=Path, help="write the runs into this file too, after each of them")
+    words.add_argument("--processes", type=int, default=1)
+    words.add_argument("--out", type=Path, help="write the runs into this file instead of the results")
+    words.add_argument("--join", type=Path, nargs="+", help="report the runs of these files")
     given = words.parse_args()
     question("skills", "how often does each verb succeed with pose errors of 5 mm and 1 degree?", seed=SEED)
-    done: list[SkillRun] = []
-    for number in range(given.seed_from, given.seed_from + given.runs):
-        for verb in given.verb or SCENES:
-            done.append(perform(verb, number, cameras=not given.touch_only))
-            print(done[-1].in_words(), flush=True)
-            if given.out:
-                given.out.write_text(json.dumps([asdict(run) for run in done], indent=1))
+    done = joined(given.join) if given.join else _made(given)
     metrics, rows = metrics_of(done)
-    shown = [(name, "-" if value is None else f"{value:.4g}") for name, value in metrics.items()]
-    finish("skills", metrics, rows + shown, data=[asdict(run) for run in done])
+    if given.join or not (given.out or given.only):
+        shown = [(name, "-" if value is None else f"{value:.4g}") for name, value in metrics.items()]
+        finish("skills", metrics, rows + shown, data=[asdict(run) for run in done])
+    else:
+        print(json.dumps({**metrics, **dict(rows)}))
 
 
 if __name__ == "__main__":
