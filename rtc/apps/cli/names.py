@@ -95,7 +95,7 @@ def _arms(cell: Cell) -> list[NameEntry]:
         )
         for arm in cell.arms
     ]
-    both = NameEntry(BOTH_ARMS, "in HALT, and in MOVE BOTH-ARMS BY or TO with one object in both hands")
+    both = NameEntry(BOTH_ARMS, "in HALT; in MOVE, LIFT and CARRY with one object in both hands")
     return [*found, both] if len(found) > 1 else found
 
 

@@ -15,6 +15,8 @@ from typing import NamedTuple
 from rtc.apps.cli.output import cli_error
 
 LABEL = re.compile(r"([A-Z]+)[-_]?(\d+)[ \t]*:[ \t]*", re.IGNORECASE)
+#: the language itself ends a sentence at --; a quotation may contain #
+_COMMENT = re.compile(r'("[^"]*")|(?<!\S)#.*')
 #: quotations and comments name nothing; neither does an object that is called like a command
 _REFERENCE = re.compile(
     r'"[^"]*"|--.*|(?<![\w-])(?:(?:AFTER|TOGETHER[-_]WITH)[ \t,]+(?P<order>[A-Z][\w-]*)'
@@ -60,9 +62,9 @@ def checked(lines: list[Line]) -> list[Line]:
 
 
 def line_of(written: str, place: str = "") -> Line | None:
-    """One line of a program; None if it is blank or a comment."""
-    text = written.strip()
-    if not text or text.startswith(("#", "--")):
+    """One line of a program, without its comment; None if nothing is left."""
+    text = _COMMENT.sub(lambda found: found[1] or "", written).strip()
+    if not text or text.startswith("--"):
         return None
     found = LABEL.match(text)
     return Line(spelt(found[0].rstrip(" \t:")), text[found.end() :], place) if found else Line("", text, place)

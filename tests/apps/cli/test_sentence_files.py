@@ -27,6 +27,20 @@ def test_comments_and_blank_lines_are_left_out_and_labels_have_one_spelling(tmp_
     ]
 
 
+@pytest.mark.parametrize(
+    ("written", "text"),
+    [
+        ("STOW LEFT-ARM  # out of the way", "STOW LEFT-ARM"),
+        ('SHOW "A # B" # state', 'SHOW "A # B"'),
+        ("C1: STOW LEFT-ARM -- out of the way", "STOW LEFT-ARM -- out of the way"),  # a comment of the language
+    ],
+)
+def test_a_comment_may_follow_a_sentence(written: str, text: str) -> None:
+    line = line_of(written)
+    assert line is not None
+    assert line.text == text
+
+
 def test_a_file_that_is_not_there_is_reported_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(typer.Exit) as left:
         read(tmp_path / "none.txt")
