@@ -51,8 +51,9 @@ def run(programs: Programs, cell: CellModel | None, world: World | None, data: R
     before = data.before or Paper(at_s=data.at_s)
     parsed = msgspec.structs.replace(data.parsed, test=False, assuming=None)
     paper = settled(cell, on_paper(world, before.facts), data.moving)
-    done = Performance(programs, cell, paper, before.at_s, data.command)
+    done = Performance(programs, cell, paper, before.at_s, data.command, rigid=data.rigid)
     faults: list[FaultBranch] = []
+    feasible = False
     try:
         in_order.refuse_unknown(parsed, before, data.live)
         if parsed.kind == "control":
@@ -60,14 +61,18 @@ def run(programs: Programs, cell: CellModel | None, world: World | None, data: R
             return _answer(done, data, parsed, in_order.stopped(before, parsed, data.label))
         done.run(parsed)
         in_order.refuse_lasting(done, before)
-        if data.parsed.assuming and done.refusal is None:
+        feasible = done.refusal is None
+        if data.parsed.assuming and feasible:
             faults = assumed_faults.branches(done, data.parsed.assuming)
     except Refused as refused:
         done.refusal = refused.refusal
     if done.refusal is not None:
-        query = WorldQuery(cell, paper, before.at_s)
-        failed = repairs.Infeasible(plain(data.text), parsed, done.refusal, query)
-        offered = repairs.tested(failed, programs[WorkerKind.ELABORATOR].program, _rehearser(done, paper, before.at_s))
+        offered: list[Repair] = []
+        if not feasible:  # another sentence does not mend an ASSUMING that does not fit
+            query = WorldQuery(cell, paper, before.at_s)
+            failed = repairs.Infeasible(plain(data.text), parsed, done.refusal, query)
+            rehearser = _rehearser(done, paper, before.at_s)
+            offered = repairs.tested(failed, programs[WorkerKind.ELABORATOR].program, rehearser)
         return _answer(done, data, parsed, before, repairs=offered)
     return _answer(done, data, parsed, in_order.begun(before, done, data.label), faults=faults)
 
@@ -113,7 +118,9 @@ def _rehearser(first: Performance, world: PaperWorld, at_s: float) -> repairs.Re
             parsed = parse.parse_job(first.programs[WorkerKind.PARSER], text)
             if isinstance(parsed, Refusal) or parsed.kind != "task":
                 return None
-            done = Performance(first.programs, first.model, here, now_s, first.command, advise=False).run(parsed)
+            done = Performance(
+                first.programs, first.model, here, now_s, first.command, advise=False, rigid=first.rigid
+            ).run(parsed)
             if done.refusal is not None or (text is not sentences[-1] and in_vain(done.world)):
                 return None
             here, now_s, total_s = done.world, done.now_s, total_s + done.predicted_s

@@ -47,9 +47,14 @@ def _position(pose: Sequence[float]) -> str:
 
 
 def _facts(versions: dict[str, int]) -> str:
-    known = [f"{key} v{version}" for key, version in versions.items() if version]
+    """By what they are about. A version is stated from the second on."""
+    known = [(*key.rpartition(".")[::2], version) for key, version in versions.items() if version]
+    about: dict[str, list[str]] = {body: [] for body, _, _ in known}
+    for body, attribute, version in known:
+        about[body].append(attribute + f" v{version}" * (version > 1))
     absent = len(versions) - len(known)
-    return ", ".join(known) + (f"; and that {absent} do not exist" if absent else "")
+    words = "; ".join(f"{body} {', '.join(attributes)}" for body, attributes in about.items())
+    return words + (f"; and that {absent} do not exist" if absent else "")
 
 
 def _faults(branches: Sequence[FaultBranch]) -> Iterator[str]:

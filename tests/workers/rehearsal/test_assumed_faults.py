@@ -66,6 +66,7 @@ def test_a_fault_that_no_step_can_end_with_is_refused_with_those_that_can(word: 
     assert found.refusal is not None
     assert found.refusal.reason is RefusalReason.NAME
     assert expects in found.refusal.expected
+    assert found.rehearsal.repairs == []  # the sentence itself is feasible
 
 
 def test_a_trim_of_the_sentence_is_walked_too():
