@@ -395,6 +395,8 @@ class Subsystem(msgspec.Struct, kw_only=True):
     """It was at rest when it connected; False once it is lost."""
     pauses: bool = False
     """It can pause a primitive on its path."""
+    rigid: bool = False
+    """Its arms neither comply with a force nor turn bolts."""
 
 
 def queues_of(state: State) -> set[str]:

@@ -17,7 +17,7 @@ from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.state import NIL, LinkState, State, Subsystem
 from rtc.protocol.messages import HaltOrder, Phase, SubsystemHello
 from rtc.protocol.primitive_id import command_of, number_of
-from rtc.protocol.versions import PAUSES
+from rtc.protocol.versions import PAUSES, RIGID
 
 MAX_SUBSYSTEMS = 32  # maximum number of subsystems in the state, lost ones included
 
@@ -103,6 +103,7 @@ def _connect(context: DecisionContext, hello: SubsystemHello) -> None:
         queues=hello.queues,
         came_at_rest=hello.at_rest,
         pauses=PAUSES in hello.abilities,
+        rigid=RIGID in hello.abilities,
     )
     for primitive in hello.outstanding:
         state.accepted = max(state.accepted, number_of(primitive))  # a journal after a loss may lack it

@@ -10,6 +10,7 @@ VERSION = 3
 
 ARRAYS = "arrays"  # it reads arrays of messages; else each message travels alone
 PAUSES = "pauses"  # a subsystem: it obeys SetPaused; else its commands pause between two steps only
+RIGID = "rigid"  # a subsystem: its arms neither comply with a force nor turn bolts; a test refuses such a step
 BOXES = "boxes"  # a worker: its collision checks begin with the compiled boxes (decision 0069)
 
 

@@ -203,7 +203,7 @@ def displaced(pose: Array, offset: Sequence[float]) -> Array:
 class KinematicArm:
     def __init__(self, world: KinematicCell, name: str) -> None:
         spec = world.cell.arm(name)
-        self.traits = Traits.of(world.cell, name)
+        self.traits = msgspec.structs.replace(Traits.of(world.cell, name), rigid=True)
         self._world = world
         self._model = ArmModel.of(world.cell, name)
         self._laws = control_laws.known()

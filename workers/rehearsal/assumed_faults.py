@@ -107,6 +107,7 @@ def _branch(done: Performance, moment: Moment, reason: StopReason) -> FaultBranc
         command=done.command,
         script=done.script,
         actions=copied(moment.actions),
+        rigid=done.rigid,
     )
     actions = paper.actions
     assert actions is not None

@@ -5,7 +5,7 @@ Pure. It calls the functions of elaborator, binder and analyzer in turn, and kno
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -23,8 +23,8 @@ from rtc.protocol.messages import (
     Script,
     WorkerKind,
 )
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason
-from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Look, Primitive
+from rtc.protocol.outcomes import Reflex, Refusal, RefusalReason, Refused, StopReason
+from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Look, Primitive, SpindleMotion
 from rtc.protocol.rehearsal import RehearsedStep
 from rtc.protocol.sentence import ParsedCommand
 from workers.analyzer import analyze
@@ -53,7 +53,7 @@ class Moment(NamedTuple):
 @dataclass
 class Performance:
     """A sentence on paper. `world` and `now_s` (the broker's clock) are those after the steps so far. `advise`: as of
-    the elaborator; a repair that is refused is not shown."""
+    the elaborator; a repair that is refused is not shown. `rigid`: as in `RehearsalInput`."""
 
     programs: Programs
     model: CellModel
@@ -61,6 +61,7 @@ class Performance:
     now_s: float
     command: str
     advise: bool = True
+    rigid: Collection[str] = ()
     script: Script | None = None
     actions: ActionStack[Script, Any] | None = None
     steps: list[RehearsedStep] = field(default_factory=list)
@@ -148,7 +149,7 @@ class Performance:
         report = bound.report
         if bound.primitive is not None:
             query = self.query()
-            report = end_report(query, bound, self.now_s)
+            report = self._report(query, bound)
             if lasts_until_stopped(bound):
                 report = msgspec.structs.replace(report, duration_s=0.0, at_s=self.now_s)
             self.assumes += assumptions(bound, report)
@@ -159,6 +160,20 @@ class Performance:
         judged = self.judge(bound, report)
         if judged.verdict != "continue":
             self.follow(judged)
+
+    def _report(self, query: WorldQuery, bound: BoundStep) -> EndReport:
+        """The predicted one. An exact arm refuses what must give way, as it would in a motion (`KinematicArm`)."""
+        made = bound.primitive
+        assert made is not None
+        turns = isinstance(made.trajectory, SpindleMotion)
+        gives_way = made.control_law.compliance is not None
+        gives_way |= any(stop.reflex is Reflex.COMPLY for stop in made.stop_functions)
+        if made.performer not in self.rigid or not (turns or gives_way):
+            return end_report(query, bound, self.now_s)
+        what = "turns no bolts" if turns else "cannot comply"
+        message = f"{made.performer} is exact and {what}; arms with physics do (rtc up --mcm bullet)"
+        refused = end_report(query, bound, self.now_s, StopReason.REFUSED)
+        return msgspec.structs.replace(refused, message=message, duration_s=0.0)
 
     def _call(self, function: Any, kind: WorkerKind, data: Any) -> Any:
         return _unless_refused(function.run(self.programs[kind], self.model, self.world, data))

@@ -40,6 +40,7 @@ def rehearse(context: DecisionContext, command: Command, head: ParsedHead) -> No
         "label": command.label,
         "live": [name for name in named if name in context.state.commands],
         "at_s": context.now,
+        "rigid": [name for one in context.state.subsystems.values() if one.rigid for name in one.performers],
     }
     if before is not None:
         data["before"] = before.paper

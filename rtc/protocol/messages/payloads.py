@@ -189,6 +189,7 @@ class RehearsalInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     live: list[str] = []  # those of the commands that it names that are in progress
     at_s: float = 0.0
     moving: list[Primitive] = []
+    rigid: list[str] = []  # performers that neither comply with a force nor turn bolts
     before: Paper | None = None  # the world after the rehearsals before; None: as it is
 
 

@@ -85,6 +85,7 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
     max_grip_n: float
     hand_speed_m_s: float
     slides: list[bool] = []  # by joint; one that slides has m, m/s, m/s^2
+    rigid: bool = False  # it neither complies with a force nor turns a spindle
 
     def margins(self, margin_rad: float) -> list[float]:
         """By joint: the distance from its limits (rad, m) that this margin means."""

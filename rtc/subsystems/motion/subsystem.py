@@ -14,7 +14,7 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import FAULT_SCOPE, FaultScope, StopReason
 from rtc.protocol.primitive import Primitive, StartAfter
 from rtc.protocol.subsystems import ARMS
-from rtc.protocol.versions import ARRAYS, PAUSES
+from rtc.protocol.versions import ARRAYS, PAUSES, RIGID
 from rtc.subsystems.base.subsystem import BROKER, Outgoing, Report, Reports, Subsystem, in_scope
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface
 from rtc.subsystems.motion.executor import Executor
@@ -57,7 +57,8 @@ class McmSubsystem(Subsystem[Executor]):
         return m.Strayed(arms={executor.name: executor.strayed for executor in self._all if executor.strayed})
 
     def _hello(self) -> m.SubsystemHello:
-        return msgspec.structs.replace(super()._hello(), abilities=[ARRAYS, PAUSES], paused=self._paused)
+        rigid = [RIGID] if any(executor.arm.traits.rigid for executor in self._all) else []
+        return msgspec.structs.replace(super()._hello(), abilities=[ARRAYS, PAUSES, *rigid], paused=self._paused)
 
     # --- of one arm --------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ import pytest
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
-from rtc.protocol.versions import PAUSES
+from rtc.protocol.versions import PAUSES, RIGID
 from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.modes import Mode
 from rtc.subsystems.motion.pace import RAMPS_S
@@ -184,5 +184,6 @@ def test_the_subsystem_pauses_the_named_primitive_only_and_names_it_in_its_hello
     bench.handle(m.SetPaused(primitive="C-1.1", paused=True))
     bench.tick(SLOWEST_TICKS)
     hello = bench.subsystem.hello()[0][1]
+    assert RIGID in hello.abilities
     assert (PAUSES in hello.abilities, hello.paused) == (True, ["C-1.1"])
     assert paced(message for _, message in bench.sent) == [True]

@@ -28,6 +28,7 @@ class OnPaper:
         self.world = World(version=7).overlay(changes, "cell", 0.0)
         self.programs: dict[WorkerKind, Any] = dict(PROGRAMS)
         self.paper: Paper | None = None
+        self.rigid: list[str] = []  # arms of an exact MCM
 
     def know(self, key: str, value: Any = None, validity: Validity = Validity.VALID) -> None:
         change = WorldChange(key=key, value=value, keep_value=value is None, validity=validity)
@@ -46,6 +47,7 @@ class OnPaper:
             moving=list(moving),
             live=list(live),
             before=self.paper,
+            rigid=self.rigid,
         )
         found: Rehearsed = read(wire.encode(rehearse.run(self.programs, self.model, self.world, data)))
         self.paper = found.after

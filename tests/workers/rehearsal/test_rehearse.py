@@ -103,6 +103,17 @@ def test_a_whole_journey_through_a_door_is_feasible():
     assert angle == pytest.approx(1.5708, abs=0.002)
 
 
+def test_exact_arms_refuse_what_must_give_way_and_do_the_rest():
+    paper = OnPaper(SERVICING)
+    paper.rigid = ["LEFT-ARM", "RIGHT-ARM"]
+    grasp = paper.test("GRASP LEFT-END-EFF DOOR-2 LATCH-PULL")
+    assert grasp.refusal is None
+    assert grasp.rehearsal.steps[-2].reason == StopReason.REFUSED  # then a trim closes the hand without compliance
+    opened = paper.test("OPEN DOOR-2 BY 60 DEG WITH LEFT-ARM")
+    assert opened.refusal is not None
+    assert "exact" in opened.refusal.message
+
+
 # --- live motions ----------------------------------------------------------------------------------------
 
 

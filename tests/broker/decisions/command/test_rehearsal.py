@@ -11,6 +11,7 @@ from broker.decisions.effects import DispatchJob
 from rtc.protocol import wire
 from rtc.protocol.messages import ElaboratorInput, RehearsalInput, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
+from rtc.protocol.versions import RIGID
 from tests.broker.harness import Harness, record, rehearsed
 from tests.simulation.invariants import violations
 
@@ -51,6 +52,15 @@ def test_its_job_has_the_programs_of_all_kinds():
     s.answers("C-1", record(test=True))
     job = next(e for e in reversed(s.log) if isinstance(e, DispatchJob))
     assert job.programs == {kind: f"{kind}-1" for kind in WorkerKind}
+
+
+def test_its_job_names_the_arms_that_cannot_comply():
+    s = Harness()
+    s.handle(events.SubsystemConnected, subsystem="EXACT", pid=2, performers=["ARM-3"], abilities=[RIGID])
+    s.says("TEST X")
+    s.answers("C-1", record(test=True))
+    data = wire.decoder(RehearsalInput)(s.state.commands["C-1"].job.input)
+    assert data.rigid == ["ARM-3"]
 
 
 def test_an_infeasible_sentence_is_refused_with_its_step():
