@@ -15,6 +15,7 @@ import numpy as np
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from workers.binder.bind_task import BindTask, RuledTask
 from workers.conditions.stop_conditions import Values
@@ -22,6 +23,8 @@ from workers.planning.motion.plan import Motion
 from workers.planning.motion.timing import Timed, slower
 from workers.planning.segments import Target
 
+ASIDE = 0.02  # of a way back: how far it may lead aside (share of its length), and turn (rad)
+WRIST_M = 0.12  # from the tool centre point back to the wrist: the hand and its flange are that long
 CHECKED = 9  # times of a motion at which its impact is computed
 
 
@@ -94,7 +97,7 @@ def impact(
 def keeping(task: RuledTask, target: Target, *, touches: bool) -> Keeping:
     """The speed at which this motion keeps what the command promises: the lower one of it and of the speed in force.
 
-    A path without expected contact (not `touches`) is not slowed: there a force limit is a collision stop. Raises
+    A path on which no touch is possible (not `touches`) is not slowed: there a force limit is a collision stop. Raises
     Refused if the slowest motion does not keep it.
     """
     values = task.values
@@ -133,6 +136,16 @@ def kept(task: RuledTask, motion: Motion, keep: Keeping) -> Motion:
         return motion
     partner = slower(motion.partner, excess) if motion.partner is not None else None
     return replace(motion, timed=slower(motion.timed, excess), partner=partner)
+
+
+def goes_back(task: BindTask, target: Target) -> bool:
+    """Whether the hand goes back in a straight line against its approach direction, no farther than its own wrist."""
+    if task.data.step.space != "move_task" or target.pose is None:
+        return False
+    here = task.query.tcp(task.arm)
+    x, y, z = geometry.relative(here, target.pose)[:3].tolist()
+    straight = math.hypot(x, y) < ASIDE * -z and geometry.angle(here, target.pose) < ASIDE
+    return straight and -z <= WRIST_M
 
 
 def _way_m(task: BindTask, arm: ArmModel, target: Target) -> list[float]:

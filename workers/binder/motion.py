@@ -34,12 +34,21 @@ def bind_motion(task: BindTask) -> BoundStep:
     """The step as a motion of the arm. Raises Refused."""
     ruled = task.under(task.data.step.stop)
     target = allowed_target(ruled)
-    expected = task.data.step.space != "move_joint" or ruled.stop_class.touches
-    keep = impact.keeping(ruled, target, touches=expected)
+    keep = impact.keeping(ruled, target, touches=_may_touch(ruled, target))
     request = planning_request(ruled, keep.speed_m_s, task.data.step.space)
     motion = _planned(ruled, request, target, keep)
     bound = _assembled(ruled, motion, keep)
     return _beside_others(task, request, bound)
+
+
+def _may_touch(task: RuledTask, target: Target) -> bool:
+    """Whether a touch is possible on this way: on each line, curve and search, and where the stop class touches.
+
+    An empty hand that goes straight back, away from what it let go, comes where its own wrist has been.
+    """
+    if task.stop_class.away and not task.held and impact.goes_back(task, target):
+        return False
+    return task.data.step.space != "move_joint" or task.stop_class.touches
 
 
 def motion_to_share(task: RuledTask) -> Motion:

@@ -378,6 +378,25 @@ def test_a_force_on_a_free_way_is_called_a_collision_stop(bench):
     )
 
 
+def test_a_hand_that_backs_off_from_what_it_let_go_is_not_slowed_by_a_promised_force(bench, monkeypatch):
+    """Behind an open hand is its own wrist: nothing else can be there."""
+    bound, perform = [], bench.subsystem.perform
+    monkeypatch.setattr(bench.subsystem, "perform", lambda made, step: bound.append(step) or perform(made, step))
+    for sentence in ("GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM", "RELEASE MACS-NEW WITH RIGHT-ARM GUARDED"):
+        assert bench.do(sentence).succeeded
+    assert 0.07 < _speed_m_s(bound[-1]) < 0.11
+    assert "15 N is a collision stop on this free way" in bound[-1].evaluation.remark
+    assert stops(bound[-1])[StopReason.FORCE_LIMIT].limit_n == 15.0
+
+
+@pytest.mark.parametrize(
+    "sentence", ["MOVE RIGHT-ARM BY 10 CM ALONG TOOL-Z GUARDED", "RETRACT RIGHT-ARM BY 20 CM GUARDED"]
+)
+def test_other_lines_are_slowed_by_it(bench, sentence):
+    _, bound = bound_to(bench, sentence, "HERE")
+    assert _speed_m_s(bound) < 0.012
+
+
 @pytest.mark.parametrize(("clause", "limit_n"), [("GUARDED", 40.0), ("MAINTAIN STIFFNESS 200 N/M", 45.0)])
 def test_guarded_and_stiffness_promise_the_force_of_their_step(bench, clause, limit_n):
     """4.6 to 9 kg in 1.1 ms: 5 to 12 mm/s."""
