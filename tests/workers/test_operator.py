@@ -214,7 +214,6 @@ def test_he_is_asked_again_after_a_stop_function_and_then_the_command_fails() ->
         'CANNOT "no"',
         "TAKE RIGHT-ARM FROM OPERATOR",
         "RELEASE MACS-OLD VIA OPERATOR-INTERVENTION",
-        "TEST GIVE RIGHT-ARM TO OPERATOR",
         "TEST DONE",
         "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED",
         "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED ELBOW",

@@ -21,6 +21,7 @@ from rtc.protocol.primitive import (
     HoldStill,
     JointTrajectory,
     Look,
+    Operated,
     Primitive,
     SpindleMotion,
     TimeAbove,
@@ -45,13 +46,11 @@ BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
 
 
 def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopReason | None = None) -> EndReport:
-    """The report on a bound step that begins at `now_s`. `reason`: that it ends with, instead of the expected one."""
+    """The report on a bound step that begins at `now_s`. `reason`: that it ends with, instead of the expected one.
+    Raises Refused: an operator could not do what he is asked."""
     made, evaluation = bound.primitive, bound.evaluation
     assert made is not None
     assert evaluation is not None
-    if type(made.trajectory) not in REPORTS:
-        message = f"{evaluation.step.label}: what a person does is not predicted"
-        raise Refused.because(RefusalReason.NO_SCRIPT, message, clears="give the sentence without TEST")
     ends = reason or evaluation.step.expect[0]  # the likely one comes first
     report = REPORTS[type(made.trajectory)](query, made, evaluation, ends)
     measured, limit = tripped(made, ends)
@@ -294,6 +293,39 @@ def _turned(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, r
     return min(1.0, (out if turn.turn_rad > 0.0 else outwards) * TURN / abs(turn.turn_rad))
 
 
+def _of_operator(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
+    """He does what he is asked to do. Only the path that he shares takes a time that is known. Raises Refused."""
+    asked, name = made.trajectory, made.performer
+    assert isinstance(asked, Operated)
+    done = reason is StopReason.OPERATOR_DONE
+    joints, takes_s = query.joints(name), 0.0
+    if done and asked.along is not None:
+        joints, takes_s = asked.along.positions[-1], asked.along.duration_s
+    elif done and evaluation.goal_pose is not None:
+        joints = _joints_at(query, name, _followed(query, asked, evaluation, evaluation.goal_pose))
+    report = _at_rest(query, name, made.id, reason, joints, takes_s)
+    if not done:
+        return report
+    if asked.hand:
+        report = _replaced(report, hand_width_m=_between_m(query, evaluation), hand_force_n=asked.grip_n)
+    return _replaced(report, turned_rad=asked.turn_rad)
+
+
+def _followed(query: WorldQuery, asked: Operated, evaluation: EvaluationContext, goal: list[float]) -> Array:
+    """The pose of the tcp, which follows the head of a bolt that is turned along its thread."""
+    thread = query.thread(evaluation.context.object) if asked.spindle else None
+    out_m = -asked.turn_rad / TURN * thread.pitch_m if thread is not None else 0.0
+    return geometry.compose(np.array(goal), np.array([0.0, 0.0, -out_m, 0.0, 0.0, 0.0, 1.0]))
+
+
+def _joints_at(query: WorldQuery, arm: str, pose: Array) -> list[float]:
+    found = query.model.arms[arm].nearest_ik(pose.tolist(), query.joints(arm))
+    if found is None:
+        message = f"{arm} does not reach where the operator is asked to move it"
+        raise Refused.because(RefusalReason.INFEASIBLE, message, where=arm, clears="the other arm, or another place")
+    return [float(angle) for angle in found]
+
+
 # --- cameras -----------------------------------------------------------------------------------------------
 
 
@@ -355,5 +387,6 @@ REPORTS: dict[type, Callable[[WorldQuery, Primitive, EvaluationContext, StopReas
     HandMotion: _of_hand,
     HoldStill: _of_rest,
     SpindleMotion: _of_spindle,
+    Operated: _of_operator,
     Look: _of_look,
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from rtc.protocol.outcomes import StopReason
 from rtc.protocol.rehearsal import FaultBranch, Rehearsal, RehearsedStep, Repair
 from rtc.protocol.units import in_words
 
@@ -31,6 +32,7 @@ def in_lines(rehearsal: Rehearsal, *, full: bool) -> Iterator[str]:
 
 def _step(step: RehearsedStep) -> str:
     takes = "until stopped" if step.until_stopped else f"{step.predicted_s:.1f} s"
+    takes = "until DONE" if step.reason == StopReason.OPERATOR_DONE else takes
     figures = {
         "carries": (step.carried_kg, "kg"),
         "grips with": (step.grip_n, "N"),
