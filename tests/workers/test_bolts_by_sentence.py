@@ -11,7 +11,7 @@ import pytest
 from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import Assessment, Script, Validity
 from rtc.protocol.outcomes import Refusal, StopReason
-from rtc.spatial import hinges
+from rtc.spatial import geometry, hinges
 from tests.campaigns.door import stand_open
 from tests.workers.conftest import Bench, Physical, Reporter
 from tests.workers.rehearsal.on_paper import OnPaper
@@ -133,6 +133,34 @@ def test_a_bolt_is_in_doubt_when_its_driver_turns_freely_and_no_seat_is_left_to_
     bench.world = bench.world.overlay(judged.changes)
     assert bench.world.value("BOLT-2.state") == "TIGHT"
     assert isinstance(bench.elaborate(script.context.by_operator), Script)
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_a_bolt_that_was_turned_tells_how_far_the_driver_stands_out_of_the_hand(bench: Bench, moved: bool) -> None:
+    """It is pressed 2 mm deeper than the head is believed to be, which a touch of it would take for a whole turn."""
+    door = SERVICING.cell.object("DOOR-2")
+    bench.set_fact("DOOR-2.angle", OPEN_RAD)
+    bench.set_fact("DOOR-2.frame", hinges.turned(door.frame.pose, door.hinge.axis, OPEN_RAD).tolist())
+    done(bench, DRIVER)
+    script = bench.elaborate("LOOSEN BOLT-2 BY 8 TURNS WITH RIGHT-ARM")
+    assert isinstance(script, Script)
+    for step in script.steps[:3]:
+        bound = bench.bind(script, step)
+        bench.world = bench.world.overlay(bench.analyze(bound, bench.subsystem.perform(bound.primitive, bound)).changes)
+    bound = bench.bind(script, next(step for step in script.steps if step.label.startswith("turn")))
+    bench.subsystem.instead[bound.primitive.id] = StopReason.GOAL
+    report = bench.subsystem.perform(bound.primitive, bound)
+    thread = SERVICING.cell.object("BOLT-2").thread
+    out = geometry.rotate(bench.world.value("BOLT-2.frame"), (0.0, 0.0, moved * thread.turns * thread.pitch_m))
+    pose = geometry.translate(report.tcp_pose, out).tolist()
+    report = msgspec.structs.replace(report, turned_rad=-thread.turns * math.tau, tcp_pose=pose, trip_pose=pose)
+    changes = {change.key: change.value for change in bench.analyze(bound, report).changes}
+    if not moved:
+        assert changes.get("POWER-DRIVER.grasp") is None  # its value is kept
+        return
+    tip = geometry.compose(changes["POWER-DRIVER.frame"], SERVICING.cell.object("POWER-DRIVER").spindle.frame.pose)
+    assert changes["BOLT-2.turns"] == thread.turns
+    assert geometry.distance(tip, changes["BOLT-2.frame"]) < 1e-4
 
 
 def in_doubt(judged: Assessment) -> set[str]:

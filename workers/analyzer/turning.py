@@ -73,19 +73,19 @@ def turned(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     turns = task.query.turns(task.context.object) + driven_turns(task)
     seated = task.report.reason in TORQUES and driven_turns(task) < 0.0 and turns < FELT_TURNS
     changes = _at(task, 0.0, validity, TIGHT) if seated else _at(task, turns, validity)
-    return [*changes, *_centred(task, validity)]
+    return [*changes, *_on_head(task, 0.0 if seated else turns, validity)]
 
 
 def tightened(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     """The driver has turned the bolt in, until its torque was felt."""
-    return [*_at(task, 0.0, validity, TIGHT), *_centred(task, validity)]
+    return [*_at(task, 0.0, validity, TIGHT), *_on_head(task, 0.0, validity)]
 
 
 def free(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     """The driver turns the bolt outwards without the torque of a thread: it is out by all its turns."""
     thread = task.query.thread(task.context.object)
     assert thread is not None
-    return _at(task, thread.turns, validity, LOOSE)
+    return [*_at(task, thread.turns, validity, LOOSE), *_on_head(task, thread.turns, validity)]
 
 
 def after_failure(task: AnalyzeTask, *, retried: bool) -> list[WorldChange]:
@@ -119,28 +119,40 @@ def head_felt(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     query, bolt = task.query, task.context.object
     known = all(query.trusts(f"{bolt}.{name}") for name in ("turns", "state", "frame"))
     off = felt_turns(task) - query.turns(bolt)
-    return [] if known and abs(off) < 2.0 * FELT_TURNS else _at(task, felt_turns(task) - FELT_TURNS, validity)
+    near = 2.0 * FELT_TURNS + _unsure_turns(task)
+    return [] if known and abs(off) < near else _at(task, felt_turns(task) - FELT_TURNS, validity)
 
 
-def _centred(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
-    """How the driver lies in the hand, if it turns a bolt from whose axis its tip should be too far: it is tilted."""
+def _on_head(task: AnalyzeTask, turns: float, validity: Validity) -> list[WorldChange]:
+    """How the driver lies in the hand, if it has turned the bolt to where it is out by `turns`: its tip is on the head.
+
+    A tip that should be too far from the axis is of a tilted driver. One that should be before the head, or in it, is
+    of a driver that stands farther out of the hand, or less far."""
     query, bolt, tcp = task.query, task.context.object, task.report.trip_pose or task.report.tcp_pose
     tip = _tip(task)
     if tip is None or not is_proved(task):
         return []
-    aside = geometry.relative(query.frame(bolt), tip)[:3] * (1.0, 1.0, 0.0)
-    if math.hypot(*aside) <= task.values["engaged_m"]:
+    thread = query.thread(bolt)
+    assert thread is not None
+    head = query.turned_out(bolt, min(max(0.0, turns), thread.turns))
+    x, y, z = geometry.relative(head, tip)[:3].tolist()
+    engaged_m, tilts = task.values["engaged_m"], math.hypot(x, y) > task.values["engaged_m"]
+    if not tilts and not FELT_TURNS * thread.pitch_m < abs(z) <= engaged_m:
         return []
-    before = tip[:3] - np.asarray(tcp[:3])
-    after = before - geometry.rotate(query.frame(bolt), aside)
-    axis = np.cross(before, after)
-    sine = float(np.linalg.norm(axis))
-    pivot = geometry.make_pose(tcp[:3], (0.0, 0.0, 0.0, 1.0))
-    tilted = hinges.turned(pivot, axis / sine, math.atan2(sine, float(before @ after)))
     driver = query.holding(task.evaluation.arm)
     held = query.in_hand(driver, tcp)
     assert held is not None
-    grasp = geometry.relative(tcp, geometry.compose(tilted, geometry.relative(pivot, held)))
+    if tilts:
+        before = tip[:3] - np.asarray(tcp[:3])
+        after = before - geometry.rotate(head, (x, y, 0.0))
+        axis = np.cross(before, after)
+        sine = float(np.linalg.norm(axis))
+        pivot = geometry.make_pose(tcp[:3], (0.0, 0.0, 0.0, 1.0))
+        tilted = hinges.turned(pivot, axis / sine, math.atan2(sine, float(before @ after)))
+        there = geometry.compose(tilted, geometry.relative(pivot, held))
+    else:
+        there = geometry.translate(held, (-geometry.rotate(head, (0.0, 0.0, z))).tolist())
+    grasp = geometry.relative(tcp, there)
     now = geometry.compose(task.report.tcp_pose, grasp)
     return [
         WorldChange(key=f"{driver}.grasp", value=geometry.normalise(grasp).tolist(), validity=validity),
@@ -194,7 +206,16 @@ def felt_turns(task: AnalyzeTask) -> float:
 def is_loose(task: AnalyzeTask) -> bool:
     """Whether the head that was touched is that of a loose bolt."""
     thread = task.query.thread(task.context.object)
-    return thread is not None and felt_turns(task) > thread.turns - FREE_TURNS
+    return thread is not None and felt_turns(task) > thread.turns - FREE_TURNS - _unsure_turns(task)
+
+
+def _unsure_turns(task: AnalyzeTask) -> float:
+    """By how many turns a touch may be wrong, because the driver may stand farther out of the hand, or less far."""
+    query, driver, thread = task.query, task.query.driver(task.evaluation.arm), task.query.thread(task.context.object)
+    if driver is None or driver.spindle is None or thread is None:
+        return 0.0
+    along = np.abs(geometry.rotate(driver.spindle.frame.pose, (0.0, 0.0, 1.0)))
+    return float(along @ query.spread(f"{driver.name}.grasp")[:3]) / thread.pitch_m
 
 
 def in_words(task: AnalyzeTask) -> str:
