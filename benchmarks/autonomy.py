@@ -169,7 +169,7 @@ class Trial:
         )
 
     def truth(self) -> dict[str, Any]:
-        return {**self.sim.truth(), "held": self.sim.held()}
+        return self.subsystem.truth()
 
     def perform(self, stages: Iterable[str]) -> bool:
         """Whether all lines of these stages succeed."""

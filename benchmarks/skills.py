@@ -210,7 +210,7 @@ class Trial:
         )
 
     def _truth(self) -> dict[str, Any]:
-        return {**self.sim.truth(), "held": self.sim.held()}
+        return self.subsystem.truth()
 
 
 def rests(subsystem: Physical) -> bool:

@@ -16,6 +16,9 @@ import pytest
 from benchmarks import skills
 from benchmarks.copies import in_copies
 from benchmarks.skills import ALIGNED, GRASPED, HELD, SCENES, SkillRun, Trial
+from rtc.protocol.messages import Fact, Validity
+from rtc.world.model import LOOSE
+from tests.campaigns.against_truth import judge
 
 OF_MODULE = [verb for verb, scene in SCENES.items() if scene.root == SCENES["GRASP"].root]
 
@@ -102,3 +105,17 @@ def test_work_is_done_in_copies_of_this_process() -> None:
 def test_a_copy_that_ends_without_a_result_is_an_error() -> None:
     with pytest.raises(RuntimeError, match="no result of 9"):
         list(in_copies(_square, [1, 9]))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "wrong"),
+    [("turns", 7.8, False), ("turns", 7.2, True), ("state", LOOSE, False), ("state", "TURNED", False)],
+)
+def test_the_turns_of_a_bolt_are_compared_with_the_truth(key: str, value: Any, wrong: bool) -> None:
+    fact = Fact(key=f"BOLT-1.{key}", value=value, validity=Validity.VALID, version=1, source="C-1", at_s=0.0)
+    assert bool(judge([fact], {"turns": {"BOLT-1": (8.0, 8.0)}}).wrong) == wrong
+
+
+def test_a_bolt_that_is_still_in_its_thread_is_not_loose() -> None:
+    fact = Fact(key="BOLT-1.state", value=LOOSE, validity=Validity.VALID, version=1, source="C-1", at_s=0.0)
+    assert judge([fact], {"turns": {"BOLT-1": (6.0, 8.0)}}).wrong

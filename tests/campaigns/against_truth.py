@@ -1,6 +1,7 @@
 """What a cluster believes, against the simulator's truth: valid facts that are wrong, or outside their own spread.
 
-A pose is wrong if it is off by more than 5 mm or 2 degrees beyond the spread that it states.
+A pose is wrong if it is off by more than 5 mm or 2 degrees beyond the spread that it states. A bolt is wrong if it is
+half a turn farther in or out, or if it is believed loose and is not.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ from typing import Any, NamedTuple
 from rtc.protocol.messages import Fact, Validity
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
+from rtc.world.model import LOOSE
 from rtc.world.spread import EXACT, in_words
 
 WRONG_M, WRONG_RAD = 0.005, math.radians(2.0)
 BEYOND_M, BEYOND_RAD = 1e-4, 1e-3  # a truth this far outside a spread is a matter of rounding
 JOINTS_RAD = math.radians(0.5)
 WIDTH_M = 0.003
+TURNS = 0.5
 SEATED_M = 0.03  # an object this far from its seat is not in it
 
 
@@ -36,7 +39,8 @@ def within(errors: Sequence[float], spread: Sequence[float]) -> bool:
 
 
 def judge(facts: Iterable[Fact], truth: Mapping[str, Any]) -> Judgement:
-    """`truth`: poses, seats, joints, fingers, tcp and held of one moment, at which the arms rest."""
+    """`truth`: poses, seats, joints, fingers, tcp and held of one moment, at which the arms rest. It may have `turns`:
+    bolt -> the turns by which it is out, and all its turns."""
     facts = [fact for fact in facts if fact.validity is Validity.VALID]
     holders = {fact.key.rpartition(".")[0]: fact.value for fact in facts if fact.key.endswith(".held_by")}
     wrong, outside, checked = [], [], 0
@@ -85,6 +89,10 @@ def _wrong_value(name: str, attribute: str, value: Any, truth: Mapping[str, Any]
     if attribute == "hand_width":
         width_m = sum(truth["fingers"][name])
         return f"{width_m:.4f}" if abs(value - width_m) > WIDTH_M else ""
+    if attribute in ("turns", "state") and name in truth.get("turns", {}):
+        turns, all_turns = truth["turns"][name]
+        believed = value if attribute == "turns" else all_turns if value == LOOSE else turns
+        return f"{turns:.1f} turns out" if abs(believed - turns) > TURNS else ""
     if attribute == "seat" and value:
         off_m = geometry.distance(truth["seats"][value], truth["poses"][name])
         return f"{1e3 * off_m:.0f} mm from it" if off_m > SEATED_M else ""

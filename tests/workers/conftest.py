@@ -229,6 +229,12 @@ class Physical(Kinematic):
         self.pairs = Pairs(self.executors)
         self._eyes: Drawn | None = None
 
+    def truth(self) -> dict[str, Any]:
+        """What facts can be judged by (`tests.campaigns.against_truth`)."""
+        sim, threads = self.sim, {thing.name: thing.thread for thing in self._cell.objects if thing.thread}
+        turns = {name: (sim.bolts.out_turns(name), thread.turns) for name, thread in threads.items()}  # type: ignore[attr-defined]
+        return {**sim.truth(), "held": sim.held(), "turns": turns}
+
     @property
     def eyes(self) -> Drawn:  # type: ignore[override]
         self._eyes = self._eyes or Drawn(self._cell)
