@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from rtc.language.alike import unknown
@@ -65,6 +65,7 @@ def _elaborator(program: ElaboratorProgram) -> Problems:
     if problems := list(splice.problems(program)):
         yield from problems
         return
+    yield from _phases(program.phases)
     yield from plugin_fields.problems(program)
     scripts = {script.script for script in program.scripts}
     of_object = attributes.figures(program)
@@ -195,6 +196,7 @@ def _path(step: ScriptStep, place: str) -> Problems:
 
 
 def _binder(program: BinderProgram) -> Problems:
+    yield from _phases(program.phases)
     yield from _values(program.values, "values")
     for name, row in program.stop_classes.items():
         yield from _values(row.values, f"stop_classes.{name}.values")
@@ -222,6 +224,7 @@ def _stop_row(stop: StopRow, where: str) -> Problems:
 
 
 def _analyzer(program: AnalyzerProgram) -> Problems:
+    yield from _phases(program.phases)
     yield from _trimmers(program)
     for name, failure in program.classes.items():
         fields = (("message", ()), ("clears", ()), ("again", ("target_cure",)), ("pressing", ("away", "leave")))
@@ -336,6 +339,11 @@ def valueless(expression: str) -> str:
 def known(kind: str, name: str, names: Collection[str], place: str) -> Problems:
     if name not in names:
         yield place, unknown(kind, name, filter(None, names))
+
+
+def _phases(names: Sequence[str]) -> Problems:
+    for n, name in enumerate(names):
+        yield from known("phase", name, registry.names(registry.PHASES), f"phases[{n}]")
 
 
 CHECKS: dict[type[Any], Callable[[Any], Problems]] = {

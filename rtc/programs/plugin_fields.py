@@ -1,7 +1,7 @@
 """Fields of programs for installed packages (R144): keys that begin with `x-`, in branches and steps. Pure.
 
-rtc passes them on unread: those of a branch to evaluators, those of a step to trimmers. In the typed document they
-stand together in `extra`. Any other unknown key is an error, so a misspelt key is found.
+rtc passes them on unread: those of a branch to evaluators, those of a step to trimmers and phases. In the typed
+document they stand together in `extra`. Any other unknown key is an error, so a misspelt key is found.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ def problems(program: ElaboratorProgram) -> Iterator[tuple[str, str]]:
     lists = {f"scripts[{n}]": script.steps for n, script in enumerate(program.scripts)}
     lists |= {f"pieces[{n}]": piece.steps for n, piece in enumerate(program.pieces)}
     steps = [(f"{at}.steps[{m}]", step.extra) for at, each in lists.items() for m, step in enumerate(each)]
-    for group, placed in ((registry.EVALUATORS, branches), (registry.TRIMMERS, steps)):
+    for groups, placed in (((registry.EVALUATORS,), branches), ((registry.TRIMMERS, registry.PHASES), steps)):
         used = [(place, extra) for place, extra in placed if extra]
-        if used and not registry.names(group):
+        if used and not any(map(registry.names, groups)):
             place, extra = used[0]
-            yield place, f"{next(iter(extra))} is for {group}, and no package of that group is installed"
+            yield place, f"{next(iter(extra))} is for {' or '.join(groups)}, and no package of that is installed"
         for place, extra in used:
             yield from ((place, f"{key} does not begin with {MARK}") for key in extra if not key.startswith(MARK))

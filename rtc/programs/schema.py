@@ -88,7 +88,7 @@ class ScriptStep(ProgramPart, frozen=True, kw_only=True):
     trim: tuple[int, int] = (0, 0)  # (index, count): the usable entries of the trimming stack (A9)
     args: dict[str, Expression] = {}  # parameters, evaluated when the script is elaborated
     words: dict[str, str] = {}  # passed on unchanged: an axis, the effect of success
-    extra: dict[str, Any] = {}  # the keys x-..., for trimmers of installed packages
+    extra: dict[str, Any] = {}  # the keys x-..., for trimmers and phases of installed packages
 
 
 class ReserveEntry(ProgramPart, frozen=True, kw_only=True):
@@ -165,6 +165,7 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
     repairs: list[str] = []  # sentences that a TEST tries before a refused one; see workers/rehearsal/repairs.py
     instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
     cannot: dict[str, str] = {}  # verb that no script can perform -> the reason
+    phases: list[str] = []  # of installed packages, in this order; each product passes through them
     needs: dict[str, str] = {}  # registered condition of the world -> a command that makes it true
     settable: dict[str, SettableAttribute] = {}  # attribute that SET may change -> form of its value
     settable_of_seats: list[str] = []  # those of `settable` that SET may change for a seat
@@ -211,6 +212,7 @@ class BinderProgram(ProgramPart, frozen=True, kw_only=True):
     guarded: dict[str, dict[str, float]] = {}  # verb -> parameters of its GUARDED reflexes (A6); "" = any other verb
     values: dict[str, Expression] = {}  # defaults of every primitive, over the numbers of the cell
     clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
+    phases: list[str] = []  # of installed packages, in this order; each product passes through them
 
 
 # --- analyzer ------------------------------------------------------------------------------------------
@@ -281,6 +283,7 @@ class AnalyzerProgram(ProgramPart, frozen=True, kw_only=True):
     unmet: str = ""  # class of a step that has reached its end before the condition of UNTIL was true
     values: dict[str, float] = {}  # tolerances: position_m, angle_rad, width_m
     clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
+    phases: list[str] = []  # of installed packages, in this order; each product passes through them
 
 
 Program = ElaboratorProgram | BinderProgram | AnalyzerProgram

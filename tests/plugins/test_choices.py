@@ -10,7 +10,7 @@ import pytest
 from rtc.model.cells.cell import Cell
 from rtc.plugins import registry
 from rtc.programs import loader
-from rtc.protocol.outcomes import ProgramError, StopReason
+from rtc.protocol.outcomes import ProgramError, RefusalReason, StopReason
 from rtc.sensing.detector import TagDetector
 from rtc.subsystems.perception.camera_thread import CameraThread, Photograph, _Order
 from tests.plugins.toy_packages import Install
@@ -51,6 +51,58 @@ def test_fields_of_a_package_reach_it(install: Install, bench) -> None:  # noqa:
     assert bench.elaborate("STOW RIGHT-ARM").context.script == "stow"  # the evaluator has found its field
     bench.load("elaborator", "script: stow\ncase: 1\nuses: [hand]\nsteps: [{do: piece, name: wait}]")
     assert bench.elaborate("STOW RIGHT-ARM").steps[0].extra == {"x-calm": [1, 2]}
+
+
+PHASES = """
+from msgspec.structs import replace
+from rtc.protocol.outcomes import RefusalReason, Refused
+def number(data, script):
+    return replace(script, notes=[*script.notes, str(len(script.notes))])
+def name(data, script):
+    return replace(script, notes=[*script.notes, data.parsed.verb])
+def refuse(data, bound):
+    if "x-heavy" in data.step.extra:
+        raise Refused.because(RefusalReason.NOT_ALLOWED, "too heavy", clears="take less")
+    return bound
+def fail(data, product):
+    return {}["no such key"]
+def forget(data, product):
+    return None
+"""
+
+
+@pytest.mark.parametrize("order", [["number", "name"], ["name", "number"], ["name"]])
+def test_products_pass_through_the_phases_of_the_program_in_its_order(install: Install, bench, order) -> None:  # noqa: F811
+    plain = len(bench.elaborate("STOW RIGHT-ARM").notes)
+    for phase in ("number", "name"):
+        install(registry.PHASES, phase, phase, PHASES)
+    bench.load("elaborator", f"phases: {order}")
+    expected = {"number": str(plain + order.index("number") if "number" in order else 0), "name": "STOW"}
+    assert bench.elaborate("STOW RIGHT-ARM").notes[plain:] == [expected[phase] for phase in order]
+
+
+@pytest.mark.parametrize(
+    ("phase", "kind", "reason"),
+    [
+        ("refuse", "binder", RefusalReason.NOT_ALLOWED),
+        ("fail", "binder", RefusalReason.PROGRAM),
+        ("forget", "analyzer", RefusalReason.PROGRAM),
+    ],
+)
+def test_a_phase_that_refuses_fails_or_forgets_refuses_the_sentence(install: Install, bench, phase, kind, reason):  # noqa: F811
+    install(registry.PHASES, phase, phase, PHASES)
+    bench.load(kind, f"phases: [{phase}]")
+    step = "{do: hold, stop: hold, label: w, args: {duration_s: 1}, x-heavy: 1}"
+    bench.load("elaborator", f"script: stow\ncase: 1\nuses: [hand]\nsteps: [{step}]")
+    refused = bench.do("STOW RIGHT-ARM").refusal
+    assert refused is not None
+    assert refused.reason is reason
+
+
+@pytest.mark.parametrize("kind", ["elaborator", "binder", "analyzer"])
+def test_an_unknown_phase_is_refused_with_its_program(bench, kind: str) -> None:  # noqa: F811
+    with pytest.raises(ProgramError):
+        bench.load(kind, "phases: [no-such-phase]")
 
 
 @pytest.mark.parametrize("code", ["import no_such_library", None])

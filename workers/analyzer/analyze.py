@@ -34,7 +34,7 @@ from workers.analyzer.step_changes import (
     touched_object_changes,
 )
 from workers.analyzer.world_changes import EFFECTS, Changes, angles
-from workers.conditions import reflexes
+from workers.conditions import installed_phases, reflexes
 from workers.planning import in_seat, trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -77,6 +77,7 @@ def compile(program: bytes) -> AnalyzerProgram:
     for name in OF_CELL & document.values.keys():
         raise ProgramError(f"$.values.{name}: it is one of the cell's `numbers`; state it there")
     trimmers.refuse_unknown(document)
+    installed_phases.refuse_unknown(document.phases)
     return document
 
 
@@ -87,7 +88,8 @@ def run(
     assert cell is not None
     assert world is not None
     try:
-        return _assessed(AnalyzeTask(compiled, WorldQuery(cell, world), data))
+        assessed = _assessed(AnalyzeTask(compiled, WorldQuery(cell, world), data))
+        return installed_phases.applied(compiled.phases, data, assessed)
     except Refused as refused:
         return refused.refusal
 

@@ -28,7 +28,7 @@ from workers.binder.bind_task import BindTask, refused_program, unknown_in_progr
 from workers.binder.motion import bind_motion
 from workers.binder.operated import bind_operated
 from workers.binder.spindle import bind_spindle
-from workers.conditions import prediction
+from workers.conditions import installed_phases, prediction
 from workers.conditions.prediction import Expected
 from workers.planning import step_target, suggestions
 from workers.planning.robot_models import CellModel
@@ -47,7 +47,9 @@ MIN_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 
 def compile(program: bytes) -> BinderProgram:
     """Check the program. Raises ProgramError."""
-    return decode(program, BinderProgram)
+    document = decode(program, BinderProgram)
+    installed_phases.refuse_unknown(document.phases)
+    return document
 
 
 def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, data: BinderInput) -> BoundStep | Refusal:
@@ -57,7 +59,8 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     query = WorldQuery(cell, world, data.at_s, seed_of(command_of(data.primitive_id)), data.moving)
     try:
         step = step_target.counted_from_now(data.step, query, data.context.object)
-        return _bound(BindTask(compiled, query, msgspec.structs.replace(data, step=step)))
+        bound = _bound(BindTask(compiled, query, msgspec.structs.replace(data, step=step)))
+        return installed_phases.applied(compiled.phases, data, bound)
     except Refused as refused:
         infeasible = refused.refusal.reason is RefusalReason.INFEASIBLE
         return refused.refusal.offering(data.context.by_operator if infeasible else "")

@@ -22,7 +22,7 @@ from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal, RefusalReason, R
 from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
-from workers.conditions import reflexes
+from workers.conditions import installed_phases, reflexes
 from workers.elaborator import (
     answers,
     arm_candidates,
@@ -73,6 +73,7 @@ NEEDS_CELL = True
 def compile(program: bytes) -> Compiled:
     """Check and index the program. Raises ProgramError."""
     document = spliced(decode(program, ElaboratorProgram))
+    installed_phases.refuse_unknown(document.phases)
     return Compiled(document, {s.script: s for s in document.scripts}, {p.skill: p for p in document.pieces})
 
 
@@ -87,7 +88,8 @@ def run(
         if data.saved is not None:
             teach.refuse_saved(data.parsed)
         query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
-        return _elaborated(compiled, query, data.parsed, data.owners, data.saved, advise=advise)
+        script = _elaborated(compiled, query, data.parsed, data.owners, data.saved, advise=advise)
+        return installed_phases.applied(compiled.program.phases, data, script)
     except Refused as refused:
         return refused.refusal
 
