@@ -15,9 +15,8 @@ FAST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 .PHONY: demo console setup test test-ray fast check wheel coverage bench campaigns help clean
 .DEFAULT_GOAL := help
 
-demo: $(VENV)/.ready ## set up, then show two arms at work, a halt, a door and an insertion; pictures and a film in out/
-	$(BIN)/rtc demo grasp --speed 2
-	$(BIN)/rtc demo door --speed max
+demo: $(VENV)/.ready ## set up, then show two arms at work, a halt, an insertion and a door; pictures and a film in out/
+	$(BIN)/rtc demo swapout --part insertion --speed max
 
 console: $(VENV)/.ready ## set up, then start a cluster with a page in the browser, and print its link; Ctrl-C ends both
 	$(BIN)/rtc console --up

@@ -51,6 +51,7 @@ class SubsystemHalt(msgspec.Struct, kw_only=True):
     at_rest: bool | None = None  # None: not reported yet
     performers: list[str] = []  # that were in scope, in motion or not
     rest_s: float | None = None  # call -> rest
+    own_rest_s: float | None = None  # receipt -> rest by the subsystem's own clock, of a simulator simulated time
 
 
 class HaltResult(msgspec.Struct, kw_only=True):
@@ -245,7 +246,7 @@ class HaltLine:
                 found.moving = answer.moving
         else:
             found.at_rest, found.performers = answer.at_rest, answer.performers
-            found.rest_s = self._at(answer.at_s) - order.called_at_s
+            found.rest_s, found.own_rest_s = self._at(answer.at_s) - order.called_at_s, answer.own_s
         return ""
 
     def _at(self, time_there_s: float) -> float:

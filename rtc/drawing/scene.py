@@ -19,7 +19,14 @@ from rtc.spatial import geometry
 from rtc.world.facts import Facts
 from rtc.world.model import World
 
-VIEWS = ("overview", "behind", "left", "right", "top")  # --camera; or the name of a thing, for a close view of it
+VIEWS = (
+    "overview",
+    "above",
+    "behind",
+    "left",
+    "right",
+    "top",
+)  # --camera; or the name of a thing, for a close view of it
 
 STEEP_DEG = 89.9
 
@@ -36,7 +43,7 @@ class SceneView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FilmFrame(msgspec.Struct, frozen=True, kw_only=True):
-    """One picture of a film (`sim_mcm.cameras.film`): a scene, and a line of text below it."""
+    """One picture of a film (`sim_mcm.cameras.film`): a scene, and lines of text below it."""
 
     scene: SceneView
     caption: str = ""

@@ -1,96 +1,69 @@
-"""Draws a film of simulated scenes: `python -m sim_mcm.cameras.film --frames FILE.jsonl --cell NAME --out FILE.gif`.
+"""Draws a film of simulated scenes: `python -m sim_mcm.cameras.film --cell NAME --out FILE.gif`.
 
-One line of JSON per frame (`FilmFrame`). The result is an animated GIF with one palette for all frames. It stores only
-the changes between frames, so it is small: the walls and the floor do not move. Each core draws a part of the frames.
+Each line of stdin is a frame in JSON (`FilmFrame`). It is drawn as soon as it arrives, by a process per core. At the
+end of stdin the film is written: an animated GIF with one palette for all frames. It stores only the changes between
+frames, so it is small: the walls and the floor do not move.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
+import functools
 import multiprocessing
 import os
-from collections.abc import Iterator, Sequence
-from multiprocessing.connection import Connection
+import sys
+from collections.abc import Iterable, Sequence
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from pathlib import Path
 
 import msgspec
-import pybullet
 
-from rtc.drawing.scene import FilmFrame
+from rtc.drawing.scene import FilmFrame, SceneView
 from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import RtcError
+from rtc.runtime.process import die_with_parent
 from sim_mcm.cameras import picture as sheet
-from sim_mcm.cameras.render import FAR_M, NEAR_M, Camera, SceneRenderer
+from sim_mcm.cameras.render import Camera, SceneRenderer
 
 SIZE = (480, 360)
 FRAMES_PER_S = 8.0
-FIELD_OF_VIEW_DEG = 38.0
-EYE, TARGET = (-1.25, 0.0, 2.2), (0.42, 0.0, 0.63)  # from behind and above: both arms in full
+VIEW = "above"
 
 
-def frames(file: Path) -> list[FilmFrame]:
-    return [msgspec.json.decode(line, type=FilmFrame) for line in file.read_bytes().splitlines() if line]
-
-
-def drawn(
-    cell: Cell, wanted: Sequence[FilmFrame], eye: Sequence[float], target: Sequence[float]
-) -> Iterator[sheet.Sheet]:
-    """Each frame with its caption below."""
-    studio = SceneRenderer(cell)
-    camera = Camera(
-        pybullet.computeViewMatrix(list(eye), list(target), [0, 0, 1]),
-        pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW_DEG, SIZE[0] / SIZE[1], NEAR_M, FAR_M),
-    )
-    try:
-        for frame in wanted:
-            studio.pose(frame.scene)
-            yield sheet.captioned(studio.photograph(camera, *SIZE).pixels, frame.caption)
-    finally:
-        studio.close()
-
-
-def drawn_by_all_cores(cell: str, wanted: Sequence[FilmFrame]) -> list[sheet.Sheet]:
-    """As `drawn`, from above the arms. `cell`: name or file. Raises RtcError."""
-    size = math.ceil(len(wanted) / len(os.sched_getaffinity(0))) or 1
-    parts = [_begin(cell, wanted[n : n + size]) for n in range(0, len(wanted), size)]
-    return [picture for part in parts for picture in _end(part)]
-
-
-def _begin(cell: str, wanted: Sequence[FilmFrame]) -> Connection:
-    """Start a process that draws these frames. It ends when the other end of its pipe is closed."""
+def drawn(cell: str, frames: Iterable[FilmFrame]) -> list[sheet.Sheet]:
+    """Each frame with its caption below, from VIEW. `cell`: name or file. Raises RtcError."""
+    Cell.load(cell)  # a wrong name is an error here, and not in each process
     fresh = multiprocessing.get_context("spawn")  # pybullet does not survive a fork
-    pictures, there = fresh.Pipe(duplex=False)
-    fresh.Process(target=_part, args=(there, cell, wanted), daemon=True).start()
-    there.close()
-    return pictures
-
-
-def _part(there: Connection, cell: str, wanted: Sequence[FilmFrame]) -> None:
+    cores = len(os.sched_getaffinity(0))
     try:
-        there.send(list(drawn(Cell.load(cell), wanted, EYE, TARGET)))
-    except RtcError as error:
-        there.send(str(error))
-
-
-def _end(pictures: Connection) -> list[sheet.Sheet]:
-    try:
-        found: list[sheet.Sheet] | str = pictures.recv()
-    except EOFError:
+        with ProcessPoolExecutor(cores, fresh, die_with_parent, (os.getpid(),)) as painters:
+            return [picture.result() for picture in [painters.submit(_painted, cell, frame) for frame in frames]]
+    except BrokenExecutor:
         raise RtcError("a process that draws has ended") from None
-    if isinstance(found, str):
-        raise RtcError(found)
-    return found
+
+
+def _painted(cell: str, frame: FilmFrame) -> sheet.Sheet:
+    studio, camera = _studio(cell)
+    studio.pose(frame.scene)
+    return sheet.captioned(studio.photograph(camera, *SIZE).pixels, frame.caption)
+
+
+@functools.cache
+def _studio(cell: str) -> tuple[SceneRenderer, Camera]:
+    """Of this process. The camera stays where it is."""
+    studio = SceneRenderer(Cell.load(cell))
+    studio.pose(SceneView())
+    return studio, studio.camera(VIEW, SceneView(), SIZE[0] / SIZE[1])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     words = argparse.ArgumentParser(prog="python -m sim_mcm.cameras.film", description=__doc__)
-    words.add_argument("--frames", type=Path, required=True)
     words.add_argument("--cell", required=True, help="name or file of the cell")
     words.add_argument("--out", type=Path, required=True, help="the GIF to write")
     given = words.parse_args(arguments)
     try:
-        sheet.animate(drawn_by_all_cores(given.cell, frames(given.frames)), given.out, FRAMES_PER_S)
+        frames = (msgspec.json.decode(line, type=FilmFrame) for line in sys.stdin.buffer)
+        sheet.animate(drawn(given.cell, frames), given.out, FRAMES_PER_S)
     except (OSError, ValueError, msgspec.MsgspecError, RtcError) as error:
         words.exit(1, f"{words.prog}: {error}\n")
 

@@ -88,11 +88,13 @@ def composed(panels: Sequence[tuple[str, Image.Image]], caption: Sequence[str]) 
 
 
 def captioned(pixels: Pixels, caption: str) -> Image.Image:
-    """The image with one line of text below it."""
+    """The image with the lines of a text below it."""
     height, width, _ = pixels.shape
-    whole = Image.new("RGB", (width, height + LINE_PX + 4), PAPER)
+    lines = caption.split("\n")
+    whole = Image.new("RGB", (width, height + LINE_PX * len(lines) + 4), PAPER)
     whole.paste(Image.fromarray(pixels), (0, 0))
-    ImageDraw.Draw(whole).text((8, height + 4), caption, font=font(15), fill=INK)
+    for n, line in enumerate(lines):
+        ImageDraw.Draw(whole).text((8, height + 4 + n * LINE_PX), line, font=font(15), fill=INK)
     return whole
 
 

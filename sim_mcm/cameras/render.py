@@ -55,6 +55,7 @@ DIRECTIONS = {
     "behind": ((-2.6, 0.0, 0.9), 2.45),
     "left": ((-0.3, 2.6, 0.7), 2.6),
     "right": ((-0.3, -2.6, 0.7), 2.6),
+    "above": ((-1.05, 0.0, 1.0), 2.2),  # from between the arms: both in full
     "top": ((-0.02, 0.0, 1.0), 2.9),
 }
 assert set(DIRECTIONS) == set(VIEWS)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
+import sys
 from pathlib import Path
 
 import msgspec
@@ -20,17 +22,20 @@ def frame(cell, turned_rad: float) -> FilmFrame:
     return FilmFrame(scene=SceneView(poses={}, joints={arm.name: joints}), caption=f"{turned_rad}")
 
 
-def made(folder: Path, cell: str, frames: list[FilmFrame]) -> Path:
-    (folder / "frames.jsonl").write_bytes(b"\n".join(map(msgspec.json.encode, frames)))
+def made(monkeypatch: pytest.MonkeyPatch, folder: Path, cell: str, frames: list[FilmFrame]) -> Path:
+    lines = b"".join(msgspec.json.encode(frame) + b"\n" for frame in frames)
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
     out = folder / "film.gif"
-    film.main(["--frames", str(folder / "frames.jsonl"), "--cell", cell, "--out", str(out)])
+    film.main(["--cell", cell, "--out", str(out)])
     return out
 
 
 @pytest.mark.physics
 def test_frames_are_in_their_order_whichever_process_has_drawn_them(tmp_path, cell, monkeypatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
-    with Image.open(made(tmp_path, "swapout", [frame(cell, turn) for turn in (0.0, 0.5, 1.0)])) as pictures:
+    with Image.open(
+        made(monkeypatch, tmp_path, "swapout", [frame(cell, turn) for turn in (0.0, 0.5, 1.0)])
+    ) as pictures:
         assert pictures.n_frames == 3
         pixels = []
         for n in range(3):
@@ -40,7 +45,13 @@ def test_frames_are_in_their_order_whichever_process_has_drawn_them(tmp_path, ce
     assert 0.0 < near < far  # the arm turns away
 
 
-def test_a_film_without_frames_ends_with_the_reason(tmp_path, capsys) -> None:
+def test_a_film_without_frames_ends_with_the_reason(monkeypatch, tmp_path, capsys) -> None:
     with pytest.raises(SystemExit):
-        made(tmp_path, "swapout", [])
+        made(monkeypatch, tmp_path, "swapout", [])
     assert "needs a picture" in capsys.readouterr().err
+
+
+def test_a_film_in_an_unknown_cell_ends_with_the_reason(monkeypatch, tmp_path, capsys) -> None:
+    with pytest.raises(SystemExit):
+        made(monkeypatch, tmp_path, "nowhere", [FilmFrame(scene=SceneView())])
+    assert "nowhere" in capsys.readouterr().err

@@ -14,7 +14,6 @@ from rtc.language.alike import unknown
 
 DEMOS = [
     "grasp",
-    "door",
     "faults",
     "swapout",
 ]  # modules of rtc.apps.demos, each with `run(console, speed, out) -> passed`
@@ -25,6 +24,7 @@ def demo(
     speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
     out: Annotated[Path, typer.Option(help="Directory of the pictures.")] = Path("out"),
     test: Annotated[bool, typer.Option("--test", help="swapout: all lines on paper first.")] = False,
+    part: Annotated[str, typer.Option(help="swapout: a part of the task, such as insertion.")] = "",
     inject: Annotated[str, typer.Option(help="swapout: what goes wrong, such as O7; a part of the task.")] = "",
 ) -> None:
     """Start a cluster, run a scenario with a commentary, check it against the simulator, stop everything.
@@ -33,18 +33,23 @@ def demo(
 
     Example:  rtc demo grasp
     Example:  rtc demo swapout --speed max
+    Example:  rtc demo swapout --speed max --part insertion
     Example:  rtc demo swapout --speed max --inject O7
     """
     if name not in DEMOS:
         raise cli_error(unknown("demo", name, DEMOS), 2)
     speed_of(speed)
     module = import_module(f"rtc.apps.demos.{name}")
-    known = getattr(module, "INJECTED", [])
-    if (test or inject) and not known:
-        raise cli_error(f"--test and --inject are for the demo swapout, not for {name}", 2)
+    known, parts = getattr(module, "INJECTED", []), getattr(module, "PARTS", {})
+    if (test or inject or part) and not known:
+        raise cli_error(f"--test, --inject and --part are for the demo swapout, not for {name}", 2)
+    if bool(test) + bool(inject) + bool(part) > 1:
+        raise cli_error("one of --test, --inject and --part", 2)
     if inject and inject not in known:
         raise cli_error(unknown("injection", inject, known), 2)
-    more = {"test": test, "inject": inject} if known else {}
+    if part and part not in parts:
+        raise cli_error(unknown("part", part, sorted(parts)), 2)
+    more = {"test": test, "inject": inject, "part": part} if known else {}
     with exits_with(1):
         passed = module.run(console, speed, out, **more)
     if not passed:

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from rich.console import Console
 
+from rtc.apps.demos.filming import Pictures
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
-from rtc.drawing.scene import Panel, Picture, true_scene
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
@@ -39,7 +39,6 @@ STOWED_RAD = 0.01
 UNDER_WAY_M = 0.08  # distance that the tool has moved at the call of the halt
 # Limits for a machine with many busy processes.
 COMMAND_S = 1800.0
-RENDER_S = 600.0
 REST_S = 60.0  # until the arm reports rest
 
 
@@ -66,7 +65,7 @@ def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
     narrator = Narrator(console)
     narrator.chapter("A cluster: broker, world database, four workers, and two arms in a physics simulator")
     with Renderer() as renderer:
-        pictures = Pictures(out, renderer)
+        pictures = Pictures(out, renderer, CELL)
         with own_cluster(cell=CELL, speed=speed) as run_dir, Client(run_dir) as rtc:
             narrator.line(f"ready; {len(rtc.status().get('workers', []))} workers, run directory {run_dir}")
             _run(narrator, rtc, pictures)
@@ -178,24 +177,3 @@ def _check_stowed(narrator: Narrator, rtc: Client, truth: m.SimTruthReply) -> No
     for arm in Cell.load(rtc.settings.cell).arms:
         off_rad = max(abs(a - b) for a, b in zip(truth.joints[arm.name], arm.stow_rad, strict=True))
         narrator.check(f"{arm.name} is {off_rad:.4f} rad from its stow posture", off_rad <= STOWED_RAD)
-
-
-class Pictures:
-    """Pictures of the true scene, drawn by another process while the demo continues."""
-
-    def __init__(self, out: Path, renderer: Renderer) -> None:
-        self._out, self._renderer = out, renderer
-        self._files: list[Path] = []
-        out.mkdir(parents=True, exist_ok=True)
-
-    def take(self, name: str, truth: m.SimTruthReply, camera: str = "overview") -> None:
-        file = self._out / f"{name}.png"
-        file.unlink(missing_ok=True)
-        panels = [Panel(title=name, scene=true_scene(truth))]
-        self._renderer.request(Picture(out=str(file.absolute()), cell=CELL, panels=panels, camera=camera))
-        self._files.append(file)
-
-    def check(self, narrator: Narrator) -> None:
-        """Wait for all pictures."""
-        for file in self._files:
-            narrator.check(f"picture {file}", self._renderer.drawn(RENDER_S) and file.is_file())

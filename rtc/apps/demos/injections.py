@@ -36,6 +36,7 @@ WEAKENS_N_S = 0.8
 AROUND = "MOVE LEFT-ARM TO JOINTS {joints} DEG THROUGH CLEAR-POINT-1 MAINTAIN AVOID-NEIGHBORS BY 3 CM"
 HALT_AFTER_S = 0.3  # from the begin of the motion of both arms
 REST_S = 60.0
+AT_REST_S = 0.5  # of simulated time: two arms that carry 2 kg brake softly (decision 0114)
 OPENED = ["C3", "C5", "C7"]
 CARRIED = ["C4", "C22", "C24", "C25"]
 GOOD = (OutcomeKind.SUCCEEDED,)
@@ -212,8 +213,9 @@ def _halted(narrator: Narrator, scene: Scene, course: Course) -> None:
     halt = scene.halts[0] if scene.halts else None
     narrator.check("the halt is confirmed: both arms rest", halt is not None and halt.confirmed)
     moving = halt.moving if halt else []
-    rest_s = max((one.rest_s or 0.0 for one in halt.subsystems), default=0.0) if halt else 0.0
-    narrator.check(f"both were in motion; at rest after {1e3 * rest_s:.0f} ms", moving == ["LEFT-ARM", "RIGHT-ARM"])
+    narrator.check(f"in motion were: {', '.join(moving)}", moving == ["LEFT-ARM", "RIGHT-ARM"])
+    own_s = [one.own_rest_s or math.inf for one in halt.subsystems] if halt else [math.inf]
+    narrator.check(f"at rest after {1e3 * max(own_s):.0f} ms of simulated time", max(own_s) <= AT_REST_S)
     narrator.check("C25 ended as halted", course.ends["C25"].outcome.kind is OutcomeKind.HALTED)
     facts = {fact.key: fact.validity for fact in scene.rtc.world.view(keys=["MACS-NEW.grasp", "MACS-NEW.frame"]).facts}
     doubtful = set(facts.values()) == {m.Validity.SUSPECT} and len(facts) == 2

@@ -52,6 +52,15 @@ def waits(lines: list[Line], cell: Cell, after: Mapping[str, str]) -> dict[str, 
     return found
 
 
+def among(given: Collection[str], needed: Mapping[str, set[str]]) -> dict[str, set[str]]:
+    """What each of the given lines waits for. A line that is not given stands for those that it waits for."""
+
+    def through(label: str) -> set[str]:
+        return {label} if label in given else set().union(*map(through, needed[label]))
+
+    return {label: set().union(*map(through, needed[label])) for label in given}
+
+
 @dataclass
 class Course:
     """What became of each line: command, times of execution in seconds of the demo, end."""
@@ -62,7 +71,8 @@ class Course:
     executing: dict[str, list[float]] = field(default_factory=dict)  # label -> from, to
     held: set[str] = field(default_factory=set)  # labels of lines that waited in the cluster for another command
     ends: dict[str, m.CommandEnded] = field(default_factory=dict)
-    measured_s: dict[str, float] = field(default_factory=dict)  # label -> simulated time of its judged steps
+    #: label -> its steps whose duration was compared: (words of the step, simulated s)
+    measured: dict[str, list[tuple[str, float]]] = field(default_factory=dict)
 
     @property
     def now_s(self) -> float:
@@ -74,8 +84,9 @@ class Course:
         elif note.phase is m.Phase.HELD:
             self.held.add(label)
         if note.compared is not None:
-            took_s = sum(figure.measured for figure in note.compared.figures if figure.name == "duration_s")
-            self.measured_s[label] = self.measured_s.get(label, 0.0) + took_s
+            step = note.step.partition(": ")[2]
+            took = [(step, figure.measured) for figure in note.compared.figures if figure.name == "duration_s"]
+            self.measured.setdefault(label, []).extend(took)
 
     def end(self, label: str, ended: m.CommandEnded) -> None:
         self.ends[label] = ended
@@ -109,10 +120,9 @@ class Planner:
 
     def perform(self, lines: list[Line], timeout_s: float) -> Course:
         """Raises TimedOut if no line ends within `timeout_s`."""
-        given = {line.label for line in lines}
         todo, open_ = list(lines), dict[str, tuple[Line, CommandHandle]]()
         while todo or open_:
-            for line in [line for line in todo if self._ready(line, given)]:
+            for line in [line for line in todo if self._ready(line)]:
                 todo.remove(line)
                 open_[line.label] = line, self._submit(line)
             self._rtc.receive_until(
@@ -127,8 +137,8 @@ class Planner:
                     return self.course
         return self.course
 
-    def _ready(self, line: Line, given: set[str]) -> bool:
-        return self._needed[line.label] & given - set(self._lasting) <= self.course.ends.keys()
+    def _ready(self, line: Line) -> bool:
+        return self._needed[line.label] - set(self._lasting) <= self.course.ends.keys()
 
     def _submit(self, line: Line) -> CommandHandle:
         course = self.course

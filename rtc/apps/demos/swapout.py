@@ -3,31 +3,34 @@
 `swapout.txt` has the sentences. A line is given as soon as the lines that it depends on have ended (`lines`); the
 cluster finds out which may be performed at once. The result is checked against the simulator's truth. BOLT-2 slips in
 the driver (C12), so the operator, who is a program here, loosens it (C13); he also holds the module level before the
-bay (C27).
+bay (C27). A part of the task, or a run in which something goes wrong, is some of the lines.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
 
 from rich.console import Console
 
 from rtc.apps.demos import lines as planner
-from rtc.apps.demos.grasp import Pictures
-from rtc.apps.demos.injections import CELL, GOOD, INJECTIONS, Injection, Scene
+from rtc.apps.demos.filming import Film, Pictures
+from rtc.apps.demos.injections import CELL, GOOD, HALFWAY, INJECTIONS, Injection, Scene
 from rtc.apps.demos.lines import Course, Line
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
-from rtc.apps.demos.scripted_operator import BOLT, DIALOGUES, Act, ScriptedOperator
+from rtc.apps.demos.scripted_operator import DIALOGUES, Act, ScriptedOperator
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
-from rtc.protocol.faults import StrippedBolt
-from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.outcomes import OutcomeKind, StopReason
+from rtc.protocol.rehearsal import RehearsedStep
+from rtc.protocol.sentence import BOTH_ARMS
 from rtc.spatial import geometry, hinges
 
 LINES = Path(__file__).with_suffix(".txt")
@@ -60,123 +63,180 @@ PICTURES = {
     "C28": "5-inserted",
     "C36": "6-closed",
 }
+VIEW = "above"
 IDLE_S = 3600.0  # longest time without the end of a line, on a machine with many busy processes
 SEATED_M, SEATED_DEG = 0.002, 1.0
 STORED_M, CLOSED_DEG, TIGHT_M, TIGHT_NM = 0.005, 3.0, 0.0002, 3.4
 TRUE_M, TRUE_DEG = 0.005, 2.0
 COLUMNS = 90  # of the time line
+LEFT_OUT = re.compile(r" WITH \S+| GUARDED| (MAINTAIN|UNLESS|REPORT|VIA|THROUGH) .*")  # of a caption
 
 
-def run(console: Console, speed: str = "1", out: Path = Path("out"), *, test: bool = False, inject: str = "") -> bool:
-    """Run the demo; True if every check passed. Writes pictures to `out`; ends all processes.
+class Part(NamedTuple):
+    """Some of the lines."""
 
-    `test`: all 40 lines on paper first. `inject`: name of what goes wrong; then only the lines that lead to it."""
+    about: str
+    cell: str
+    lines: list[str]  # labels, in order
+    event: Injection  # what goes wrong on the way, and how it must be taken
+    after: Mapping[str, str] = MappingProxyType({})  # as AFTER, instead of it
+    at_once: tuple[str, ...] = ()  # labels of lines of which at least two must be in execution at once
+    closed: bool = True  # the lines lead to the end of the task, which is then checked
+    frame_s: float = 1.5  # of simulated time, between two frames of the film
+
+    def wanted(self, label: str) -> tuple[OutcomeKind, ...]:
+        """How a line should end. The test of the left arm finds that it cannot; what lasts is aborted by a line."""
+        if label == self.event.at:
+            return self.event.ends
+        if label == "C1":
+            return (OutcomeKind.REFUSED,)
+        return (OutcomeKind.ABORTED,) if label in LASTING else GOOD
+
+
+WHOLE = Part(
+    "A satellite with an old module behind a door and two bolts, the new module in a rack, two arms",
+    CELL,
+    [f"C{n}" for n in range(1, 41) if f"C{n}" not in TESTS],
+    INJECTIONS["O5"],
+    at_once=("C5 C6 C7 C8 C9", "C21 C22 C23 C24"),
+    frame_s=3.0,
+)
+PARTS = {
+    "insertion": Part(
+        "The bay is open and empty: both arms carry the new module there; it is inserted, and the door closed",
+        HALFWAY,
+        ["C4", "C22", "C24", "C25", "C26", "C27", "C28", "C29", "C30", "C35", "C36", "C37", "C38", "C39"],
+        INJECTIONS["O6"],
+        after={"C36": "C39", "C39": "C30"},  # the right arm stands before the door, and does not take the driver
+        at_once=("C35 C39",),
+    ),
+}
+INJECTED = sorted([*INJECTIONS, ON_PAPER])
+
+
+def part_of(what: Injection) -> Part:
+    """The lines that lead to what goes wrong."""
+    return Part(what.about, what.cell, what.lines, what, closed=False)
+
+
+def run(
+    console: Console,
+    speed: str = "1",
+    out: Path = Path("out"),
+    *,
+    test: bool = False,
+    inject: str = "",
+    part: str = "",
+) -> bool:
+    """Run the demo; True if every check passed. Writes pictures and a film to `out`; ends all processes.
+
+    `test`: all 40 lines on paper first. `inject`: name of what goes wrong; then only the lines that lead to it. `part`:
+    name of a part."""
     narrator = Narrator(console)
-    cell = Cell.load(INJECTIONS[inject].cell if inject in INJECTIONS else CELL)
     every = planner.read(LINES.read_text())
-    narrator.chapter("A satellite with an old module behind a door and two bolts, the new module in a rack, two arms")
-    with Renderer() as renderer:
-        pictures = Pictures(out, renderer)
-        with own_cluster(cell=cell.name, speed=speed) as run_dir, Client(run_dir) as rtc:
-            if inject == ON_PAPER:
-                hypotheses(narrator, rtc, every)
-            elif inject:
-                _injected(narrator, Scene(run_dir, rtc), cell, every, INJECTIONS[inject])
-            else:
-                operator, predicted = ScriptedOperator(run_dir, cell), on_paper(narrator, rtc, every) if test else {}
-                _whole(narrator, rtc, cell, every, pictures, operator, predicted)
+    if inject == ON_PAPER:
+        with own_cluster(cell=CELL, speed=speed) as run_dir, Client(run_dir) as rtc:
+            hypotheses(narrator, rtc, every)
+        return narrator.passed()
+    performed = part_of(INJECTIONS[inject]) if inject else PARTS[part] if part else WHOLE
+    cell = Cell.load(performed.cell)
+    narrator.chapter(performed.about)
+    name = inject or part or "swapout"
+    with Renderer() as renderer, Film(out / f"{name}.gif", cell.name, performed.frame_s) as film:
+        pictures = Pictures(out, renderer, cell.name)
+        with own_cluster(cell=cell.name, speed=speed) as run_dir, Client(run_dir) as rtc, film.shooting(run_dir):
+            predicted = on_paper(narrator, rtc, every) if test else {}
+            tested = hypotheses(narrator, rtc, every) if performed is WHOLE else {}
+            course = perform(narrator, Scene(run_dir, rtc), performed, every, pictures, film)
+            course.ends |= tested
+            lines = [line for line in every if line.label in (*performed.lines, *tested)]
+            show_tracks(narrator, lines, course, cell)
+            show_durations(narrator, lines, course, predicted)
+            if performed.closed:
+                narrator.chapter("The criteria")
+                check(narrator, rtc, cell, performed, lines, course)
+            if performed is WHOLE:
+                check_surrender(narrator, course)
         pictures.check(narrator)
+        film.check(narrator)
     return narrator.passed()
 
 
-def _whole(
-    narrator: Narrator,
-    rtc: Client,
-    cell: Cell,
-    every: list[Line],
-    pictures: Pictures,
-    operator: ScriptedOperator,
-    predicted: dict[str, float],
-) -> None:
-    tested = hypotheses(narrator, rtc, every)
-    lines = [line for line in every if line.label not in TESTS]
-    course = perform_with_operator(narrator, rtc, cell, lines, pictures, operator)
-    course.ends |= tested
-    show_tracks(narrator, lines, course, cell)
-    show_durations(narrator, lines, course, predicted)
-    narrator.chapter("The criteria")
-    check_surrender(narrator, course)
-    check(narrator, rtc, cell, every, course)
+def perform(narrator: Narrator, scene: Scene, part: Part, every: list[Line], pictures: Pictures, film: Film) -> Course:
+    """The lines of a part, with the operator's help; at one of them something goes wrong."""
+    cell, event = Cell.load(part.cell), part.event
+    operator = ScriptedOperator(scene.run_dir, cell)
+    task = [line for line in every if line.label not in TESTS]
+    needed = planner.among(part.lines, planner.waits(task, cell, {**AFTER, **part.after}))
+    lines = [line for line in task if line.label in part.lines]
+    if event.text:
+        lines = [line._replace(text=event.text) if line.label == event.at else line for line in lines]
+    captions = Captions(cell)
 
-
-def perform_with_operator(
-    narrator: Narrator, rtc: Client, cell: Cell, lines: list[Line], pictures: Pictures, operator: ScriptedOperator
-) -> Course:
     def begun(line: Line) -> None:
-        if line.label == SLIPS:
-            rtc.inject(StrippedBolt(bolt=BOLT))
+        narrator.line(f"{line.label:>4}  {line.text}", "dim")
+        film.caption = captions.begins(line)
+        event.begins(scene, line)
         if line.label in DIALOGUES:
             operator.begin(line.label)
 
     def ended(line: Line, end: m.CommandEnded) -> bool:
-        if line.label in PICTURES:
-            pictures.take(PICTURES[line.label], rtc.truth())
+        kind = end.outcome.kind
+        film.caption = captions.ends(line)
+        narrator.line(f"{line.label:>4}  {end.command} {kind.value} after {end.took_s:.1f} s  {end.outcome.message}")
+        if line.label in PICTURES and part.closed:
+            title = f"{line.label} {LEFT_OUT.sub('', line.text)}: {kind.value}"
+            pictures.take(PICTURES[line.label], scene.rtc.truth(), VIEW, title)
         if line.label in DIALOGUES:
             check_dialogue(narrator, line.label, operator.end(line.label))
-        return as_wanted(line.label, end.outcome.kind)
+        wanted = part.wanted(line.label)
+        if line.label == event.at or kind not in wanted:
+            words = " or ".join(one.value for one in wanted)
+            narrator.check(f"{line.label} ended {kind.value}, wanted {words}", kind in wanted)
+        if line.label == event.at and kind in wanted:
+            film.caption = f"{event.about};\nhow it is taken"
+            event.check(narrator, scene, giving.course)
+        return kind in wanted
 
-    return _perform(narrator, rtc, cell, lines, begun, lambda *_: None, ended)
-
-
-def _injected(narrator: Narrator, scene: Scene, cell: Cell, every: list[Line], what: Injection) -> None:
-    of = {line.label: line for line in every}
-    of[what.at] = of[what.at]._replace(text=what.text or of[what.at].text)
-    lines = [of[label] for label in what.lines]
-    narrator.line(f"{what.about}; cell {cell.name}, lines {', '.join(line.label for line in lines)}")
-
-    def ended(line: Line, end: m.CommandEnded) -> bool:
-        lasts = (OutcomeKind.ABORTED,) if line.label in LASTING else GOOD
-        wanted = what.ends if line.label == what.at else lasts
-        words = " or ".join(kind.value for kind in wanted)
-        return narrator.check(
-            f"{line.label} ended {end.outcome.kind.value}, wanted {words}", end.outcome.kind in wanted
-        )
-
-    course = _perform(narrator, scene.rtc, cell, lines, partial(what.begins, scene), partial(what.notes, scene), ended)
-    if what.at in course.ends:
-        what.check(narrator, scene, course)
-
-
-def _perform(
-    narrator: Narrator,
-    rtc: Client,
-    cell: Cell,
-    lines: list[Line],
-    on_begin: Callable[[Line], None],
-    on_note: Callable[[Line, m.ProgressNote], None],
-    on_end: Callable[[Line, m.CommandEnded], bool],
-) -> Course:
-    def begun(line: Line) -> None:
-        narrator.line(f"{line.label:>4}  {line.text}", "dim")
-        on_begin(line)
-
-    def ended(line: Line, end: m.CommandEnded) -> bool:
-        result = f"{end.outcome.kind.value} after {end.took_s:.1f} s  {end.outcome.message}"
-        narrator.line(f"{line.label:>4}  {end.command} {result}")
-        return on_end(line, end)
-
+    narrator.line(f"in this run: {event.about}; cell {cell.name}, lines {' '.join(part.lines)}")
     narrator.chapter("The lines; each is given as soon as those it depends on have ended")
-    needed = planner.waits(lines, cell, AFTER)
-    return planner.Planner(rtc, needed, LASTING, begun, on_note, ended).perform(lines, IDLE_S)
+    giving = planner.Planner(
+        scene.rtc, needed, LASTING, begun, lambda line, note: event.notes(scene, line, note), ended
+    )
+    return giving.perform(lines, IDLE_S)
 
 
-def on_paper(narrator: Narrator, rtc: Client, every: list[Line]) -> dict[str, float]:
+class Captions:
+    """The text below the film: what each arm is commanded to do."""
+
+    def __init__(self, cell: Cell) -> None:
+        self._words = words_of(cell)
+        self._lines = dict.fromkeys(sorted(self._words), Line("", ""))
+
+    def begins(self, line: Line) -> str:
+        return self._show(line, line)
+
+    def ends(self, line: Line) -> str:
+        return self._show(line, Line("", ""))
+
+    def _show(self, of: Line, now: Line) -> str:
+        self._lines |= {arm: now for arm, words in self._words.items() if any(word in of.text for word in words)}
+        return "\n".join(f"{arm}  {line.label} {LEFT_OUT.sub('', line.text)}" for arm, line in self._lines.items())
+
+
+def words_of(cell: Cell) -> dict[str, tuple[str, ...]]:
+    """The words with which a line names each arm."""
+    return {arm.name: (arm.name, arm.end_effector, BOTH_ARMS) for arm in cell.arms}
+
+
+def on_paper(narrator: Narrator, rtc: Client, every: list[Line]) -> dict[str, list[RehearsedStep]]:
     """All lines on paper, each after those before it: nothing moves, and nothing is written.
 
-    Returns the predicted durations of the feasible ones: label -> s."""
+    Returns the predicted steps of the feasible ones, by label."""
     narrator.chapter("The lines on paper")
     before, truth = rtc.world.view(), rtc.truth()
-    ends = rtc.test([line.text for line in every], [line.label for line in every], keep_going=True)
+    labels = [line.label.replace("C", "C-") for line in every]  # as the sentences name them
+    ends = rtc.test([line.text for line in every], labels, keep_going=True)
     for line, end in zip(every, ends, strict=True):
         narrator.line(f"{line.label:>4}  {end.outcome.kind.value}  {end.outcome.message[:120]}", "dim")
     after = rtc.world.view()
@@ -184,7 +244,7 @@ def on_paper(narrator: Narrator, rtc: Client, every: list[Line]) -> dict[str, fl
     narrator.check(f"{len(ends)} lines tested; no arm has moved", still)
     narrator.check("the world database is as before", (after.version, after.facts) == (before.version, before.facts))
     return {
-        line.label: end.outcome.rehearsal.predicted_s
+        line.label: end.outcome.rehearsal.steps
         for line, end in zip(every, ends, strict=True)
         if end.outcome.rehearsal is not None and end.outcome.kind is OutcomeKind.SUCCEEDED
     }
@@ -210,39 +270,73 @@ def hypotheses(narrator: Narrator, rtc: Client, every: list[Line]) -> dict[str, 
     return {label: found[label] for label in TESTS}
 
 
-def as_wanted(label: str, kind: OutcomeKind) -> bool:
-    """The test of the left arm finds that it cannot, and a stripped bolt cannot be loosened; what lasts until it is
-    ended is aborted."""
-    if label == "C1":
-        return kind is OutcomeKind.REFUSED
-    if label == SLIPS:
-        return kind is OutcomeKind.FAILED
-    return kind is (OutcomeKind.ABORTED if label in LASTING else OutcomeKind.SUCCEEDED)
+def show_durations(
+    narrator: Narrator, lines: list[Line], course: Course, predicted: Mapping[str, list[RehearsedStep]]
+) -> None:
+    """Predicted on paper before the task, beside what the steps took: simulated seconds.
 
-
-def show_durations(narrator: Narrator, lines: list[Line], course: Course, predicted: dict[str, float]) -> None:
-    """Predicted on paper before the task, beside what the steps took: simulated seconds."""
-    if predicted:
-        narrator.chapter("Durations in s: predicted before the task, and measured in the steps")
+    A step that ends at a touch ends where the body is, which no prediction knows: both sums are shown without such
+    steps too."""
+    if not predicted:
+        return
+    narrator.chapter("Durations in s: predicted before the task, measured; both again for steps that end at their goal")
     for line in lines:
-        if line.label in predicted and line.label in course.measured_s:
-            ahead, took = predicted[line.label], course.measured_s[line.label]
-            narrator.line(f"{line.label:>4}  {ahead:6.1f} {took:6.1f}  {line.text.partition(' MAINTAIN')[0]}", "dim")
+        ahead, took = predicted.get(line.label, []), course.measured.get(line.label, [])
+        known = at_goals(ahead, took)
+        if not took or not ahead:
+            continue
+        sums = [sum(step.predicted_s for step in ahead), sum(took_s for _, took_s in took)]
+        sums += [sum(one.predicted_s for one in known), sum(one.measured_s for one in known)]
+        narrator.line(f"{line.label:>4} {''.join(f'{one:7.1f}' for one in sums)}  {LEFT_OUT.sub('', line.text)}", "dim")
+        for one in known:
+            narrator.line(f"          {one.off:+.1%} {one}")
+
+
+class AtGoal(NamedTuple):
+    """A step that ended at its goal."""
+
+    label: str
+    predicted_s: float
+    measured_s: float
+
+    @property
+    def off(self) -> float:
+        """Measured against predicted, as a share."""
+        return self.measured_s / self.predicted_s - 1.0
+
+
+def at_goals(ahead: list[RehearsedStep], took: list[tuple[str, float]]) -> list[AtGoal]:
+    """The steps that were predicted to end at their goal, as first performed. `took`: (words of the step, s)."""
+    first = dict(reversed(took))
+    return [
+        AtGoal(step.label, step.predicted_s, first[step.label])
+        for step in ahead
+        if step.reason == StopReason.GOAL.value and step.predicted_s and step.label in first
+    ]
 
 
 def show_tracks(narrator: Narrator, lines: list[Line], course: Course, cell: Cell) -> None:
-    """One row of time per arm, and one for the cameras: the number of the line in execution."""
-    narrator.chapter(f"The time line: {course.now_s:.0f} s; of each line its number")
+    """One row of time per arm, and one for the cameras: the lines in execution."""
+    narrator.chapter(f"The time line: {course.now_s:.0f} s; of each line its number, where there is room")
     scale = COLUMNS / max(course.now_s, 1.0)
-    for name, words in [*((arm.name, (arm.name, arm.end_effector, "BOTH-ARMS")) for arm in cell.arms),
-                        ("cameras", ("VIA CAMERA",))]:  # fmt: skip
-        row = [" "] * COLUMNS
-        for line in lines:
-            if line.label not in course.executing or not any(word in line.text for word in words):
-                continue
-            first, last = (min(COLUMNS - 1, int(scale * at)) for at in course.executing[line.label])
-            row[first : last + 1] = (line.label[1:] + "-" * COLUMNS)[: last + 1 - first]
-        narrator.line(f"{name:>9} |{''.join(row)}|")
+    for name, words in {**words_of(cell), "cameras": ("VIA CAMERA",)}.items():
+        mine = [line.label for line in lines if any(word in line.text for word in words)]
+        spans = {label: course.executing[label] for label in mine if label in course.executing}
+        narrator.line(f"{name:>9} |{track(spans, scale)}|")
+
+
+def track(spans: dict[str, list[float]], scale: float) -> str:
+    """A row of COLUMNS characters: each span (s) with its number, if the next one leaves room for it."""
+    row = [" "] * COLUMNS
+    columns = [[min(COLUMNS - 1, int(scale * at)) for at in span] for span in spans.values()]
+    for first, last in columns:
+        row[first : last + 1] = "-" * (last + 1 - first)
+    starts = [*sorted(first for first, _ in columns), COLUMNS + 1]
+    for label, (first, _) in zip(spans, columns, strict=True):
+        room = next(start for start in starts if start > first) - 1 - first
+        number = label[1:] if len(label[1:]) <= room else "'"
+        row[first : first + len(number)] = number
+    return "".join(row)
 
 
 def check_dialogue(narrator: Narrator, label: str, acts: Sequence[Act]) -> None:
@@ -267,17 +361,18 @@ def check_surrender(narrator: Narrator, course: Course) -> None:
     )
 
 
-def check(narrator: Narrator, rtc: Client, cell: Cell, lines: list[Line], course: Course) -> None:
+def check(narrator: Narrator, rtc: Client, cell: Cell, part: Part, lines: list[Line], course: Course) -> None:
+    """The end of the task. `lines`: those of the part, and the tests."""
     truth = rtc.truth()
     wrong = [line.label for line in lines if line.label not in course.ends]
-    wrong += [label for label, end in course.ends.items() if not as_wanted(label, end.outcome.kind)]
+    wrong += [label for label, end in course.ends.items() if end.outcome.kind not in part.wanted(label)]
     narrator.check(f"{len(course.ends)} of {len(lines)} lines ended as they should; not: {wrong or 'none'}", not wrong)
     check_goal(narrator, cell, truth)
     check_beliefs(narrator, rtc, cell, truth)
     check_alone(narrator, lines, course, cell)
-    for phase, labels in {"2": range(5, 10), "5": range(21, 25)}.items():
-        most = course.together([f"C{n}" for n in labels])
-        narrator.check(f"phase {phase}: {most} lines in execution at once", most >= 2)
+    for labels in part.at_once:
+        most = course.together(labels.split())
+        narrator.check(f"of {labels.replace(' ', ', ')}: {most} in execution at once", most >= 2)
 
 
 def check_alone(narrator: Narrator, lines: list[Line], course: Course, cell: Cell) -> None:
@@ -292,14 +387,14 @@ def check_alone(narrator: Narrator, lines: list[Line], course: Course, cell: Cel
 
 
 def check_goal(narrator: Narrator, cell: Cell, truth: m.SimTruthReply) -> None:
-    """The new module in the bay, the old one in the rack, the bolts tight, the door closed: in truth."""
+    """The new module in the bay, the old one in the rack, its bolts tight, the door closed: in truth."""
     for module, seat, most_m in (("MACS-NEW", "BAY-2", SEATED_M), ("MACS-OLD", "RACK-2", STORED_M)):
         place = cell.seated_pose(seat)
         off_m = geometry.distance(truth.poses[module], place)
         off_deg = math.degrees(geometry.angle(truth.poses[module], place))
         what = f"{module} is {1e3 * off_m:.1f} mm and {off_deg:.2f} deg from its place in {seat}"
         narrator.check(what, off_m <= most_m and off_deg <= SEATED_DEG)
-    for bolt in ("BOLT-1", "BOLT-2"):
+    for bolt in cell.seat("BAY-2").bolts:
         out_m = geometry.distance(truth.poses[bolt], cell.object(bolt).frame.pose)
         torque_nm = truth.tight_nm[bolt]
         what = f"{bolt} is {1e3 * out_m:.2f} mm out, tightened to {torque_nm:.2f} N.m"
@@ -325,6 +420,3 @@ def check_beliefs(narrator: Narrator, rtc: Client, cell: Cell, truth: m.SimTruth
     narrator.check(
         f"{len(off)} valid poses agree with the truth; not: {', '.join(wrong) or 'none'}", bool(off) and not wrong
     )
-
-
-INJECTED = sorted([*INJECTIONS, ON_PAPER])

@@ -170,6 +170,8 @@ class HaltAtRest(Message, frozen=True, kw_only=True):
     at_rest: bool
     performers: list[str]
     call: str = ""  # of the order that this answers
+    # From the receipt of the halt until then, by the subsystem's own clock: of a simulator simulated time.
+    own_s: float = 0.0
 
 
 # --- subsystem -> subscribers (PUB) ---

@@ -69,7 +69,7 @@ class Halt(msgspec.Struct):
 
     order: m.HaltOrder
     received_at_s: float
-    late_at_s: float  # by the subsystem's own time
+    own_s: float  # when it was received, by the subsystem's own time
     performers: list[str]
     moving: list[str]
     begun: list[int]  # number of primitives that each performer had started at the time of the call
@@ -306,7 +306,7 @@ class Subsystem(ABC, Generic[Performer]):
                 halt.callers.append(caller)
             known = [message for message in (halt.started, halt.ended) if message is not None]
             return [(sender, msgspec.structs.replace(message, call=order.call)) for message in known]
-        halt = Halt(order, now_s, self._own_s(now_s) + REST_LIMIT_S, reached, moving, self._begun_by(reached), [caller])
+        halt = Halt(order, now_s, self._own_s(now_s), reached, moving, self._begun_by(reached), [caller])
         open_halts = sum(other.callers[0][0] == sender for other in self._open_halts)
         if open_halts >= (OPEN_HALTS_OF_BROKER if sender == BROKER else OPEN_HALTS):
             return (
@@ -360,14 +360,15 @@ class Subsystem(ABC, Generic[Performer]):
                     moving=halt.moving,
                 )
                 out += halt.to_callers(halt.started)
-            at_rest = self._all_rest(halt)
-            if at_rest or self._own_s(now_s) > halt.late_at_s:
+            at_rest, took_s = self._all_rest(halt), self._own_s(now_s) - halt.own_s
+            if at_rest or took_s > REST_LIMIT_S:
                 halt.ended = m.HaltAtRest(
                     halt=halt.order.halt,
                     subsystem=self.name,
                     at_s=now_s,
                     at_rest=at_rest,
                     performers=halt.performers,
+                    own_s=took_s,
                 )
                 out += halt.to_callers(halt.ended)
                 self._open_halts.remove(halt)

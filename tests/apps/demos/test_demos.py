@@ -1,4 +1,4 @@
-"""The main job, as `make demo` runs it: it checks itself against the simulator."""
+"""The demos: they check themselves against the simulator."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from rtc.apps.demos import door, faults
+from rtc.apps.demos import faults, swapout
 
 
 def test_an_arm_is_judged_over_several_samples_however_quickly_the_broker_is_back():
@@ -34,12 +34,15 @@ def test_the_grasp_demo_passes_all_its_checks_and_leaves_its_pictures(tmp_path):
 @pytest.mark.slow
 @pytest.mark.untimed
 @pytest.mark.timeout(400)
-def test_the_door_demo_opens_takes_out_inserts_and_closes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(door, "FRAME_S", 20.0)  # a film of a few frames: drawing them all takes a minute
+def test_the_insertion_of_the_swap_out_is_halted_taken_up_again_and_ends_with_a_closed_door(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    few = swapout.PARTS["insertion"]._replace(frame_s=20.0)  # drawing all frames takes half a minute of a core
+    monkeypatch.setitem(swapout.PARTS, "insertion", few)
     with Console(record=True, width=200) as console:
-        passed = door.run(console, "max", tmp_path)
+        passed = swapout.run(console, "max", tmp_path, part="insertion")
     assert passed, console.export_text()[-3000:]
-    assert (tmp_path / "door.gif").exists()
+    assert {file.name for file in tmp_path.iterdir()} >= {"insertion.gif", "5-inserted.png"}
 
 
 @pytest.mark.slow

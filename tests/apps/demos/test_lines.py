@@ -41,6 +41,53 @@ def test_a_line_waits_for_the_last_one_about_the_same_thing(line, before):
     assert before in NEEDED[line]
 
 
+def test_a_line_that_is_left_out_stands_for_those_it_waits_for():
+    needed = {"C1": set(), "C2": {"C1"}, "C3": {"C2"}, "C4": {"C2", "C3"}, "C5": set()}
+    assert lines.among(["C1", "C4", "C5"], needed) == {"C1": set(), "C4": {"C1"}, "C5": set()}
+    assert lines.among(list(needed), needed) == needed
+
+
+@pytest.mark.parametrize("name", swapout.PARTS)
+def test_a_part_has_lines_of_the_task_that_end_it_and_no_line_waits_for_itself(name):
+    part = swapout.PARTS[name]
+    cell = Cell.load(part.cell)
+    task = [line for line in LINES if line.label not in swapout.TESTS]
+    needed = lines.among(part.lines, lines.waits(task, cell, {**swapout.AFTER, **part.after}))
+    assert part.event.at in part.lines
+    done: list[str] = []
+    while ready := [label for label in part.lines if label not in done and needed[label] <= set(done)]:
+        done += ready
+    assert sorted(done) == sorted(part.lines)
+    for labels in part.at_once:
+        first, second = labels.split()
+        assert first not in needed[second]
+        assert second not in needed[first]
+
+
+def test_the_door_is_closed_when_both_arms_have_left_the_bay():
+    part = swapout.PARTS["insertion"]
+    task = [line for line in LINES if line.label not in swapout.TESTS]
+    needed = lines.among(part.lines, lines.waits(task, CELL, {**swapout.AFTER, **part.after}))
+    assert needed["C36"] >= {"C35", "C39"}
+    assert "C30" in needed["C39"]
+
+
+def test_the_time_line_shows_the_number_of_a_line_where_there_is_room():
+    row = swapout.track({"C1": [0.0, 4.0], "C22": [5.0, 5.5], "C3": [6.0, 89.0]}, 1.0)
+    assert row[:10] == "1----'3---"
+    assert len(row) == swapout.COLUMNS
+
+
+def test_a_caption_shows_what_each_arm_is_commanded_to_do_until_it_is_done():
+    captions = swapout.Captions(CELL)
+    of = {line.label: line for line in LINES}
+    assert captions.begins(of["C7"]) == "LEFT-ARM  C7 OPEN DOOR-2 BY 90 DEG\nRIGHT-ARM   "
+    assert captions.begins(of["C22"]).splitlines()[1] == "RIGHT-ARM  C22 GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
+    assert captions.ends(of["C7"]).splitlines()[0] == "LEFT-ARM   "
+    both = captions.begins(of["C25"]).splitlines()
+    assert {line.partition("  ")[2] for line in both} == {"C25 CARRY MACS-NEW TO BAY-2-FRONT"}
+
+
 def test_what_was_in_execution_at_once_is_counted():
     course = lines.Course(executing={"C1": [0.0, 2.0], "C2": [1.0, 3.0], "C3": [2.0, 4.0]})
     assert course.together(["C1", "C2", "C3"]) == 2
@@ -60,4 +107,4 @@ def test_what_was_in_execution_at_once_is_counted():
     ],
 )
 def test_only_the_test_of_the_left_arm_is_refused_and_only_a_lasting_line_aborted(label, kind, wanted):
-    assert swapout.as_wanted(label, kind) is wanted
+    assert (kind in swapout.WHOLE.wanted(label)) is wanted

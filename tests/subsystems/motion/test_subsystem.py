@@ -146,6 +146,7 @@ def test_a_halt_of_all_stops_both_arms_and_tells_when(bench, swing) -> None:
     assert started.moving == [ARM, OTHER]
     assert rest.at_rest
     assert called < rest.at_s < called + 0.2
+    assert rest.own_s == pytest.approx(rest.at_s - called, abs=0.002)
     assert {peer for peer, message in sent if isinstance(message, m.HaltStarted | m.HaltAtRest)} == {CALLER}
     assert [report.reason for report in kinds(sent, m.EndReport)] == [StopReason.HALT] * 2
 

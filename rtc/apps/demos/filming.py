@@ -1,0 +1,105 @@
+"""Pictures and a film of a demo, drawn by other processes at low priority while it goes on."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import msgspec
+
+from rtc.apps.demos.narrator import Narrator
+from rtc.client.client import Client
+from rtc.drawing.renderer import Renderer
+from rtc.drawing.scene import FilmFrame, Panel, Picture, true_scene
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import ClusterError
+
+NICENESS = 19  # a film is drawn in the time that nothing else wants
+POLL_S = 0.04
+# Limits for a machine with many busy processes.
+RENDER_S = 600.0
+FILM_S = 3600.0
+
+
+class Pictures:
+    """Pictures of the true scene in a cell."""
+
+    def __init__(self, out: Path, renderer: Renderer, cell: str) -> None:
+        self._out, self._renderer, self._cell = out, renderer, cell
+        self._files: list[Path] = []
+        out.mkdir(parents=True, exist_ok=True)
+
+    def take(self, name: str, truth: m.SimTruthReply, camera: str = "overview", title: str = "") -> None:
+        file = self._out / f"{name}.png"
+        file.unlink(missing_ok=True)
+        panels = [Panel(title=title or name, scene=true_scene(truth))]
+        self._renderer.request(Picture(out=str(file.absolute()), cell=self._cell, panels=panels, camera=camera))
+        self._files.append(file)
+
+    def check(self, narrator: Narrator) -> None:
+        """Wait for all pictures."""
+        for file in self._files:
+            narrator.check(f"picture {file}", self._renderer.drawn(RENDER_S) and file.is_file())
+
+
+class Film:
+    """A film of the true scene: context manager. `period_s`: of simulated time, between two frames."""
+
+    def __init__(self, file: Path, cell: str, period_s: float) -> None:
+        self.caption = ""  # below the next frames; always of as many lines
+        self.frames = 0
+        self._file, self._period_s = file, period_s
+        self._done = threading.Event()
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.unlink(missing_ok=True)
+        command = [sys.executable, "-P", "-m", "sim_mcm.cameras.film", "--cell", cell, "--out", str(file)]
+        self._process = subprocess.Popen(
+            ["nice", "-n", str(NICENESS), *command],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def __enter__(self) -> Film:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()  # unless `check` has waited for it
+        self._process.communicate()
+
+    @contextmanager
+    def shooting(self, run_dir: Path) -> Iterator[None]:
+        """Meanwhile a thread with a client of its own takes the frames, from the first caption on."""
+        thread = threading.Thread(target=self._shoot, args=(run_dir,), daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            self._done.set()
+            thread.join(FILM_S)
+
+    def check(self, narrator: Narrator) -> None:
+        """Wait for the film."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.communicate(timeout=FILM_S)
+        narrator.check(f"film {self._file} of {self.frames} frames", self._file.is_file())
+
+    def _shoot(self, run_dir: Path) -> None:
+        assert self._process.stdin is not None
+        due_s = 0.0
+        with Client(run_dir) as rtc:
+            while not self._done.wait(POLL_S):
+                try:
+                    truth = rtc.truth()
+                    if truth.sim_s >= due_s and self.caption:
+                        due_s = truth.sim_s + self._period_s
+                        frame = FilmFrame(scene=true_scene(truth), caption=self.caption)
+                        self._process.stdin.write(msgspec.json.encode(frame) + b"\n")
+                        self._process.stdin.flush()
+                        self.frames += 1
+                except (ClusterError, BrokenPipeError):
+                    return
