@@ -28,7 +28,7 @@ TEXT = {
 | release, in *parsing* | the earlier commands of its client are parsed |
 | release, in *held* | AFTER: the other command has ended. TOGETHER-WITH: it has begun to move, or has ended |
 | space | the arm that it waits for has begun to move, has rested, or will not leave by itself |
-| report | the end report of its primitive. *blocked*: nothing has moved, and the step is planned again |
+| report | the end report of its primitive. *blocked*: the arm stands, and the step is planned again |
 | rest | its subsystem confirms rest for the halt of its primitive |
 | halt_settled | a HALT sentence only: rest is confirmed, or it is not |
 | stop | a HALT or ABORT reaches it |

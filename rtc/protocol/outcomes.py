@@ -98,7 +98,7 @@ class StopReason(StrEnum):
     NO_CONTACT = "no_contact"  # a contact ended; or, derived by the analyzer, the goal was reached without one
     # The reasons below do not come from a servo tick.
     REFUSED = "refused"  # the subsystem did not start the primitive
-    BLOCKED = "blocked"  # the subsystem did not start it: another arm has not left the space that it needs
+    BLOCKED = "blocked"  # not started, or stopped on its way: another arm has not left the space that it needs
     SUBSYSTEM_LOST = "subsystem_lost"  # the subsystem was lost before its report
     # Answers of the operator to a request.
     OPERATOR_DONE = "operator_done"  # he has done it, and the subsystem has proved it

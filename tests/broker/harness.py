@@ -169,9 +169,12 @@ class Harness:
                 return self.handle(events.JobLost, evidence="exit -9", **about)
         return self.handle(events.JobFinished, product=wire.raw(go_on()), **about)
 
-    def reports(self, command: str, reason: StopReason = StopReason.GOAL, primitive: str = "") -> list[str]:
+    def reports(
+        self, command: str, reason: StopReason = StopReason.GOAL, primitive: str = "", duration_s: float = 1.0
+    ) -> list[str]:
         live = self.state.commands.get(command)
-        return self.handle(events.PrimitiveEnded, subsystem="MCM", report=report(primitive or live.primitive, reason))
+        ended = report(primitive or live.primitive, reason, duration_s=duration_s)
+        return self.handle(events.PrimitiveEnded, subsystem="MCM", report=ended)
 
     def halts(self, scope: str = "ALL", halt: str = "h1") -> list[str]:
         return self.handle(events.HaltCalled, client="ann", halt=halt, scope=scope)
@@ -275,13 +278,15 @@ def stated(value: float = 2.1) -> BoundStep:
     return BoundStep(report=facts_report, evaluation=evaluation, note="stated")
 
 
-def report(primitive: str, reason: StopReason = StopReason.GOAL, performer: str = "RIGHT-ARM") -> EndReport:
+def report(
+    primitive: str, reason: StopReason = StopReason.GOAL, performer: str = "RIGHT-ARM", duration_s: float = 1.0
+) -> EndReport:
     return EndReport(
         primitive=primitive,
         performer=performer,
         reason=reason,
         at_s=0.0,
-        duration_s=1.0,
+        duration_s=duration_s,
         joints=[0.0] * 6,
         tcp_pose=[0, 0, 0, 0, 0, 0, 1],
         wrench=[0.0] * 6,

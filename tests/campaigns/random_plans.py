@@ -24,7 +24,7 @@ from benchmarks.report import finish, question
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.collision import CollisionWorld
 from rtc.protocol.outcomes import Refused, StopReason
-from rtc.protocol.primitive import GoalReached, Primitive, StopFunction, TimeAbove
+from rtc.protocol.primitive import GoalReached, Primitive, StartAfter, StopFunction, TimeAbove
 from rtc.spatial.geometry import Array
 from tests.campaigns import RESULTS
 from workers.planning.motion import beside
@@ -80,24 +80,26 @@ class Judge:
             return
         mine, theirs = self._primitive(request, found, "C-2.1"), self._primitive(query.request, first, "C-1.1")
         try:
-            conditions = beside.start_conditions(request, mine, [theirs])
+            conditions = beside.start_conditions(request, mine, [theirs], follows=True)
         except Refused:
             self.counts["pairs refused"] += 1
             return
         self.counts["pairs"] += 1
         self.counts["pairs that wait"] += bool(conditions)
+        self.counts["pairs that may wait on their way"] += any(condition.further for condition in conditions)
         self.counts["pairs that meet"] += any(
             self._coal.check({**joints, arm.name: one, name: other}, replace(scene, clearance_m=0.0)) is not None
-            for one, other in self._posture_pairs(found, first, conditions[0].path_s if conditions else 0.0)
+            for one, other in self._posture_pairs(found, first, conditions[0] if conditions else None)
         )
 
-    def _posture_pairs(self, mine: Motion, theirs: Motion, from_s: float) -> Iterator[tuple[Array, Array]]:
-        """Any posture of one motion with any that the other still has before it after its time `from_s`."""
-        my_s = self._rng.uniform(0.0, mine.timed.duration_s, PAIRS)
-        from_s = min(from_s, theirs.timed.duration_s)
-        their_s = self._rng.uniform(from_s, theirs.timed.duration_s, PAIRS)
-        postures = theirs.timed.at(np.sort(their_s))[:, 0]
-        return zip(mine.timed.at(np.sort(my_s))[:, 0], self._rng.permutation(postures), strict=True)
+    def _posture_pairs(
+        self, mine: Motion, theirs: Motion, condition: StartAfter | None
+    ) -> Iterator[tuple[Array, Array]]:
+        """Any posture of one motion with any that the other still has before it when the first is there."""
+        for my_s in self._rng.uniform(0.0, mine.timed.duration_s, PAIRS).tolist():
+            from_s = min(condition.needed_s(my_s) if condition else 0.0, theirs.timed.duration_s)
+            their_s = self._rng.uniform(from_s, theirs.timed.duration_s)
+            yield mine.timed.at(np.array([my_s]))[0, 0], theirs.timed.at(np.array([their_s]))[0, 0]
 
     def _any_motion(self, request: PlanningRequest) -> Motion | None:
         limits = request.arm.limits

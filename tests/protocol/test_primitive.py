@@ -6,7 +6,9 @@ import math
 
 import pytest
 
-from rtc.protocol.primitive import Load, TimeAbove
+from rtc.protocol import wire
+from rtc.protocol.primitive import MAX_FURTHER, HoldStill, Load, Partner, Primitive, StartAfter, TimeAbove
+from tests.protocol.wire_examples import LAW, PATH, STOPS
 
 GOOD = {"mass_kg": 2.0, "com_m": [0.0, -0.085, 0.15], "inertia_kg_m2": [0.0145, 0.0125, 0.0165, 0.001, 0.0, 0.0]}
 
@@ -43,3 +45,45 @@ def test_figures_that_no_body_has_are_no_load(change) -> None:
 def test_a_time_limit_ends(limit_s: float) -> None:
     with pytest.raises(ValueError, match="a time limit"):
         TimeAbove(limit_s)
+
+
+WAIT = {"primitive": "C-6.1", "path_s": 1.0, "within_s": 9.0}
+
+
+def test_a_condition_on_the_way_says_how_far_the_other_arm_must_be() -> None:
+    condition = StartAfter(**WAIT, further=[(0.5, 1.5), (2.0, 3.0)])
+    assert [condition.needed_s(own_s) for own_s in (0.0, 0.5, 0.6, 2.0, 2.1)] == [1.0, 1.0, 1.5, 1.5, 3.0]
+
+
+def test_a_condition_without_any_on_the_way_travels_as_before() -> None:
+    assert wire.encode(StartAfter(**WAIT)) == wire.encode(WAIT)
+
+
+@pytest.mark.parametrize(
+    "further",
+    [
+        [(0.0, 2.0)],
+        [(0.5, 1.0)],
+        [(0.5, 2.0), (0.5, 3.0)],
+        [(0.5, 2.0), (0.6, 2.0)],
+        [(math.nan, 2.0)],
+        [(0.5, math.nan)],
+        [(0.5, math.inf)],
+        [(n + 1.0, n + 2.0) for n in range(MAX_FURTHER + 1)],
+    ],
+    ids=str,
+)
+def test_conditions_on_the_way_increase(further) -> None:
+    with pytest.raises(ValueError, match="on the way"):
+        StartAfter(**WAIT, further=further)
+
+
+def test_only_a_motion_of_one_arm_waits_on_its_way() -> None:
+    about = {"id": "C-7.1", "performer": "RIGHT-ARM", "stop_functions": STOPS}
+    waits = [StartAfter(**WAIT, further=[(0.5, 1.5)])]
+    assert Primitive(**about, trajectory=PATH, start_after=waits)
+    with pytest.raises(ValueError, match="waits on its way"):
+        Primitive(**about, trajectory=HoldStill(duration_s=1.0), start_after=waits)
+    partner = Partner(performer="LEFT-ARM", trajectory=PATH, control_law=LAW, stop_functions=STOPS)
+    with pytest.raises(ValueError, match="waits on its way"):
+        Primitive(**about, trajectory=PATH, partner=partner, start_after=waits)

@@ -83,6 +83,8 @@ def _product(
         case WorkerKind.ANALYZER:
             if product.startswith("trim"):
                 return wire.raw(mend(int(product[5:])))
+            if product == "blocked":
+                return wire.raw(give_up(StopReason.BLOCKED))
             return wire.raw(give_up() if product == "give up" else go_on())
 
 

@@ -25,7 +25,7 @@ from broker.persistence.replay import replay
 from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.outcomes import OutcomeKind, Refusal
+from rtc.protocol.outcomes import OutcomeKind, Refusal, StopReason
 from rtc.runtime.handover import Handover
 from rtc.world.server import Server
 from rtc.world.store import Store
@@ -278,7 +278,8 @@ class Cluster:
         self.records[command] = record
         begun, ended = self.ledger.of(command), self.ledger.ended
         kind = outcome.kind
-        whole = len(begun) == skills.primitives_of(record.text) and all(primitive in ended for primitive in begun)
+        done = [name for name in begun if ended.get(name) is not StopReason.BLOCKED]  # that is stopped, and done again
+        whole = len(done) == skills.primitives_of(record.text) and all(primitive in ended for primitive in begun)
         if kind is OutcomeKind.SUCCEEDED and record.text.startswith("DO") and not whole:
             self.wrong(f"{command} succeeded with {begun} begun of '{record.text}', ended: {ended}")
         moving = [e.primitive_id for e in self._executors() if e.primitive_id in begun]

@@ -70,7 +70,7 @@ def execute(model: Model, effect: do.SendPrimitive) -> None:
 def _report(model: Model, primitive: str) -> None:
     reason = model.mcm.ended[primitive]
     performer = model.begun.get(primitive, "RIGHT-ARM")
-    body: EndReport = report(primitive, reason, performer)
+    body: EndReport = report(primitive, reason, performer, duration_s=1.0 if primitive in model.begun else 0.0)
     _send(model, events.PrimitiveEnded(at_s=0.0, subsystem="MCM", report=body))
 
 
@@ -93,6 +93,14 @@ def _goal(model: Model, arm: str) -> None:
 def _blocked(model: Model, arm: str) -> None:
     """It is not begun: another arm has not left its space."""
     del model.begun[model.mcm.arms[arm]]
+    _end(model, arm, StopReason.BLOCKED)
+    _confirm(model)
+
+
+def _cut(model: Model, arm: str) -> None:
+    """It stands on its way: another arm will not leave the space that it needs next."""
+    command = model.mcm.arms[arm].partition(".")[0]
+    model.cut[command] = model.cut.get(command, 0) + 1
     _end(model, arm, StopReason.BLOCKED)
     _confirm(model)
 
@@ -182,6 +190,7 @@ def _send_again(model: Model, primitive: str) -> None:
 OF_MCM: dict[str, Callable[..., None]] = {
     "goal": _goal,
     "blocked": _blocked,
+    "cut": _cut,
     "rest": _rest,
     "estop": _estop,
     "estop again": _estop_again,

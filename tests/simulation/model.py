@@ -94,6 +94,7 @@ class Model(msgspec.Struct):
     halts: dict[str, Halt] = {}
     begun: dict[str, str] = {}  # primitive -> performer, by whatever process
     goals: dict[str, int] = {}  # command -> primitives that reached their goal
+    cut: dict[str, int] = {}  # command -> primitives that were stopped on their way, because of another arm
     stopped: list[str] = []  # commands that a halt has stopped, as the broker has received it
     estopped: list[str] = []  # the same, as the process that is the subsystem now has received it
     outcomes: dict[str, str] = {}

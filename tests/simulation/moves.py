@@ -9,7 +9,7 @@ from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.state import Command, LinkState
 from rtc.protocol.messages import Phase, WorkerKind
-from rtc.protocol.outcomes import IN_THE_WAY
+from rtc.protocol.outcomes import IN_THE_WAY, StopReason
 from rtc.protocol.primitive_id import command_of
 from tests.simulation.arrivals import event_of
 from tests.simulation.model import (
@@ -40,7 +40,7 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
         yield "hand in", model.handed_in
     for command in du.commands.values():
         if at_work(model, command):
-            for product in products(command, scenario):
+            for product in products(model, command, scenario):
                 yield "work", command.id, product
             for fault in (
                 "refuse",
@@ -64,6 +64,7 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
             yield ("rest" if arm in mcm.braking else "goal"), arm
         if arm not in mcm.braking and sentence_of(command_of(primitive), scenario).meets:
             yield "blocked", arm
+            yield "cut", arm
     if mcm.alive:
         yield ("mcm dies",)
         if du.subsystems["MCM"].link is not LinkState.LOST and not mcm.outbox:
@@ -120,7 +121,7 @@ def _moves_of_broker(model: Model, scenario: Scenario) -> Iterator[Move]:
         yield "hand in", model.handed_in
     for command in model.du.commands.values():
         if at_work(model, command):
-            for product in products(command, scenario):
+            for product in products(model, command, scenario):
                 yield "work", command.id, product
     for command in deferred_at_work(model):
         yield "world written", command
@@ -131,10 +132,12 @@ def _moves_of_broker(model: Model, scenario: Scenario) -> Iterator[Move]:
         yield ("halt again" if halt is not None and halt.at_broker else "halt"), scope
 
 
-def products(command: Command, scenario: Scenario) -> list[str]:
+def products(model: Model, command: Command, scenario: Scenario) -> list[str]:
     """What a good worker may make of the job in hand."""
     assert command.job is not None
     if command.job.kind is WorkerKind.ANALYZER and command.phase is Phase.ANALYZING:
+        if model.mcm.ended.get(command.primitive) is StopReason.BLOCKED:
+            return ["blocked"]
         trims = sentence_of(command.id, scenario).trims
         return ["go on", "give up", *(f"trim {n}" for n in range(1, trims + 1))]
     if command.job.kind in (WorkerKind.ELABORATOR, WorkerKind.BINDER) and sentence_of(command.id, scenario).meets:
@@ -156,7 +159,7 @@ def fair(model: Model, scenario: Scenario) -> Move | None:
             return ("rest" if arm in mcm.braking else "goal"), arm
     for command in model.du.commands.values():
         if at_work(model, command):
-            return "work", command.id, "go on"
+            return "work", command.id, products(model, command, scenario)[0]
     for name in deferred_at_work(model):
         return "world written", name
     if mcm.kept:

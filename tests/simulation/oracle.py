@@ -60,7 +60,7 @@ def _untrue_end(model: Model, ended: CommandEnded) -> Iterator[str]:
     if kind is OutcomeKind.SUCCEEDED:
         if command in model.stopped:
             yield f"{command} was halted, and succeeded"
-        if begun and model.goals.get(command, 0) != len(begun):
+        if begun and model.goals.get(command, 0) + model.cut.get(command, 0) != len(begun):
             yield f"{command} succeeded with {model.goals.get(command, 0)} of {len(begun)} primitives at their goal"
     if moving and kind not in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM):
         yield f"{command} ended {kind.value}, and {moving[0]} still moves"

@@ -40,6 +40,7 @@ from rtc.protocol.primitive import (
     HoldStill,
     JointTrajectory,
     Primitive,
+    StartAfter,
     StopFunction,
     TimeAbove,
     Trajectory,
@@ -144,9 +145,15 @@ def bind(data: bytes) -> BoundStep | Refusal:
         trajectory=MOTIONS[step.do],
         stop_functions=stops,
         space_mm=SPACES[int(command_of(asked.primitive_id)[2:]) % len(SPACES)],
+        start_after=[] if step.do != "swing" else [closely_after(other) for other in asked.moving],
     )
     evaluation = EvaluationContext(context=asked.context, step=step, arm=arm)
     return BoundStep(subsystem="MCM", primitive=primitive, evaluation=evaluation, limit_s=LIMIT_S)
+
+
+def closely_after(other: Primitive) -> StartAfter:
+    """A swing follows another one in its middle, and has to be in time."""
+    return StartAfter(primitive=other.id, path_s=0.004, within_s=0.03, further=[(0.008, 0.012), (0.016, 0.02)])
 
 
 def analyze(data: bytes) -> Assessment:

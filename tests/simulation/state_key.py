@@ -72,7 +72,7 @@ def _of_command(model: Model, c: Command) -> list[Any]:
         ],
         model.du.spaces_mm[-since:] if (since := model.du.motions_begun - c.motions_seen[0]) else [],
         [bool(c.primitive), min(c.primitives, 2), c.primitive_body != NIL, c.performers],
-        [c.primitives - begun, begun - model.goals.get(c.id, 0), c.primitive in model.begun],
+        [c.primitives - begun, begun - model.goals.get(c.id, 0) - model.cut.get(c.id, 0), c.primitive in model.begun],
         halted,
     ]
 

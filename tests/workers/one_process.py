@@ -141,7 +141,8 @@ class OneProcess:
         self.sim.step()
         self._from_mcm(self.mcm.tick(self.now_s))
         for name, executor in self.mcm.executors.items():
-            if executor.moving and executor.primitive and isinstance(executor.primitive.trajectory, JointTrajectory):
+            on_path = executor.primitive is not None and isinstance(executor.primitive.trajectory, JointTrajectory)
+            if executor.moving and on_path and not executor.held_back:
                 self.moving[name][self.ticks] = executor.primitive_id
 
     # --- inside ------------------------------------------------------------------------------------------

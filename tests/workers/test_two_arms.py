@@ -6,6 +6,9 @@ import itertools
 
 import pytest
 
+from rtc.model.robot.collision_scene import Scene
+from rtc.protocol.messages import SetPaused
+from rtc.subsystems.base.subsystem import BROKER
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.campaigns.two_arms import Runner, random_pairs
 from tests.workers.conftest import CELL, MODEL
@@ -65,20 +68,45 @@ def test_motions_apart_from_each_other_do_not_wait(cluster):
     assert "waiting" not in phases(cluster, "C-1") + phases(cluster, "C-2")
 
 
-def test_an_arm_that_is_halted_in_the_way_of_the_other_keeps_it_waiting(cluster):
+def crossing(cluster: OneProcess) -> None:
+    """The right arm leaves the middle, and the left one, commanded at the same time to go there, follows it closely."""
     cluster.give(f"MOVE RIGHT-ARM TO {MIDDLE}", client="ann")
     cluster.run()
     cluster.give(f"MOVE RIGHT-ARM TO {RIGHT_SIDE}", client="ann")
     cluster.give(f"MOVE LEFT-ARM TO {MIDDLE}", client="bob")
-    while "C-2.1" not in cluster.moving["RIGHT-ARM"].values():
+    while "C-3.1" not in cluster.moving["LEFT-ARM"].values():
         cluster.tick()
-    for _ in range(100):  # still in the middle
-        cluster.tick()
+    assert "C-2.1" in cluster.moving["RIGHT-ARM"].values()
+
+
+def clearance_is(cluster: OneProcess, clearance_m: float) -> bool:
+    joints = {arm: cluster.sim.arms[arm].read().joints for arm in cluster.sim.arms}
+    return MODEL.collision.check(joints, Scene(clearance_m=clearance_m)) is None
+
+
+def test_an_arm_that_is_halted_in_the_way_stops_the_one_that_follows_it_closely(cluster):
+    crossing(cluster)
     cluster.give("HALT RIGHT-ARM", client="ann")
     cluster.run()
     assert cluster.outcomes["C-2"].kind.value == "halted"
-    assert cluster.outcomes["C-3"].kind.value == "refused"
-    assert not cluster.moving["LEFT-ARM"]
+    assert cluster.outcomes["C-3"].kind.value == "refused"  # planned again from where it stands, into an arm at rest
+    assert cluster.outcomes["C-3"].refusal.detail["in_the_way"] == "RIGHT-ARM"
+    assert "C-3.1" in cluster.moving["LEFT-ARM"].values()
+    assert clearance_is(cluster, 0.005)
+    assert cluster.world.facts["LEFT-ARM.joints"].value == cluster.sim.arms["LEFT-ARM"].read().joints
+
+
+def test_an_arm_that_pauses_in_the_way_is_waited_for_on_the_way(cluster):
+    crossing(cluster)
+    cluster.mcm.handle(SetPaused(primitive="C-2.1", paused=True), BROKER, cluster.now_s)
+    for tick in range(4000):
+        cluster.tick()
+        assert tick % 50 or clearance_is(cluster, 0.005)
+    assert cluster.mcm.executors["LEFT-ARM"].held_back
+    cluster.mcm.handle(SetPaused(primitive="C-2.1", paused=False), BROKER, cluster.now_s)
+    cluster.run()
+    assert [cluster.outcomes[c].kind.value for c in ("C-2", "C-3")] == ["succeeded"] * 2
+    assert set(cluster.moving["LEFT-ARM"].values()) == {"C-3.1"}  # it went on with the same motion
 
 
 @pytest.mark.physics

@@ -18,7 +18,7 @@ from workers.binder.bind_task import BindTask, RuledTask, unknown_in_program
 from workers.binder.impact import Keeping
 from workers.conditions import prediction, sharing
 from workers.conditions.stop_conditions import Values
-from workers.planning import advice, in_seat, scenes, segments, trust
+from workers.planning import advice, in_seat, scenes, segments, step_target, trust
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
 from workers.planning.motion.plan import Motion
@@ -38,7 +38,7 @@ def bind_motion(task: BindTask) -> BoundStep:
     request = planning_request(ruled, keep.speed_m_s, task.data.step.space)
     motion = _planned(ruled, request, target, keep)
     bound = _assembled(ruled, motion, keep)
-    return _beside_others(task, request, bound)
+    return _beside_others(task, request, bound, follows=_may_wait(ruled))
 
 
 def _may_touch(task: RuledTask, target: Target) -> bool:
@@ -154,14 +154,23 @@ def _detour(task: BindTask, motion: Motion) -> str:
     return f"the hand travels {way_m:.2f} m to be {in_words(round(step_m, 3), 'm')} away"
 
 
-def _beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep:
-    """The step with its space, and with the conditions of its start, if other arms move or may soon do so."""
+def _may_wait(task: RuledTask) -> bool:
+    """Whether the motion may stand on its way, and be bound again from there: it goes to a fixed place, and neither
+    touches anything nor is expected to end otherwise."""
+    step = task.data.step
+    fixed = step.to != step_target.HERE and not step.words.through
+    return fixed and not task.stop_class.touches and step.expect == [StopReason.GOAL]
+
+
+def _beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep, *, follows: bool) -> BoundStep:
+    """The step with its space, and with the conditions of its start, if other arms move or may soon do so. `follows`:
+    conditions on its way too."""
     made = bound.primitive
     if made is None or not (task.query.moving or task.data.others):
         return bound
     made = msgspec.structs.replace(made, space_mm=beside.space_of(request, made))
     bound = msgspec.structs.replace(bound, primitive=made)
-    conditions = beside.start_conditions(request, made, task.query.moving)
+    conditions = beside.start_conditions(request, made, task.query.moving, follows=follows)
     if not conditions:
         return bound
     awaited = ", ".join(command_of(condition.primitive) for condition in conditions)

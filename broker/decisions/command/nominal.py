@@ -8,7 +8,7 @@ from __future__ import annotations
 import msgspec
 
 from broker.decisions.command.claims import claim_or_wait
-from broker.decisions.command.closing import close, read_assessment
+from broker.decisions.command.closing import close
 from broker.decisions.command.limits import await_report
 from broker.decisions.command.pacing import send_pace
 from broker.decisions.command.termination import end, end_given_up, refuse
@@ -224,9 +224,8 @@ def analyze(context: DecisionContext, command: Command, report: EndReport | msgs
     context.create_job(command, WorkerKind.ANALYZER, data, locations=command.actions.script.writes)
 
 
-def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
+def on_assessed(context: DecisionContext, command: Command, assessment: AssessmentHead) -> None:
     assert command.actions is not None
-    assessment = read_assessment(product)
     command.actions.assign(assessment.keep)
     context.end_motions(command)
     if assessment.verdict == "continue":

@@ -1,10 +1,10 @@
 """A command that waits until another arm leaves the space that it needs. Pure.
 
-A planner refuses a motion and names the arm in its way. Or the subsystem has not started a motion, because another arm
-did not leave in time. If another live command owns that arm, the command keeps what it holds and waits. When that arm
-has rested, or its owner has ended, it plans again. A wait that would close a circle is refused. So a chain of such
-waits always ends in a command that can go on. There is no deadlock, although a command holds its claims while it waits.
-A command in the line of a resource holds nothing, so it is in no such chain.
+A planner refuses a motion and names the arm in its way. Or the subsystem has not started a motion, or has stopped it on
+its way, because another arm did not leave in time. If another live command owns that arm, the command keeps what it
+holds and waits. When that arm has rested, or its owner has ended, it plans again. A wait that would close a circle is
+refused. So a chain of such waits always ends in a command that can go on. There is no deadlock, although a command
+holds its claims while it waits. A command in the line of a resource holds nothing, so it is in no such chain.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import msgspec
 
 from broker.decisions.command import nominal
 from broker.decisions.command.claims import start_elaboration
+from broker.decisions.command.closing import read_assessment
 from broker.decisions.command.nominal import bind_step
 from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
@@ -37,18 +38,35 @@ def on_refused(context: DecisionContext, command: Command, refusal: Refusal) -> 
 
 
 def on_reported(context: DecisionContext, command: Command, report: EndReport) -> None:
-    """Plan again after a motion that was not started; wait first while the arm in its way is still on its path."""
-    if report.reason is not StopReason.BLOCKED:
+    """Plan again after a motion that was not started; wait first while the arm in its way is still on its path.
+
+    A motion that was stopped on its way is analyzed first, so that the world has its position."""
+    if report.reason is not StopReason.BLOCKED or report.duration_s > 0.0:
         nominal.on_reported(context, command, report)
         return
     context.stop_timer(command)
     nominal.acknowledge(context, command)
     context.end_motions(command)
+    _after_blocked(context, command, f"nothing has moved: {report.message}")
+
+
+def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
+    """Plan a motion again that was stopped on its way: the world has its position now."""
+    assessment = read_assessment(product)
+    if assessment.reason is not StopReason.BLOCKED:
+        nominal.on_assessed(context, command, assessment)
+        return
+    context.end_motions(command)
+    _after_blocked(context, command, assessment.message or "stopped on its way")
+
+
+def _after_blocked(context: DecisionContext, command: Command, message: str) -> None:
+    """Plan the step again, once the arm in its way is not on that path any more."""
     arms = [arm for arm, motion in context.state.motions.items() if motion.primitive in command.beside]
     if not arms:
-        bind_step(context, command, f"nothing has moved: {report.message}; planned again")
+        bind_step(context, command, f"{message}; planned again")
         return
-    refusal = Refusal(reason=RefusalReason.INFEASIBLE, message=report.message, clears=f"wait for {arms[0]}")
+    refusal = Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"wait for {arms[0]}")
     _wait(context, command, arms[0], refusal)
 
 

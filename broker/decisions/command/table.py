@@ -91,7 +91,7 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
         S.SUBSYSTEM_LOST: cell(stopping.on_subsystem_lost, P.CLOSING),
     },
     P.ANALYZING: {
-        S.PRODUCT: cell(nominal.on_assessed, *STEP),
+        S.PRODUCT: cell(space.on_assessed, P.WAITING, *STEP),
         S.REFUSAL: cell(jobs.give_up_analysis, P.ENDED),
         S.UNAVAILABLE: cell(jobs.schedule_analysis_retry, P.ANALYZING, P.ENDED),
         S.WORKER_LOST: cell(jobs.retry_lost_analysis, P.ANALYZING, P.ENDED),

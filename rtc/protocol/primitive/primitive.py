@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rtc.protocol.primitive.control_law import ControlLaw
-from rtc.protocol.primitive.limits import MAX_S
+from rtc.protocol.primitive.limits import MAX_FURTHER, MAX_S
 from rtc.protocol.primitive.reporting import Reporting
 from rtc.protocol.primitive.space import Box
 from rtc.protocol.primitive.stop_functions import GoalReached, StopFunction, TimeAbove, in_priority
@@ -11,20 +11,35 @@ from rtc.protocol.primitive.trajectory import JointTrajectory, Look, Trajectory
 from rtc.protocol.strict import Strict
 
 
-class StartAfter(Strict, frozen=True, kw_only=True):
-    """A start condition: a primitive of another arm has left the space that this one needs.
+class StartAfter(Strict, frozen=True, kw_only=True, omit_defaults=True):
+    """A start condition: a primitive of another arm has left the space that this one needs first.
 
     It is met when that primitive has executed its trajectory up to `path_s`, also if it was stopped later than that. It
     cannot be met if that primitive ended earlier, or `within_s` has passed; then nothing starts.
+
+    `further` are conditions of the same kind on the way. The arm stands on its path before the first time of a pair
+    until the other one has come to the second. If that cannot be any more, the arm stops where it is.
     """
 
     primitive: str
     path_s: float  # time along its trajectory
-    within_s: float  # maximum wait, in the time of the simulation
+    within_s: float  # maximum time of all waits together, in the time of the simulation
+    further: list[tuple[float, float]] = []  # (time along the own path, time along the other's), both increase
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.path_s <= MAX_S and 0.0 < self.within_s <= MAX_S):  # false for nan too
             raise ValueError(f"a start condition has times of 0 to {MAX_S:g} s")
+        own_s, path_s = 0.0, self.path_s
+        for pair in self.further:
+            if not (own_s < pair[0] <= MAX_S and path_s < pair[1] <= MAX_S):
+                raise ValueError(f"conditions on the way increase, up to {MAX_S:g} s")
+            own_s, path_s = pair
+        if len(self.further) > MAX_FURTHER:
+            raise ValueError(f"at most {MAX_FURTHER} conditions on the way")
+
+    def needed_s(self, own_s: float) -> float:
+        """How far the other primitive must have come before this one is at `own_s` of its path (s)."""
+        return next((path_s for at_s, path_s in reversed(self.further) if at_s < own_s), self.path_s)
 
 
 class Partner(Strict, frozen=True, kw_only=True):
@@ -63,6 +78,10 @@ class Primitive(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="Prim
                 raise ValueError(f"{self.performer} cannot be its own partner")
             if not isinstance(self.trajectory, JointTrajectory):
                 raise ValueError("only a motion along a path has a partner")
+        if any(condition.further for condition in self.start_after) and (
+            self.partner is not None or not isinstance(self.trajectory, JointTrajectory)
+        ):
+            raise ValueError("only a motion of one arm along a path waits on its way")
 
     @property
     def performers(self) -> list[str]:

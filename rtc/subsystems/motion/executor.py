@@ -184,6 +184,18 @@ class Executor:
         setpoints = self._setpoints
         return setpoints.pace.next_ramp_s(setpoints.profile, setpoints.time_s, self._most_rad_s2)
 
+    @property
+    def held_back(self) -> bool:
+        """Whether it stands on its path, or is to, because it may not go on yet."""
+        return self.state is Mode.EXECUTING and self._setpoints.pace.held
+
+    def keep_before(self, path_s: float) -> None:
+        """Stand on the path before this time along it; call it in each tick, infinite: go on. Its time limit does not
+        count meanwhile. Only for a path, and without effect on an arm that stops."""
+        if self.state is Mode.EXECUTING:
+            most = [min(a, profiles.STOP_ACCELERATION_RAD_S2) for a in self._most_rad_s2]  # a halt stops as soon
+            self._setpoints.keep_before(path_s, most)
+
     def pace(self, paused: bool, ramp_s: float = 0.0) -> None:
         """Pause the primitive on its path, or let it go on, within this time or more. F is checked as before; its time
         limit does not count from the order to pause until the order to go on. Without effect on an arm that stops."""
@@ -364,7 +376,7 @@ class Executor:
             )
             self._trip(trip, Trigger.TRIPPED)
             return [*reports, *self._stop(now_s)]
-        if self.paused or self._stands:
+        if self.paused or self._stands or setpoints.pace.held:
             reports = [*reports, *self._paced(now_s)]
         if running.period is not None and self._ticks % running.period == 0:
             reports = [*reports, running.progress(now_s)]
@@ -372,8 +384,9 @@ class Executor:
 
     def _paced(self, now_s: float) -> Reports:
         """Count a tick of a pause, and report when the arm stands on its path or goes on."""
-        self._paused_ticks += self.paused
-        stands = self._setpoints.pace.rate == 0.0 if self.operated is None else self.paused and self._seen.joints_rest()
+        pace = self._setpoints.pace
+        self._paused_ticks += self.paused or pace.held
+        stands = self.paused and (pace.rate == 0.0 if self.operated is None else self._seen.joints_rest())
         if stands is self._stands:
             return []
         self._stands = stands

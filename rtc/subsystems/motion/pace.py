@@ -3,11 +3,15 @@
 A pause lowers the rate of that time from 1 to 0, its end raises it again. Both ramps are smooth, and take as long as
 the joints' acceleration limits need. An order during a ramp takes effect after it. This module must not know arms or
 messages.
+
+The same ramps keep the profile before a time that it may not reach yet (`keep_before`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -18,6 +22,7 @@ from rtc.subsystems.motion.profiles import Follow, Profile, smooth
 RAMPS_S = (0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.0)  # possible durations; the shortest within the limits is taken
 CHECKED_S = 0.005  # distance of the checked times of a ramp
 SLACK = 1.002  # of acceleration limits, for rounding
+SAME_TICK = 1e-6  # of a tick, rounding of a duration
 
 
 class PathRate:
@@ -28,6 +33,10 @@ class PathRate:
         self._least_s = 0.0  # minimum duration of a ramp
         self._ticks_left = self._ticks = 0  # of the present ramp
         self._begin = 1.0
+        self.held = False  # it is to stand, because it may not come to `_before_s` yet
+        self._before_s = math.inf  # of the profile
+        self._brake_at_s = math.inf  # latest begin of the ramp for it
+        self._rise = (math.nan, 0.0)  # a time at which the profile stands, and the way of a rise from there (s)
 
     def order(self, paused: bool, least_s: float) -> None:
         """Pause, or go on, within this time or more (s)."""
@@ -35,17 +44,36 @@ class PathRate:
         self._compare()
 
     def _compare(self) -> None:
-        self.full = self.rate == 1.0 and not self.paused and not self._ticks_left
+        self.full = self.rate == 1.0 and not (self.paused or self.held) and not self._ticks_left
+
+    def keep_before(self, before_s: float, profile: Profile, at_s: float, most_rad_s2: Sequence[float]) -> None:
+        """Let the profile, which is at `at_s` now, not come beyond `before_s`: it stands before that.
+
+        Call it in each tick, with times that do not decrease; infinite: it goes on. It brakes as late as the limits
+        allow, and does not rise for so short a way that it could not stand again."""
+        if before_s != self._before_s:
+            self._before_s, self._brake_at_s = before_s, _brake_at_s(profile, before_s, most_rad_s2)
+        if self._ticks_left:
+            return  # a rise ends before the time to brake
+        if self.rate == 1.0:
+            self.held = at_s + TICK_S > self._brake_at_s
+        else:
+            if self._rise[0] != at_s:
+                self._rise = at_s, 0.5 * _ramp_s(profile, at_s, 0.0, most_rad_s2)
+            self.held = at_s + self._rise[1] + TICK_S > self._brake_at_s
+        self._compare()
 
     def advance(self, profile: Profile, at_s: float, most_rad_s2: Sequence[float]) -> float:
         """One tick: returns the progress (s) of the profile's time, which is `at_s` now."""
-        target = 0.0 if self.paused else 1.0
+        target = 0.0 if self.paused or self.held else 1.0
         if not self._ticks_left:
             if self.rate == target:
                 return self.rate * TICK_S
             self._begin = self.rate
             ramp_s = max(self._least_s, _ramp_s(profile, at_s, self.rate, most_rad_s2))
-            self._ticks = self._ticks_left = round(ramp_s / TICK_S)
+            if target == 0.0:  # it progresses by half of its duration
+                ramp_s = min(ramp_s, max(0.0, 2.0 * (self._before_s - at_s)))
+            self._ticks = self._ticks_left = max(1, math.floor(ramp_s / TICK_S + SAME_TICK))
         before_s = self._progress_s()
         self._ticks_left -= 1
         progress_s = self._progress_s() - before_s
@@ -82,18 +110,36 @@ def _integral(x: float) -> float:
     return x**4 * (2.5 + x * (x - 3.0))
 
 
+@cache
+def _shape(count: int) -> tuple[Array, Array, Array, Array]:
+    """Of a smooth step in so many intervals: where, and its value, slope and integral there."""
+    shares: Array = np.linspace(0.0, 1.0, count + 1)
+    steps = [(*smooth(x)[:2], _integral(x)) for x in shares.tolist()]
+    part, slope, integral = np.array(steps).T
+    return shares, part, slope, integral
+
+
+def _brake_at_s(profile: Profile, before_s: float, most_rad_s2: Sequence[float]) -> float:
+    """The latest time at which a ramp within the limits begins that ends before this time of the profile."""
+    if math.isinf(before_s):
+        return math.inf
+    starts = [before_s - 0.5 * length_s for length_s in RAMPS_S]
+    for at_s, length_s in zip(starts, RAMPS_S, strict=True):
+        if _ramp_s(profile, max(0.0, at_s), 1.0, most_rad_s2) <= length_s:
+            return at_s
+    return starts[-1]
+
+
 def _ramp_s(profile: Profile, at_s: float, begin: float, most_rad_s2: Sequence[float]) -> float:
     """Duration of the ramp from the rate `begin` (0 or 1) to the other."""
     if not isinstance(profile, Follow):
         return TICK_S  # nothing moves
     most = np.asarray(most_rad_s2)
     for length_s in RAMPS_S:
-        times_s: Array = np.linspace(0.0, length_s, round(length_s / CHECKED_S) + 1)
-        steps = [smooth(x) for x in (times_s / length_s).tolist()]
-        part, slope = np.array([s[0] for s in steps]), np.array([s[1] for s in steps])
+        shares, part, slope, integral = _shape(round(length_s / CHECKED_S))
         towards = 1.0 - 2.0 * begin
         rate, change = begin + towards * part, towards * slope / length_s
-        progress_s = begin * times_s + towards * length_s * np.array([_integral(x) for x in times_s / length_s])
+        progress_s = length_s * (begin * shares + towards * integral)
         motions = profile.path(at_s + progress_s)
         speeds, own = motions[:, 1], motions[:, 2]
         needed = (rate**2)[:, None] * own + change[:, None] * speeds

@@ -76,6 +76,12 @@ class Setpoints:
         self.pace.order(paused, least_s)
         self.next_check_tick = 0
 
+    def keep_before(self, before_s: float, most_rad_s2: Sequence[float]) -> None:
+        """Let the time of the path not come beyond this one, as in `PathRate.keep_before`."""
+        self.pace.keep_before(before_s, self.profile, self.time_s, most_rad_s2)
+        if not self.pace.full:
+            self.next_check_tick = 0
+
     def skip(self, tick: int) -> Motion:
         """The command of a tick of the block, whose limits are checked already."""
         self.ticks = tick

@@ -6,6 +6,7 @@ and faults that stop every arm.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import msgspec
@@ -29,12 +30,21 @@ class Pending(msgspec.Struct):
     paused: bool = False  # it does not start until it is to go on
 
 
+class Following(msgspec.Struct):
+    """A motion that has begun and has conditions on its way."""
+
+    primitive: Primitive
+    ticks: int  # waited so far, with those before its start
+    stage: dict[str, int] = {}  # primitive of a condition -> how many of those on the way are met
+
+
 class McmSubsystem(Subsystem[Executor]):
     def __init__(self, arms: Mapping[str, ArmInterface], name: str = ARMS.name, pid: int = 0) -> None:
         super().__init__({arm: Executor(part) for arm, part in arms.items()}, name, pid)
         self._pairs = Pairs(self.executors)
         self._reached_s: dict[str, float] = {}  # how far each ended primitive came along its trajectory
         self._pending: dict[str, Pending] = {}  # by performer
+        self._following: dict[str, Following] = {}  # by performer
         self._paced: list[m.PauseChanged] = []  # reported in this tick
         self._ticks = 0
 
@@ -48,6 +58,7 @@ class McmSubsystem(Subsystem[Executor]):
 
     def brake(self) -> None:
         self._pending.clear()
+        self._following.clear()
         super().brake()
 
     def hello(self) -> Outgoing:
@@ -169,18 +180,20 @@ class McmSubsystem(Subsystem[Executor]):
             self._paced.clear()
         if self._pairs.exist:
             self._pairs.couple()
+        if self._following:
+            self._follow()
         return self._follow_pending(now_s) if self._pending else []
 
     def _follow_pending(self, now_s: float) -> Outgoing:
         """Begin the orders whose start conditions are met; end those whose conditions cannot be met any more."""
         out: Outgoing = []
-        paused = self._paused
+        paused = self._standing
         for name, pending in list(self._pending.items()):
             primitive, waited_s = pending.order.primitive, pending.ticks * TICK_S
             if pending.paused:
                 continue
             pending.ticks += not any(condition.primitive in paused for condition in primitive.start_after)
-            whys = [self._why_not(condition, waited_s) for condition in primitive.start_after]
+            whys = [self._why_not(condition, condition.path_s, waited_s) for condition in primitive.start_after]
             if None in whys:
                 continue
             del self._pending[name]
@@ -188,15 +201,46 @@ class McmSubsystem(Subsystem[Executor]):
                 out += self._refuse_to_begin(primitive, StopReason.BLOCKED, why, now_s)
             else:
                 out += self._begin(self.executors[name], primitive, now_s)
+                if any(condition.further for condition in primitive.start_after):
+                    self._following[name] = Following(primitive, pending.ticks)
         return out
 
-    def _why_not(self, condition: StartAfter, waited_s: float) -> str | None:
-        """Empty: the condition is met. None: it may be met later. Otherwise the reason why it cannot be met."""
+    def _follow(self) -> None:
+        """Keep each motion with conditions on its way before the first one that is not met. Stop a motion whose
+        conditions cannot be met any more."""
+        for name, following in list(self._following.items()):
+            executor, waited_s = self.executors[name], following.ticks * TICK_S
+            if executor.primitive_id != following.primitive.id or executor.trip is not None:
+                del self._following[name]
+                continue
+            before_s, awaited, why = math.inf, [], ""
+            for condition in following.primitive.start_after:
+                for own_s, path_s in condition.further[following.stage.get(condition.primitive, 0) :]:
+                    found = self._why_not(condition, path_s, waited_s)
+                    if found == "":
+                        following.stage[condition.primitive] = following.stage.get(condition.primitive, 0) + 1
+                        continue
+                    why = why or found or ""
+                    before_s = min(before_s, own_s)
+                    awaited.append(condition.primitive)
+                    break
+            if why:
+                executor.halt(StopReason.BLOCKED, why)
+                continue
+            executor.keep_before(before_s)
+            if not awaited and not executor.held_back:
+                del self._following[name]
+            waits = executor.held_back and not executor.paused
+            following.ticks += waits and not any(other in self._standing for other in awaited)
+
+    def _why_not(self, condition: StartAfter, path_s: float, waited_s: float) -> str | None:
+        """Empty: the other primitive has come to `path_s`. None: it may come there. Otherwise the reason why it cannot
+        come there any more, or not in time."""
         name = condition.primitive
         running = next((e for e in self.executors.values() if e.primitive_id == name), None)
         waiting = any(pending.order.primitive.id == name for pending in self._pending.values())
         reached_s = running.path_s if running is not None else self._reached_s.get(name, 0.0)
-        if reached_s >= condition.path_s and (running is not None or name in self._reached_s):
+        if reached_s >= path_s and (running is not None or name in self._reached_s):
             return ""
         if running is None and not waiting:
             return f"{name} has ended before it left the space that this needs"
@@ -220,6 +264,12 @@ class McmSubsystem(Subsystem[Executor]):
         found = [executor.primitive_id for executor in self.executors.values() if executor.paused]
         found += [pending.order.primitive.id for pending in self._pending.values() if pending.paused]
         return list(dict.fromkeys(found))
+
+    @property
+    def _standing(self) -> list[str]:
+        """Primitives that do not go on for a time: those that were ordered to pause, and those that wait on their way.
+        A wait for them does not count."""
+        return self._paused + [executor.primitive_id for executor in self._all if executor.held_back]
 
     def _stop_all(self, reason: StopReason, words: str, now_s: float) -> Outgoing:
         """Stop every arm for a fault that concerns all of them."""

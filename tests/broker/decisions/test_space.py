@@ -211,11 +211,37 @@ def test_a_motion_that_was_not_started_waits_for_the_arm_that_did_not_leave():
     s = Harness()
     right_moves(s)
     s.answers(left_binds(s), bound("C-2.1", "LEFT-ARM", moves=True))
-    s.reports("C-2", StopReason.BLOCKED)
+    s.reports("C-2", StopReason.BLOCKED, duration_s=0.0)
     assert (s.phase("C-2"), s.state.commands["C-2"].waits_for) == ("waiting", "RIGHT-ARM")
     s.reports("C-1")
     s.answers("C-1", go_on())
     assert "primitive C-2.2 to MCM" in s.answers("C-2", bound("C-2.2", "LEFT-ARM", moves=True))
+
+
+def test_a_motion_that_was_stopped_on_its_way_is_analyzed_and_planned_again():
+    s = Harness()
+    right_moves(s)
+    s.answers(left_binds(s), bound("C-2.1", "LEFT-ARM", moves=True))
+    s.reports("C-1", StopReason.COLLISION)
+    s.reports("C-2", StopReason.BLOCKED)
+    assert s.phase("C-2") == "analyzing"  # the world has to know where it stands
+    s.answers("C-1", give_up(StopReason.COLLISION))
+    s.answers("C-2", give_up(StopReason.BLOCKED))
+    assert (s.phase("C-2"), moving_of(s, "C-2")) == ("binding", [])
+    assert "primitive C-2.2 to MCM" in s.answers("C-2", bound("C-2.2", "LEFT-ARM", moves=True))
+
+
+def test_a_motion_that_was_stopped_on_its_way_waits_for_the_arm_that_is_still_on_its_own():
+    s = Harness()
+    right_moves(s)
+    s.answers(left_binds(s), bound("C-2.1", "LEFT-ARM", moves=True))
+    s.reports("C-2", StopReason.BLOCKED)
+    s.answers("C-2", give_up(StopReason.BLOCKED))
+    assert (s.phase("C-2"), s.state.commands["C-2"].waits_for) == ("waiting", "RIGHT-ARM")
+    assert violations(s.state) == []
+    s.reports("C-1")
+    s.answers("C-1", go_on())
+    assert s.phase("C-2") == "binding"
 
 
 def test_a_contact_of_two_arms_ends_both_commands():

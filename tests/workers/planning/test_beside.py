@@ -8,8 +8,9 @@ import pytest
 
 from rtc.model.robot import compiled
 from rtc.model.robot.collision_scene import Scene
-from rtc.protocol.outcomes import IN_THE_WAY, StopReason
+from rtc.protocol.outcomes import IN_THE_WAY, Refused, StopReason
 from rtc.protocol.primitive import (
+    MAX_FURTHER,
     MAX_S,
     Box,
     Compliance,
@@ -17,6 +18,7 @@ from rtc.protocol.primitive import (
     GoalReached,
     JointTrajectory,
     Primitive,
+    StartAfter,
     StopFunction,
     TimeAbove,
     apart,
@@ -47,10 +49,10 @@ def motion(arm: str, start: np.ndarray, goal: np.ndarray, id: str = "C-1.1") -> 
     return Primitive(id=id, performer=arm, trajectory=timed.trajectory(), stop_functions=F)
 
 
-def conditions(mine: Primitive, theirs: Primitive) -> object:
+def conditions(mine: Primitive, theirs: Primitive, *, follows: bool = False) -> list[StartAfter]:
     start = {mine.performer: mine.trajectory.positions[0], theirs.performer: theirs.trajectory.positions[-1]}
     request = PlanningRequest(MODEL.arms[mine.performer], MODEL.collision, start, SCENE)
-    return start_conditions(request, mine, [theirs])
+    return start_conditions(request, mine, [theirs], follows=follows)
 
 
 INTO = motion(RIGHT, at(RIGHT, -0.4), at(RIGHT, 0.1))  # into the middle
@@ -131,6 +133,45 @@ def test_no_posture_of_a_motion_meets_what_the_other_has_before_it(seed):
         earlier = _at(theirs, max(0.0, free_s - 0.25))
         path = np.array([_at(mine, t) for t in np.linspace(0.0, mine.duration_s, 200)])
         assert MODEL.collision.check_path(LEFT, path, {RIGHT: earlier}, Scene(moving=LEFT, clearance_m=0.08))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_posture_on_the_way_meets_what_the_other_has_before_it_then(seed):
+    """With the conditions on the way, for random pairs of postures; and it starts earlier than without them."""
+    random = np.random.default_rng(seed)
+    y = random.uniform(0.0, 0.1, 4)
+    theirs = motion(RIGHT, at(RIGHT, y[0]), at(RIGHT, -0.4 - y[1]))
+    mine = motion(LEFT, at(LEFT, 0.4 + y[2]), at(LEFT, -y[3]), "C-2.1")
+    (apart_s,) = conditions(mine, theirs)
+    (close,) = conditions(mine, theirs, follows=True)
+    assert close.path_s < apart_s.path_s
+    assert apart_s.further == []
+    assert 0 < len(close.further) < MAX_FURTHER
+    assert close.needed_s(mine.trajectory.duration_s) == pytest.approx(apart_s.path_s)
+    for _ in range(300):
+        my_s = random.uniform(0.0, mine.trajectory.duration_s)
+        their_s = random.uniform(min(close.needed_s(my_s), theirs.trajectory.duration_s), theirs.trajectory.duration_s)
+        joints = {LEFT: _at(mine.trajectory, my_s), RIGHT: _at(theirs.trajectory, their_s)}
+        assert MODEL.collision.check(joints, Scene(moving=LEFT)) is None
+
+
+def test_a_motion_waits_for_the_whole_of_one_that_may_back_off():
+    stops = [*F, StopFunction(reason=StopReason.FORCE_LIMIT, when=TimeAbove(50.0), back_off_m=0.02)]
+    (condition,) = conditions(MINE, msgspec.structs.replace(OUT, stop_functions=stops), follows=True)
+    assert (condition.path_s, condition.further) == (MAX_S, [])
+
+
+def test_what_is_not_decided_in_time_is_waited_for(monkeypatch):
+    (decided,) = conditions(MINE, OUT, follows=True)
+    for checks in (20, 60, 150, 400):
+        monkeypatch.setattr("workers.planning.motion.beside.MAX_CHECKS", checks)
+        try:
+            (found,) = conditions(MINE, OUT, follows=True)
+        except Refused:
+            continue
+        for my_s in np.linspace(0.0, MINE.trajectory.duration_s, 50).tolist():
+            assert found.needed_s(my_s) >= min(decided.needed_s(my_s), found.path_s)
+    assert found.path_s < MAX_S
 
 
 def _at(path: JointTrajectory, time_s: float) -> np.ndarray:

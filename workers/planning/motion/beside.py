@@ -5,6 +5,9 @@ time only if no posture of one meets any posture that the other still has before
 left behind is free. A motion therefore starts at once, or when the other arm has come far enough along its trajectory.
 The subsystem moves both arms, so it knows when that is.
 
+The space that a motion needs first is mostly free before that which it needs last. So a motion may follow closely: it
+starts when it would not have to wait on its way if nothing delayed either arm, and waits there if something does.
+
 The search divides both paths into intervals and proves with one check that two intervals cannot meet, or divides them
 further (`rtc.model.robot.separation`). It is conservative: it never calls two motions free that may meet.
 """
@@ -22,7 +25,7 @@ from rtc.model.robot.quintic import Hermite, control_points, fine_times
 from rtc.model.robot.separation import SeparationCheck
 from rtc.model.robot.swept import Boxes, Swept
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
-from rtc.protocol.primitive import MAX_S, Box, JointTrajectory, Primitive, StartAfter, apart
+from rtc.protocol.primitive import MAX_FURTHER, MAX_S, Box, JointTrajectory, Primitive, StartAfter, apart
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial.geometry import Array
 from workers.planning.motion.request import PlanningRequest
@@ -37,7 +40,9 @@ SHORT_BLOCKS = 6  # boxes sort out intervals of at least so many blocks
 MAX_CHECKS = 3000  # beyond it what is not decided counts as meeting; some 60 ms
 SOFT_M = 0.1  # greatest distance of a compliant arm from its path that is taken into account
 LAG_S = 0.05  # an arm is at most this far behind its command
-WAIT_FACTOR, WAIT_MARGIN_S = 1.5, 2.0  # limit of the wait for a start, from the time that the other arm needs
+CUTS = MAX_FURTHER  # parts of a path that may be followed closely; it may wait between two of them
+BRAKE_S = 0.3  # the subsystem brakes about so long before the end of a part that it may not leave yet
+WAIT_FACTOR, WAIT_MARGIN_S = 1.5, 2.0  # limit of the waits for another arm, from the time that it needs
 
 
 class Course(NamedTuple):
@@ -58,10 +63,25 @@ class Interval(NamedTuple):
         return self.last - self.first
 
 
-def start_conditions(request: PlanningRequest, motion: Primitive, others: Sequence[Primitive]) -> list[StartAfter]:
+class Wait(NamedTuple):
+    """Before I go on from `at_s` of my course, they must have come to `until_s` of theirs."""
+
+    at_s: float
+    until_s: float
+
+    @property
+    def start_s(self) -> float:
+        """How far they must have come when I start, so that I need not wait there unless they are delayed (s)."""
+        return self.until_s - max(0.0, self.at_s - BRAKE_S)
+
+
+def start_conditions(
+    request: PlanningRequest, motion: Primitive, others: Sequence[Primitive], *, follows: bool = False
+) -> list[StartAfter]:
     """The conditions for the start of this motion beside the motions of other arms.
 
-    Raises Refused if the motion meets the place where another arm will come to rest.
+    `follows`: it may wait on its way, and be planned again from there. Raises Refused if the motion meets the place
+    where another arm will come to rest.
     """
     conditions = []
     for other in others:
@@ -70,27 +90,30 @@ def start_conditions(request: PlanningRequest, motion: Primitive, others: Sequen
             continue
         if motion.space_mm and apart(motion.space_mm, other.space_mm or space_of(request, other)):
             continue
-        free_from_s = 0.0
+        cuts = CUTS if follows and len(pairs) == 1 and not _may_return(other) else 1
+        found: list[Wait] = []
         for arm, their in pairs:
-            found = _clear_from(request, motion, arm, other, their)
-            if found is None:
+            needed = _waits(request, motion, arm, other, their, cuts)
+            if needed is None:
                 raise Refused(_in_the_way(arm, other, their))
-            free_from_s = max(free_from_s, found)
+            found += needed
         cell = request.world.cell
-        if free_from_s > 0.0 and cell.subsystem_of(motion.performer) != cell.subsystem_of(other.performer):
+        if found and cell.subsystem_of(motion.performer) != cell.subsystem_of(other.performer):
             raise Refused(_in_the_way(motion.performer, other, other.performer))  # it cannot wait for another subsystem
-        if free_from_s > 0.0:
-            conditions.append(_condition(other, free_from_s))
+        if found:
+            conditions.append(_condition(other, found))
     return conditions
 
 
-def _clear_from(request: PlanningRequest, motion: Primitive, arm: str, other: Primitive, their: str) -> float | None:
-    """`clear_from` for this arm of the motion, and that arm of the other one."""
+def _waits(
+    request: PlanningRequest, motion: Primitive, arm: str, other: Primitive, their: str, cuts: int
+) -> list[Wait] | None:
+    """`waits` for this arm of the motion, and that arm of the other one."""
     check = request.world.compare_arms(arm, their, request.scene)
     paths = (motion.paths[arm], other.paths[their])
     mine, theirs = (course(*pair) for pair in zip(paths, check.reaches, strict=True))
     space_m = max(SPACE_M, _off_m(request, arm) + _off_m(request, their))
-    return clear_from(check, mine, theirs, space_m + _softness_m(motion) + _softness_m(other))
+    return waits(check, mine, theirs, space_m + _softness_m(motion) + _softness_m(other), cuts)
 
 
 def space_of(request: PlanningRequest, motion: Primitive) -> list[Box]:
@@ -139,13 +162,26 @@ def _softness_m(motion: Primitive) -> float:
     return min(SOFT_M, compliance.most_n / softest)
 
 
-def _condition(other: Primitive, free_from_s: float) -> StartAfter:
+def _may_return(motion: Primitive) -> bool:
     """A motion that may back off returns on its path, so its end must be awaited."""
-    path_s, duration_s = free_from_s + LAG_S, other.paths[other.performer].duration_s
-    if path_s >= duration_s or any(stop.back_off_m > 0.0 for stop in other.stop_functions):
-        path_s = MAX_S  # reached at its goal only
-    within_s = WAIT_FACTOR * min(path_s, duration_s) + WAIT_MARGIN_S
-    return StartAfter(primitive=other.id, path_s=path_s, within_s=within_s)
+    return any(stop.back_off_m > 0.0 for stop in motion.stop_functions)
+
+
+def _condition(other: Primitive, found: Sequence[Wait]) -> StartAfter:
+    """All waits for one motion: the start, and those on the way that are not met with it."""
+    duration_s = other.paths[other.performer].duration_s
+
+    def reached(until_s: float) -> float:
+        late = until_s + LAG_S >= duration_s or _may_return(other)
+        return MAX_S if late else until_s + LAG_S  # reached at its goal only
+
+    path_s = max(0.0, *(reached(wait.start_s) for wait in found))
+    further: list[tuple[float, float]] = []
+    for wait in sorted(found):
+        if reached(wait.until_s) > (further[-1][1] if further else path_s):
+            further.append((wait.at_s, reached(wait.until_s)))
+    within_s = WAIT_FACTOR * min(max(wait.until_s for wait in found) + LAG_S, duration_s) + WAIT_MARGIN_S
+    return StartAfter(primitive=other.id, path_s=path_s, within_s=within_s, further=further)
 
 
 def _in_the_way(arm: str, other: Primitive, their: str) -> Refusal:
@@ -164,29 +200,50 @@ def clear_from(check: SeparationCheck, mine: Course, theirs: Course, clearance_m
 
     None: their end is not clear of my path.
     """
+    found = waits(check, mine, theirs, clearance_m)
+    return None if found is None else max((wait.until_s for wait in found), default=0.0)
+
+
+def waits(check: SeparationCheck, mine: Course, theirs: Course, clearance_m: float, cuts: int = 1) -> list[Wait] | None:
+    """Where I wait for them, the last place first. My course is divided into so many parts; I wait between them.
+
+    At each part that I am in, the rest of their course is clear of it, and of all parts before it. What I wait for is
+    needed at the latest there; a wait that the start includes (`Wait.start_s`) is left out. None: their end is not
+    clear of my path.
+    """
     my_swept, their_swept = check.swept
     my_parts, their_parts = Parts(mine, my_swept), Parts(theirs, their_swept)
-    end = len(theirs.time_s) - 1
-    open_ = [(-end, Interval(0, end), Interval(0, len(mine.time_s) - 1))]  # their latest interval first
+    end, count = len(theirs.time_s) - 1, len(mine.time_s) - 1
+    found: list[Wait] = []
+    mine_to, start = count, 0.0  # of my course: the rest is in `found`; and of theirs, when I start
+    open_ = [(-end, Interval(0, end), Interval(0, count))]  # their latest interval first
     for _ in range(MAX_CHECKS):
-        if not open_:
-            return 0.0
+        if not open_ or (found and theirs.time_s[-open_[0][0]] <= start):
+            return found
         _, late, part = heapq.heappop(open_)
+        if part.first >= mine_to:
+            continue
         short = my_parts.is_short(part) and their_parts.is_short(late)
         if not short and my_parts.boxes(part).apart(their_parts.boxes(late), clearance_m):
             continue
         if check.apart(*my_parts.middle(part), *their_parts.middle(late), clearance_m):
             continue
         if late.length <= 1 and part.length <= 1:
-            return None if late.last == end else float(theirs.time_s[late.last])
-        if late.length > part.length:
+            if late.last == end:
+                return None
+            mine_to = part.first * cuts // count * count // cuts  # the begin of its part
+            found.append(Wait(float(mine.time_s[mine_to]), float(theirs.time_s[late.last])))
+            start = max(start, found[-1].start_s)
+        elif late.length > part.length:
             for half in their_parts.halves(late):
                 heapq.heappush(open_, (-half.last, half, part))
         else:
             for half in my_parts.halves(part):
                 heapq.heappush(open_, (-late.last, late, half))
-    latest = max((late.last for _, late, _ in open_), default=0)
-    return None if latest == end else float(theirs.time_s[latest])
+    latest = max((late.last for _, late, part in open_ if part.first < mine_to), default=0)
+    if latest == end:
+        return None
+    return [*found, Wait(0.0, float(theirs.time_s[latest]))] if latest else found
 
 
 class Parts:
