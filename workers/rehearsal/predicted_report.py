@@ -34,6 +34,7 @@ from rtc.sensing.locate import corners
 from rtc.sensing.pose_fit import TagObservation, fit
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
+from workers.conditions.prediction import closes_on_m
 from workers.planning import sight
 from workers.planning.world_query import WorldQuery
 
@@ -247,25 +248,14 @@ def _of_hand(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, 
     report = _at_rest(query, arm, made.id, reason, query.joints(arm), evaluation.predicted_s)
     if reason is not StopReason.GOAL:
         return report
-    between_m = _between_m(query, evaluation) if motion.width_m < query.hand_width(arm) else 0.0
+    between_m = closes_on_m(query, evaluation) if motion.width_m < query.hand_width(arm) else 0.0
     presses = between_m > motion.width_m
     width_m = max(motion.width_m, between_m)
     return _replaced(
         report,
-        duration_s=abs(query.hand_width(arm) - width_m) / motion.speed_m_s,
         hand_width_m=width_m,
         hand_force_n=motion.force_n if presses else 0.0,
     )
-
-
-def _between_m(query: WorldQuery, evaluation: EvaluationContext) -> float:
-    """Width of what the fingers close on: what the hand holds, else the grasp point of the step; 0 if there is none."""
-    context = evaluation.context
-    if evaluation.held:
-        return query.hand_width(evaluation.arm)
-    if context.object and context.grasp_point:
-        return query.cell.object(context.object).grasp_point(context.grasp_point).width_m
-    return 0.0
 
 
 def _of_spindle(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
@@ -307,7 +297,7 @@ def _of_operator(query: WorldQuery, made: Primitive, evaluation: EvaluationConte
     if not done:
         return report
     if asked.hand:
-        report = _replaced(report, hand_width_m=_between_m(query, evaluation), hand_force_n=asked.grip_n)
+        report = _replaced(report, hand_width_m=closes_on_m(query, evaluation), hand_force_n=asked.grip_n)
     return _replaced(report, turned_rad=asked.turn_rad)
 
 

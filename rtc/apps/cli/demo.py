@@ -43,8 +43,8 @@ def demo(
     known, parts = getattr(module, "INJECTED", []), getattr(module, "PARTS", {})
     if (test or inject or part) and not known:
         raise cli_error(f"--test, --inject and --part are for the demo swapout, not for {name}", 2)
-    if bool(test) + bool(inject) + bool(part) > 1:
-        raise cli_error("one of --test, --inject and --part", 2)
+    if inject and (test or part):
+        raise cli_error("--inject is a part of the task already, and not tested on paper", 2)
     if inject and inject not in known:
         raise cli_error(unknown("injection", inject, known), 2)
     if part and part not in parts:

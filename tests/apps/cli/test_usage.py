@@ -30,7 +30,7 @@ from rtc.runtime.settings import LOCK, Settings, shell_command
         ("demo grasp --speed 0", "--speed is a number above 0, or max; not 0"),
         ("demo grasp --part insertion", "--test, --inject and --part are for the demo swapout, not for grasp"),
         ("demo swapout --part insertoin", "did you mean insertion?"),
-        ("demo swapout --part insertion --inject O6", "one of --test, --inject and --part"),
+        ("demo swapout --part insertion --inject O6", "--inject is a part of the task already"),
         ("up --speed inf", "--speed is a number above 0, or max; not inf"),
         ("up --speed nan", "--speed is a number above 0, or max; not nan"),
         ("up --speed=-1", "--speed is a number above 0, or max; not -1"),

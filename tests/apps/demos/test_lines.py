@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import io
+from types import SimpleNamespace
+
 import pytest
+from rich.console import Console
 
 from rtc.apps.demos import lines, swapout
+from rtc.apps.demos.narrator import Narrator
 from rtc.model.cells.cell import Cell
-from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.outcomes import Outcome, OutcomeKind
+from rtc.protocol.rehearsal import Rehearsal, RehearsedStep
 from tests.workers.conftest import record
 
 CELL = Cell.load(swapout.CELL)
@@ -86,6 +92,39 @@ def test_a_caption_shows_what_each_arm_is_commanded_to_do_until_it_is_done():
     assert captions.ends(of["C7"]).splitlines()[0] == "LEFT-ARM   "
     both = captions.begins(of["C25"]).splitlines()
     assert {line.partition("  ")[2] for line in both} == {"C25 CARRY MACS-NEW TO BAY-2-FRONT"}
+
+
+def test_on_paper_each_line_has_the_number_by_which_others_name_it():
+    given: dict[str, str] = {}
+
+    def test(texts, labels, keep_going):
+        given.update(zip(labels, texts, strict=True))
+        return [SimpleNamespace(outcome=Outcome(kind=OutcomeKind.SUCCEEDED, rehearsal=Rehearsal())) for _ in texts]
+
+    rtc = SimpleNamespace(
+        test=test,
+        truth=lambda: SimpleNamespace(joints={}, poses={}),
+        world=SimpleNamespace(view=lambda: SimpleNamespace(version=1, facts=[])),
+    )
+    assert swapout.on_paper(Narrator(Console(file=io.StringIO())), rtc, LINES).keys() == {line.label for line in LINES}
+    named = {found[0] for text in given.values() for found in lines.COMMAND.finditer(text)}
+    assert named == {"C-8", "C-23"}
+    assert named <= given.keys()
+
+
+def test_durations_are_compared_for_steps_that_end_at_their_goal_as_first_performed():
+    def step(label: str, reason: str, predicted_s: float) -> RehearsedStep:
+        return RehearsedStep(label=label, reason=reason, predicted_s=predicted_s)
+
+    ahead = [
+        step("go", "goal", 2.0),
+        step("feel", "contact", 1.0),
+        step("close", "goal", 1.0),
+        step("up", "goal", 0.5),
+    ]
+    took = [("go", 2.05), ("feel", 3.0), ("close", 1.2), ("close", 5.0)]  # closed again by a trim; never up
+    known = swapout.at_goals(ahead, took)
+    assert [(one.label, one.measured_s, one.off) for one in known] == [("go", 2.05, False), ("close", 1.2, True)]
 
 
 def test_what_was_in_execution_at_once_is_counted():
