@@ -70,7 +70,7 @@ STORED_M, CLOSED_DEG, TIGHT_M, TIGHT_NM = 0.005, 3.0, 0.0002, 3.4
 TRUE_M, TRUE_DEG = 0.005, 2.0
 COLUMNS = 90  # of the time line
 OFF_S, OFF_SHARE = 0.1, 0.05  # a measured duration against a predicted one
-LEFT_OUT = re.compile(r" WITH \S+| GUARDED| (MAINTAIN|UNLESS|REPORT|VIA|THROUGH) .*")  # of a caption
+LEFT_OUT = re.compile(r" \S+-END-EFF| WITH \S+| GUARDED| (MAINTAIN|UNLESS|REPORT|VIA|THROUGH) .*")  # of a caption
 
 
 class Part(NamedTuple):

@@ -88,7 +88,7 @@ def test_a_caption_shows_what_each_arm_is_commanded_to_do_until_it_is_done():
     captions = swapout.Captions(CELL)
     of = {line.label: line for line in LINES}
     assert captions.begins(of["C7"]) == "LEFT-ARM  C7 OPEN DOOR-2 BY 90 DEG\nRIGHT-ARM   "
-    assert captions.begins(of["C22"]).splitlines()[1] == "RIGHT-ARM  C22 GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
+    assert captions.begins(of["C22"]).splitlines()[1] == "RIGHT-ARM  C22 GRASP MACS-NEW HANDLE-A"
     assert captions.ends(of["C7"]).splitlines()[0] == "LEFT-ARM   "
     both = captions.begins(of["C25"]).splitlines()
     assert {line.partition("  ")[2] for line in both} == {"C25 CARRY MACS-NEW TO BAY-2-FRONT"}
