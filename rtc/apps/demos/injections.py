@@ -52,6 +52,8 @@ class Scene:
     halts: list[HaltResult] = field(default_factory=list)
     struck: list[str] = field(default_factory=list)  # names of processes
     command: str = ""  # in which it happens
+    step: str = ""  # of the command, at present
+    struck_at: str = ""  # the step in which a binder was killed last
 
     def displace(self) -> None:
         self.rtc.displace("MACS-OLD", [0.0, DISPLACED_M, 0.0, 0.0, 0.0, 0.0])
@@ -78,13 +80,15 @@ class Scene:
             self.rtc.inject(WeakHand(arm="RIGHT-ARM", n_s=WEAKENS_N_S))
 
     def kill_binder(self) -> None:
-        """The binder that has a job of the command; at the next step again, if that one had just finished."""
-        if self.lost():
+        """The binder that has a job of the command; at the next step again, if that one had just finished. Once in each
+        step: a job that ends three workers is refused."""
+        if self.step == self.struck_at or self.lost():
             return
         for worker in self.rtc.status()["workers"]:
             if worker["kind"] == "binder" and worker["busy_with"].partition("/")[0] == self.command:
                 hit = Chaos(self.run_dir, random.Random(7)).strike("worker", worker["name"])
                 self.struck += [hit.name] if hit else []
+                self.struck_at = self.step
 
     def lost(self) -> list[str]:
         """The notes of the command about workers that were lost."""
@@ -116,7 +120,7 @@ class Injection(NamedTuple):
 
     def notes(self, scene: Scene, line: Line, note: m.ProgressNote) -> None:
         if self.step and line.label == self.at and note.phase is self.phase and self.step in note.step:
-            scene.command = note.command
+            scene.command, scene.step = note.command, note.step
             self.strike(scene)
 
     def begins(self, scene: Scene, line: Line) -> None:

@@ -48,6 +48,28 @@ def test_halfway_the_door_is_open_the_bay_is_empty_and_its_bolts_fasten_nothing(
     assert geometry.distance(cell.seated_pose("BAY-2"), whole.seated_pose("BAY-2")) == 0.0
 
 
+def test_a_binder_is_killed_once_in_a_step_and_not_again_once_its_loss_is_known(monkeypatch):
+    """The next note of the same step may arrive before the loss is known."""
+    killed: list[str] = []
+    known: list[m.ProgressNote] = []
+
+    def strike(kind: str, name: str) -> SimpleNamespace:
+        killed.append(name)
+        return SimpleNamespace(name=name)
+
+    monkeypatch.setattr(injections, "Chaos", lambda *_: SimpleNamespace(strike=strike))
+    busy = {"kind": "binder", "name": "binder@2", "busy_with": "C-1/3"}
+    rtc = SimpleNamespace(status=lambda: {"workers": [busy]}, trace=lambda _: SimpleNamespace(notes=known))
+    scene = injections.Scene(None, rtc)  # type: ignore[arg-type]
+    o7, line = INJECTIONS["O7"], lines.Line("C22", "")
+    for step in ("1 of 3", "1 of 3", "2 of 3"):
+        o7.notes(scene, line, m.ProgressNote(seq=1, at_s=0.0, command="C-1", phase=m.Phase.BINDING, step=step))
+    assert len(killed) == 2
+    known.append(note("2 of 3", "binder@2 lost (exit status -9); job again"))
+    o7.notes(scene, line, m.ProgressNote(seq=1, at_s=0.0, command="C-1", phase=m.Phase.BINDING, step="3 of 3"))
+    assert len(killed) == 2
+
+
 def note(step: str, words: str = "", trim: int = 0, warning: bool = False, node: str = "analyzer@3") -> m.ProgressNote:
     return m.ProgressNote(
         seq=1, at_s=0.0, command="C-1", phase=m.Phase.ANALYZING, step=step, note=words, trim=trim, warning=warning,
