@@ -190,8 +190,8 @@ def main() -> None:
 def _results(runs: list[Ended]) -> tuple[dict[str, float | None], list[tuple[str, str]]]:
     touched = sum(run.touches > 0 for run in runs)
     overlapped = [run for run in runs if run.overlap_s > 0.0]
-    shares = [run.overlap_s / run.shorter_s for run in overlapped]
-    share = percentile(shares, 50) if shares else 0.0
+    shares = [run.overlap_s / max(run.shorter_s, TICK_S) for run in runs]
+    share = percentile(shares, 50)
     both = sum(run.kinds == ["succeeded", "succeeded"] for run in runs)
     ends, followed = advice.summary(one.end for run in runs for one in run.advised)
     metrics: dict[str, float | None] = {
@@ -201,12 +201,13 @@ def _results(runs: list[Ended]) -> tuple[dict[str, float | None], list[tuple[str
         "both_succeeded_percent": 100.0 * both / len(runs),
         "waited_percent": 100.0 * sum(run.waited for run in runs) / len(runs),
         "overlap_share_p50": share,
+        "overlap_share_mean": sum(shares) / len(shares),
         **ends,
     }
     rows = [
         ("pairs whose arms touched", f"{touched} of {len(runs)}"),
         ("both motions at once, at least for a time", f"{len(overlapped)} of {len(runs)}"),
-        ("share of the shorter motion, of those", f"p50 {share:.2f}"),
+        ("share of the shorter motion, of all", f"p50 {share:.2f}, mean {sum(shares) / len(shares):.2f}"),
         ("one arm waited for space", f"{sum(run.waited for run in runs)} of {len(runs)}"),
         ("both commands succeeded", f"{both} of {len(runs)}"),
         ("from the sentences to the last end", f"p50 {percentile([r.took_s for r in runs], 50):.1f} s"),

@@ -12,9 +12,9 @@ from rtc.subsystems.base.subsystem import BROKER
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.campaigns.two_arms import Runner, random_pairs
 from tests.workers.conftest import CELL, MODEL
-from tests.workers.one_process import OneProcess
+from tests.workers.one_process import OneProcess, read_primitive
 
-MIDDLE, RIGHT_SIDE = "POSITION 48 0 95 CM", "POSITION 48 -45 95 CM"
+MIDDLE, RIGHT_SIDE, LEFT_SIDE = "POSITION 48 0 95 CM", "POSITION 48 -45 95 CM", "POSITION 48 40 95 CM"
 
 
 @pytest.mark.physics
@@ -107,6 +107,26 @@ def test_an_arm_that_pauses_in_the_way_is_waited_for_on_the_way(cluster):
     cluster.run()
     assert [cluster.outcomes[c].kind.value for c in ("C-2", "C-3")] == ["succeeded"] * 2
     assert set(cluster.moving["LEFT-ARM"].values()) == {"C-3.1"}  # it went on with the same motion
+
+
+@pytest.mark.parametrize(
+    ("sentence", "closely"),
+    [
+        (f"MOVE LEFT-ARM TO {MIDDLE}", True),
+        (f"MOVE LEFT-ARM TO {MIDDLE} STRAIGHT-LINE", True),
+        ("MOVE LEFT-ARM BY -40 CM ALONG Y", False),  # planned again from its way, it would go too far
+    ],
+)
+def test_only_a_motion_to_a_fixed_place_waits_on_its_way(cluster, sentence, closely):
+    cluster.give(f"MOVE RIGHT-ARM TO {MIDDLE}", client="ann")
+    cluster.give(f"MOVE LEFT-ARM TO {LEFT_SIDE}", client="bob")
+    cluster.run()
+    cluster.give(f"MOVE RIGHT-ARM TO {RIGHT_SIDE}", client="ann")
+    cluster.give(sentence, client="bob")
+    while "LEFT-ARM" not in cluster.state.motions:
+        cluster.tick()
+    (condition,) = read_primitive(cluster.state.motions["LEFT-ARM"].body).start_after
+    assert (condition.path_s > 0.0, bool(condition.further)) == (not closely, closely)
 
 
 @pytest.mark.physics
