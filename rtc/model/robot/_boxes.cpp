@@ -27,5 +27,6 @@ PYBIND11_MODULE(_boxes, module) {
              py::keep_alive<1, 2>(), py::keep_alive<1, 10>())
         .def("ends_are_free", &Trees::ends_are_free)
         .def("have_grown", &Trees::have_grown)
-        .def("grow", &Trees::grow);
+        .def("grow", &Trees::grow)
+        .def("steer", py::overload_cast<Doubles, Doubles>(&Trees::steer));
 }

@@ -21,7 +21,7 @@
 #include "_kinematics.hpp"
 
 constexpr double ROUNDING_M = 1e-5;  // more than the tolerance of coal's iterations and of sums here
-constexpr int BLOCK = 8;              // rows of a way that are tested against all pairs at once
+constexpr int BLOCK = 8;                 // rows of a way that are tested against all pairs at once
 
 struct Box {
     int joint;  // -1: it is fixed in the world
@@ -120,6 +120,7 @@ class Boxes {
             throw std::invalid_argument("a value for each line between two rows");
         rows_ = rows.data();
         off_ = off.size() ? off.data() : nullptr;
+        any_ = false;
         return first_open(from, static_cast<int>(rows.shape(0)) - 1, halvings);
     }
 
@@ -147,8 +148,8 @@ class Boxes {
         sort();
     }
 
-    // As `line`, after `begin`.
-    std::pair<int, std::vector<int>> along(const double* from, const double* to, int count, int halvings) {
+    // As `line`, after `begin`. `any`: of the undecided pairs one is enough.
+    std::pair<int, std::vector<int>> along(const double* from, const double* to, int count, int halvings, bool any = false) {
         const size_t width = slots_.size();
         line_.resize((count + 1) * width);
         for (int n = 0; n <= count; ++n) {
@@ -157,6 +158,7 @@ class Boxes {
         }
         rows_ = line_.data();
         off_ = nullptr;
+        any_ = any;
         return first_open(0, count, halvings);
     }
 
@@ -235,6 +237,7 @@ class Boxes {
     bool exact_ = true;  // try the solids too, not only the boxes around them
     const double *rows_ = nullptr, *off_ = nullptr;
     std::vector<double> line_;
+    bool any_ = false;  // whether one undecided pair is enough
     Open undecided_;
 
     void sort() {
@@ -416,13 +419,16 @@ class Boxes {
             const auto split = std::stable_partition(kept.begin(), kept.end(), std::not_fn(hopeless));
             add(split, kept.end());
             kept.erase(split, kept.end());
-            if (kept.empty()) return;
+            if (kept.empty() || is_enough()) return;
             between(n, from, middle.data(), &kept, halvings - 1);
+            if (is_enough()) return;
             between(n, middle.data(), to, &kept, halvings - 1);
             return;
         }
         add(kept.begin(), kept.end());
     }
+
+    bool is_enough() const { return any_ && !undecided_.empty(); }
 
     void add(Open::const_iterator from, Open::const_iterator to) {
         for (; from != to; ++from)

@@ -35,20 +35,28 @@ struct Joint {
 };
 
 Pose moved(const Joint& joint, double q) {
-    Pose turn;
     const double x = joint.axis[0], y = joint.axis[1], z = joint.axis[2];
+    Pose turn;
     if (joint.slides) {
         const double identity[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
         std::copy(identity, identity + 9, turn.r);
         turn.p[0] = q * x, turn.p[1] = q * y, turn.p[2] = q * z;
-    } else {
-        const double s = std::sin(q), c = std::cos(q), v = 1.0 - c;
-        const double rotation[9] = {c + x * x * v,     x * y * v - z * s, x * z * v + y * s,
-                                    y * x * v + z * s, c + y * y * v,     y * z * v - x * s,
-                                    z * x * v - y * s, z * y * v + x * s, c + z * z * v};
-        std::copy(rotation, rotation + 9, turn.r);
-        turn.p[0] = turn.p[1] = turn.p[2] = 0.0;
+        return compose(joint.at, turn);
     }
+    const double s = std::sin(q), c = std::cos(q), v = 1.0 - c;
+    if (z == 1.0) {  // as most joints: two columns turn
+        Pose pose = joint.at;
+        for (int i = 0; i < 9; i += 3) {
+            pose.r[i] = c * joint.at.r[i] + s * joint.at.r[i + 1];
+            pose.r[i + 1] = c * joint.at.r[i + 1] - s * joint.at.r[i];
+        }
+        return pose;
+    }
+    const double rotation[9] = {c + x * x * v,     x * y * v - z * s, x * z * v + y * s,
+                                y * x * v + z * s, c + y * y * v,     y * z * v - x * s,
+                                z * x * v - y * s, z * y * v + x * s, c + z * z * v};
+    std::copy(rotation, rotation + 9, turn.r);
+    turn.p[0] = turn.p[1] = turn.p[2] = 0.0;
     return compose(joint.at, turn);
 }
 

@@ -23,6 +23,8 @@ struct Growth {
     int projections, halvings;   // maximum number of steps of a projection, and of halvings of a line
 };
 
+constexpr double PROBES[] = {0.5, 0.25, 0.75, 0.125, 0.375, 0.625, 0.875};  // shares of a line
+
 // Postures row by row with their parents; roots have the parent -1.
 struct Tree {
     std::vector<double> nodes, vain;
@@ -95,6 +97,20 @@ class Trees {
             return std::make_tuple(static_cast<int>(n), trees_[1].root(theirs), way(ours, theirs));
         }
         return std::nullopt;
+    }
+
+    // The postures on the way from one to another, if all of it is free; whether the last one is `there`.
+    std::pair<std::vector<Doubles>, bool> steer(Doubles here, Doubles there) {
+        if (here.size() != static_cast<py::ssize_t>(width_) || there.size() != here.size())
+            throw std::invalid_argument("ends do not fit the slots");
+        boxes_.begin(q_, slots_);
+        std::vector<Row> reached;
+        for (const double share : PROBES)  // a long line may show at once that it is blocked
+            if (!arm_ && !boxes_.is_free(between(here.data(), there.data(), share, width_).data())) return {{}, false};
+        const bool arrived = steer(Row(here.data(), here.data() + width_), Row(there.data(), there.data() + width_), reached);
+        std::vector<Doubles> rows;
+        for (const Row& q : reached) rows.push_back(array(q.data()));
+        return {rows, arrived};
     }
 
    private:
@@ -215,7 +231,7 @@ class Trees {
         const int vain = 1 + static_cast<int>(std::min<double>(steps - 1, growth_.least / growth_.back * steps / length));
         const Row early = between(here.data(), there.data(), static_cast<double>(vain) / steps, width_);
         if (!boxes_.is_free(early.data())) return growth_.back * (vain - 1) / steps;
-        const int proven = boxes_.along(here.data(), there.data(), steps, growth_.halvings).first;
+        const int proven = boxes_.along(here.data(), there.data(), steps, growth_.halvings, true).first;
         return proven == steps ? 1.0 : growth_.back * proven / steps;
     }
 
@@ -227,7 +243,7 @@ class Trees {
         return rows;
     }
 
-    Doubles row(const Tree& tree, int n) const {
-        return Doubles(static_cast<py::ssize_t>(width_), &tree.nodes[n * width_]);
-    }
+    Doubles row(const Tree& tree, int n) const { return array(&tree.nodes[n * width_]); }
+
+    Doubles array(const double* q) const { return Doubles(static_cast<py::ssize_t>(width_), q); }
 };

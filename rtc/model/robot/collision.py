@@ -296,17 +296,6 @@ class CollisionWorld:
                 return last
             part = parts(last)
 
-    def is_free(self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> bool:
-        """Whether the whole path is free, as for `free_until`. A few configurations are checked first."""
-        if not scene.hung:
-            self._set({**others, arm: configurations[0]}, scene)
-            slots = self._bodies.arms[arm].joints
-            for n in _halfway(len(configurations)):
-                self._q[slots] = configurations[n]
-                if self._touches_any():
-                    return False
-        return self.free_until(arm, configurations, others, scene) == len(configurations)
-
     def trees(
         self,
         arm: ArmModel,

@@ -147,7 +147,6 @@ def test_paths_have_the_same_verdicts_without_boxes(coal_alone: CollisionWorld) 
                 expected.collision.body_a,
                 expected.collision.body_b,
             }
-        assert with_boxes.is_free("RIGHT-ARM", rows, others, scene) == (found is None)
         assert with_boxes.free_until("RIGHT-ARM", rows, others, scene) == coal_alone.free_until(
             "RIGHT-ARM", rows, others, scene
         )

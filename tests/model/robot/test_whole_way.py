@@ -48,7 +48,6 @@ def test_a_thin_rod_between_two_configurations_is_found(cell, right: ArmModel, h
     assert hit.index == 1
     assert "ROD part" in (hit.collision.body_a, hit.collision.body_b)
     assert world.free_until(ARM, rows, home) == 1
-    assert not world.is_free(ARM, rows, home)
 
 
 def test_what_a_way_may_be_off_its_chord_counts(cell, right: ArmModel, home, boxes):

@@ -84,7 +84,7 @@ def find_sampled_way(
         if not isinstance(found, Found):
             return drawn + found
         drawn += found.samples
-        corners = shorten(found.waypoints, space.join, space.weights, seed=seed)
+        corners = shorten(found.waypoints, found.steer, space.weights, seed=seed)
         way = rounded(request, corners) or rounded(request, found.waypoints)
         if way is not None:
             words = f"by way of {len(way.knots) - 2} points, found with {drawn} samples of seed {seed}"
@@ -141,7 +141,6 @@ class _Space:
         self._start = request.start
         self._touches_at_start = free_posture(request)(self._start) is not None
         self._attitude = None if request.path_constraints.attitude is None else request.path_constraints.attitude.pose
-        self.join = self._joined if self._attitude is None else self._projected
 
     def search(
         self, goals: Sequence[Array], seed: int, samples: int, guides: Sequence[Array] = (), draw: Draw = WIDE
@@ -187,15 +186,6 @@ class _Space:
         if share >= 1.0:
             return [there.copy()], True
         return ([here + share * (there - here)] if share > 0 else []), False
-
-    def _joined(self, here: Array, there: Array) -> tuple[list[Array], bool]:
-        """As `_straight`, but without the free part of a line that is not free."""
-        request = self._request
-        if self._from_a_touch(here):
-            return self._straight(here, there)
-        steps = self._steps(here, there)
-        free = request.world.is_free(request.arm.name, line(here, there, steps), request.joints, request.scene)
-        return ([there.copy()], True) if free and self._in_range(here, there, steps, steps + 1) > steps else ([], False)
 
     def _free_share(self, here: Array, there: Array) -> float:
         """The free share of a line in joint space, 0 to 1."""

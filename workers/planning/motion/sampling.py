@@ -19,7 +19,7 @@ Steer = Callable[[Array, Array], tuple[list[Array], bool]]
 
 REACH_RAD = 2.0  # maximum length of one extension, by the largest weighted joint displacement
 MIN_RAD = 0.05  # a shorter extension adds no node
-AROUND_RAD = 0.6  # margin of the first samples around start and goals
+AROUND_RAD = 1.0  # margin of the first samples around start and goals
 WIDE_AFTER = 120  # samples after which the box covers the joint limits
 VAIN = 1.3  # factor of the squared distance of a node for each extension that added no node
 BATCH = 32  # samples that are drawn at once
@@ -45,6 +45,7 @@ class Found(NamedTuple):
     waypoints: list[Array]  # rad; each line between two neighbours is free
     goal: int  # index of the goal reached
     samples: int
+    steer: Steer  # of the trees
 
 
 class _Tree:
@@ -105,6 +106,10 @@ class _Tree:
 class GrowingTrees(Protocol):
     """Two trees, one from the start and one from all goals. Each sample is for the other tree than the one before."""
 
+    @property
+    def steer(self) -> Steer:
+        """The way between two postures."""
+
     def grow(self, samples: Array) -> tuple[int, int, list[Array]] | None:
         """Grow towards these postures [n][joints]. When the trees meet: the number of the sample, the number of the
         goal, and the way-points from the start to it."""
@@ -127,7 +132,7 @@ class Trees:
         """`weights`: of each joint in the distance between postures. `project`: projects a posture onto the
         constraints; None: it cannot."""
         self._ours, self._others = self._from_start, self._from_goals = _Tree([start], weights), _Tree(goals, weights)
-        self._steer, self._weights, self._project = steer, weights, project
+        self.steer, self._weights, self._project = steer, weights, project
 
     def have_grown(self) -> bool:
         return self._ours.has_grown and self._others.has_grown
@@ -151,7 +156,7 @@ class Trees:
         here = tree.nodes[near]
         length = size(q - here, self._weights)
         aim = self._project(here + (q - here) * (REACH_RAD / length)) if length > REACH_RAD else q
-        reached = [] if aim is None else self._steer(here, aim)[0]
+        reached = [] if aim is None else self.steer(here, aim)[0]
         if not reached or size(reached[-1] - here, self._weights) < MIN_RAD:
             tree.avoid(near)
             return None
@@ -161,7 +166,7 @@ class Trees:
         """Grow the tree towards `q` as far as it is free; the node at `q` if it arrives."""
         near = tree.nearest(q)
         here = tree.nodes[near]
-        reached, arrived = self._steer(here, q)
+        reached, arrived = self.steer(here, q)
         if arrived:
             return tree.add_chain(reached, near)
         if reached and size(reached[-1] - here, self._weights) >= MIN_RAD:
@@ -195,7 +200,7 @@ def search(
         met = trees.grow(rows)
         if met is not None:
             n, goal, way = met
-            return Found(way, goal, drawn + n + 1)
+            return Found(way, goal, drawn + n + 1, trees.steer)
         drawn += len(rows)
     raise AssertionError("samples are endless")
 

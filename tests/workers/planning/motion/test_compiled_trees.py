@@ -54,6 +54,23 @@ def test_each_line_of_a_way_is_free_by_coal_alone(arm):
         assert np.array_equal(again.waypoints, found.waypoints)
 
 
+def test_a_shortcut_is_free_by_coal_alone():
+    rng = np.random.default_rng(6)
+    arrivals = []
+    for query in blocked("RIGHT-ARM"):
+        request, space = query.request, _Space(query.request)
+        trees = space.trees([query.goal])
+        for near in rng.uniform(-0.6, 0.6, (30, 6)):
+            there = np.clip(request.start + near, *space.limits)
+            reached, arrived = trees.steer(request.start, there)
+            rows = np.linspace(request.start, there, 40)
+            free = ALONE.free_until("RIGHT-ARM", rows, request.joints, request.scene) == len(rows)
+            assert free or not arrived
+            assert not arrived or np.array_equal(reached, [there])
+            arrivals.append((arrived, free))
+    assert {(True, True), (False, False)} <= set(arrivals)
+
+
 def test_both_kinds_of_trees_find_a_way_where_there_is_one():
     for query in blocked("RIGHT-ARM", count=4):
         found = [isinstance(ways(query, trees)[1], Found) for trees in (_Space.trees, of_python)]
