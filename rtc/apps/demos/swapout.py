@@ -57,7 +57,7 @@ AFTER = {
 }
 PICTURES = {
     "C7": "1-door-open",
-    "C12": "2-bolts-loose",
+    "C14": "2-bolts-loose",
     "C20": "3-handed-over",
     "C25": "4-both-arms",
     "C28": "5-inserted",
@@ -70,7 +70,10 @@ STORED_M, CLOSED_DEG, TIGHT_M, TIGHT_NM = 0.005, 3.0, 0.0002, 3.4
 TRUE_M, TRUE_DEG = 0.005, 2.0
 COLUMNS = 90  # of the time line
 OFF_S, OFF_SHARE = 0.1, 0.05  # a measured duration against a predicted one
-LEFT_OUT = re.compile(r" \S+-END-EFF| WITH \S+| GUARDED| (MAINTAIN|UNLESS|REPORT|VIA|THROUGH) .*")  # of a caption
+# of a caption: the arm, which is named before it, and what belongs to the way of doing it
+LEFT_OUT = re.compile(
+    r" \S+-END-EFF| FROM \S+-ARM TO \S+-ARM| WITH \S+| GUARDED| (MAINTAIN|UNLESS|UNTIL|REPORT|VIA|THROUGH) .*"
+)
 
 
 class Part(NamedTuple):
