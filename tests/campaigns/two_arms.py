@@ -4,10 +4,10 @@ Pairs of random motions of the two arms of the simulated cell, in physics. Each 
 posture before the bay. Somewhere the line of one arm in joint space meets that of the other. One after the other in at
 least one order, both motions are possible. Both commands are given at once. The whole cluster runs in one process: the
 real Decision Unit, workers and MCM. Contacts between the arms are looked for in every tick, whatever the commands
-report. Two motions overlap if both arms are on their paths in the same tick. If a command does not succeed, its advice
-is followed literally when both have ended.
+report. Two motions overlap if both arms move on their paths in the same tick. If a command does not succeed, its advice
+is followed literally when both have ended. With `--stops` either arm is halted, or paused for a time, while both move.
 
-    python -m tests.campaigns.two_arms [--pairs 200]
+    python -m tests.campaigns.two_arms [--pairs 200] [--stops]
 """
 
 from __future__ import annotations
@@ -21,9 +21,11 @@ import numpy as np
 
 from benchmarks.report import finish, percentile, question
 from rtc.model.robot.collision_scene import AS_BUILT, Scene
+from rtc.protocol.messages import SetPaused
 from rtc.protocol.outcomes import OutcomeKind, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
+from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.motion.arm import TICK_S, ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 from tests.campaigns import RESULTS, advice
@@ -41,6 +43,7 @@ ARMS = ("RIGHT-ARM", "LEFT-ARM")
 LOW, HIGH = (0.30, -0.35, 0.50), (0.65, 0.35, 1.05)  # of the goals of both hands, world (m)
 TILT_RAD = 0.6  # greatest deviation of a hand from horizontal
 MARGIN_RAD = 0.08  # from every joint limit
+STOP_TICKS, PAUSE_TICKS = 500, 3000  # latest time of a stop, since both arms move; duration of a pause
 CLEAR_M = 0.03  # of starts and goals from everything
 
 
@@ -116,6 +119,32 @@ def _way(arm: str, joints: dict[str, Array], goals: dict[str, Array]) -> bool:
     return True
 
 
+class Stop:
+    """A halt, or a pause, of either arm at a random time while both are on their paths."""
+
+    def __init__(self, random: np.random.Generator) -> None:
+        self._left = 1 + int(random.integers(STOP_TICKS))
+        self._halts, self._arm = bool(random.integers(2)), int(random.integers(2))
+        self._paused = ""
+        self._until = 0  # tick
+
+    def follow(self, cluster: OneProcess) -> None:
+        """Call it in every tick."""
+        moving = [name for name in ARMS if cluster.ticks in cluster.moving[name]]
+        if self._paused and cluster.ticks >= self._until:
+            cluster.mcm.handle(SetPaused(primitive=self._paused, paused=False), BROKER, cluster.now_s)
+            self._paused = ""
+        self._left -= len(moving) == len(ARMS)
+        if self._left or self._until:
+            return
+        self._until = cluster.ticks + PAUSE_TICKS
+        if self._halts:
+            cluster.give(f"HALT {ARMS[self._arm]}", client="the one who halts")
+            return
+        self._paused = cluster.mcm.executors[ARMS[self._arm]].primitive_id
+        cluster.mcm.handle(SetPaused(primitive=self._paused, paused=True), BROKER, cluster.now_s)
+
+
 class Runner:
     """The cell in physics, used for one pair after another."""
 
@@ -123,7 +152,7 @@ class Runner:
         self._sim = BulletCell(CELL)
         self._state = self._sim.state()
 
-    def run(self, pair: Pair) -> Ended:
+    def run(self, pair: Pair, stop: Stop | None = None) -> Ended:
         cluster = self.at(pair.starts)
         sentences = {}
         for arm, goal in pair.goals.items():
@@ -134,9 +163,11 @@ class Runner:
         while cluster.state.commands:
             assert cluster.ticks < 120_000, [c.notes[-1] for c in cluster.state.commands.values()]
             cluster.tick()
+            if stop is not None:
+                stop.follow(cluster)
             touches += any(arm.arm_touches() for arm in self._sim.arms.values())
         ticks = [set(cluster.moving[arm]) for arm in ARMS]
-        took_s, outcomes = cluster.ticks * TICK_S, dict(cluster.outcomes)
+        took_s, outcomes = cluster.ticks * TICK_S, {name: cluster.outcomes[name] for name in sentences}
         failed = {command: one for command, one in outcomes.items() if one.kind is not OutcomeKind.SUCCEEDED}
         waited = any("space" in note.note or "planned again" in note.note for note in cluster.notes)
         return Ended(
@@ -147,7 +178,9 @@ class Runner:
             took_s=took_s,
             waited=waited,
             causes=[outcome.message for outcome in failed.values()],
-            advised=[advice.follow_in_cluster(cluster, sentences[name], one) for name, one in failed.items()],
+            advised=[]
+            if stop
+            else [advice.follow_in_cluster(cluster, sentences[name], one) for name, one in failed.items()],
         )
 
     def at(self, starts: Mapping[str, Floats]) -> OneProcess:
@@ -169,11 +202,12 @@ class Runner:
 def main() -> None:
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--pairs", type=int, default=200)
+    words.add_argument("--stops", action="store_true", help="halt or pause either arm at a random time")
     given = words.parse_args()
     question("two_arms", "do two arms with crossing motions, commanded at the same time, ever touch?", seed=SEED)
     runner, runs = Runner(), []
     for n, pair in enumerate(random_pairs(SEED), 1):
-        runs.append(runner.run(pair))
+        runs.append(runner.run(pair, Stop(np.random.default_rng(n)) if given.stops else None))
         if runs[-1].causes:
             print(f"  pair {n}: {'; '.join(runs[-1].causes)}", flush=True)
             for followed in runs[-1].advised:
@@ -184,7 +218,7 @@ def main() -> None:
             break
     runner.close()
     metrics, rows = _results(runs)
-    finish("two_arms", metrics, rows, RESULTS)
+    finish("two_arms_stopped" if given.stops else "two_arms", metrics, rows, RESULTS)
 
 
 def _results(runs: list[Ended]) -> tuple[dict[str, float | None], list[tuple[str, str]]]:
