@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.load.planning_queries import Queries, Query
-from benchmarks.peers import direct_ways
+from benchmarks.peers import attitude_flood, direct_ways
 from benchmarks.report import finish, percentile, question, spread
 from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import Refused
@@ -82,6 +82,7 @@ class Figures:
     missed: int = 0  # found in 5 s only
     unknown: int = 0  # refused, and no reference searched
     level: Tally = field(default_factory=Tally)
+    level_without: int = 0  # goals that are not found, and that `attitude_flood` shows to have no way
 
 
 def main() -> None:
@@ -115,7 +116,8 @@ def main() -> None:
             if (n + 1) % 100 == 0:
                 print(f"  {arm}: {n + 1} of {given.goals} goals", flush=True)
         for query in Queries(model, arm, SEED, attitude).take(given.level):
-            figures.level.run(query, _to_any)
+            if figures.level.run(query, _to_any) is None and given.cell == "swapout":
+                figures.level_without += not attitude_flood.has_way(query.request, query.goals)
     finish(name, _metrics(figures), list(_rows(figures, attitude)))
 
 
@@ -185,6 +187,7 @@ def _metrics(figures: Figures) -> dict[str, float | None]:
         "bullet_success_percent": 100.0 * float(np.mean(figures.bullet.found)) if figures.bullet.found else None,
         "vs_ompl_pybullet": _ratio(figures.bullet, figures),
         "level_success_percent": 100.0 * float(np.mean(figures.level.found)) if figures.level.found else None,
+        "level_without_a_way": float(figures.level_without),
         "level_cpu_p50_ms": 1e3 * percentile(figures.level.cpu_s, 50) if figures.level.found else None,
     }
 
@@ -209,6 +212,7 @@ def _rows(figures: Figures, attitude: str) -> Iterable[tuple[str, str]]:
         yield from figures.bullet.rows("OMPL RRT-Connect with pybullet")
     if figures.level.found:
         yield from figures.level.rows(f"ours, {attitude} kept")
+        yield f"{attitude} kept: without a way", str(figures.level_without)
 
 
 if __name__ == "__main__":
