@@ -1,7 +1,8 @@
 """Following an advice as a person would who does what it says, and no more.
 
 An advice has steps (`; ` or `, then ` between them), and a step has alternatives (`or`). An operator who looks sees:
-`SET X FRAME x y z` states the truth. `do it again` is the sentence on which the advice was given.
+`SET X FRAME x y z` and `SET X STATE LOOSE or TIGHT` state the truth. `do it again` is the sentence on which the advice
+was given.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ ELSEWHERE = re.compile(r"MOVE (.+?) TO another place first \(([A-Z0-9-]+)")
 ANYWHERE = re.compile(r"MOVE ([A-Z0-9-]+) to a place")
 AGAIN = re.compile(r"\b(?:do it|try|give (?:it|the sentence|the command)) again")
 OTHER_ARM = re.compile(r"move (.+?) away first")
-STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE)")
+STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE|STATE)")
 STEPS = re.compile(r"; |, then ")
 ALTERNATIVES = re.compile(r", or | or (?=[A-Z]{3})")
 
@@ -143,6 +144,8 @@ def _sentence(text: str, truth: Truth) -> str:
         return f"MOVE {elsewhere[1]} TO {elsewhere[2]}"
     if (about := STATED.search(text)) and about[2] == "FRAME":
         return stated(about[1], truth())
+    if about and about[2] == "STATE":
+        return state_of(about[1], truth())
     if OPERATOR in text:  # no person performs it here
         return ""
     sentence = SENTENCE.search(text)
@@ -157,3 +160,10 @@ def stated(name: str, truth: dict[str, Any]) -> str:
     metres = " ".join(f"{100.0 * x:.2f}" for x in pose[:3])
     degrees = " ".join(f"{math.degrees(x):.2f}" for x in geometry.to_rpy(pose))
     return f"SET {name} FRAME {metres} CM {degrees} DEG"
+
+
+def state_of(bolt: str, truth: dict[str, Any]) -> str:
+    """The sentence that states whether a bolt is tight or loose; empty if it is neither, or not known."""
+    turns, all_turns = truth.get("turns", {}).get(bolt, (math.nan, math.nan))
+    state = "TIGHT" if turns < 0.05 else "LOOSE" if turns > all_turns - 0.05 else ""
+    return f"SET {bolt} STATE {state}" if state else ""

@@ -13,7 +13,11 @@ from tests.workers.conftest import CELL
 from tests.workers.eyes import Ideal
 from tests.workers.one_process import OneProcess
 
-TRUTH = {"poses": {"MACS-NEW": [0.8, -0.8, 0.6, 0.0, 0.0, 0.0, 1.0]}, "seats": {}}
+TRUTH = {
+    "poses": {"MACS-NEW": [0.8, -0.8, 0.6, 0.0, 0.0, 0.0, 1.0]},
+    "seats": {},
+    "turns": {"BOLT-1": (0.0, 8.0), "BOLT-2": (8.0, 8.0)},
+}
 
 
 def read(text: str) -> list[list[str]]:
@@ -36,6 +40,8 @@ def read(text: str) -> list[list[str]]:
         ),
         ("PLACE MACS-NEW ON RACK-1 or BAY-2, or another arm", [["PLACE MACS-NEW ON RACK-1"]]),
         ("another goal: RACK-1 is there", []),
+        ("look and state it: SET BOLT-1 STATE LOOSE or TIGHT", [["SET BOLT-1 STATE TIGHT"]]),
+        ("look and state it: SET BOLT-2 STATE LOOSE or TIGHT", [["SET BOLT-2 STATE LOOSE"]]),
     ],
 )
 def test_the_sentences_of_an_advice_are_its_steps_and_their_alternatives(text: str, steps: list[list[str]]) -> None:

@@ -73,19 +73,19 @@ def turned(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     turns = task.query.turns(task.context.object) + driven_turns(task)
     seated = task.report.reason in TORQUES and driven_turns(task) < 0.0 and turns < FELT_TURNS
     changes = _at(task, 0.0, validity, TIGHT) if seated else _at(task, turns, validity)
-    return [*changes, *_on_head(task, 0.0 if seated else turns, validity)]
+    return [*changes, *_on_head(task, validity)]
 
 
 def tightened(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     """The driver has turned the bolt in, until its torque was felt."""
-    return [*_at(task, 0.0, validity, TIGHT), *_on_head(task, 0.0, validity)]
+    return [*_at(task, 0.0, validity, TIGHT), *_on_head(task, validity)]
 
 
 def free(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     """The driver turns the bolt outwards without the torque of a thread: it is out by all its turns."""
     thread = task.query.thread(task.context.object)
     assert thread is not None
-    return [*_at(task, thread.turns, validity, LOOSE), *_on_head(task, thread.turns, validity)]
+    return [*_at(task, thread.turns, validity, LOOSE), *_on_head(task, validity)]
 
 
 def after_failure(task: AnalyzeTask, *, retried: bool) -> list[WorldChange]:
@@ -115,16 +115,17 @@ def head_felt(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     """The driver was pressed on the head: the bolt is out by where the tip of its spindle is.
 
     That says nothing new if it is believed to be there. Else it is believed to be a little farther in, so that turning
-    it out by what is left frees it."""
+    it out by what is left frees it; and it is in doubt, if the driver is not known well enough."""
     query, bolt = task.query, task.context.object
     known = all(query.trusts(f"{bolt}.{name}") for name in ("turns", "state", "frame"))
-    off = felt_turns(task) - query.turns(bolt)
-    near = 2.0 * FELT_TURNS + _unsure_turns(task)
-    return [] if known and abs(off) < near else _at(task, felt_turns(task) - FELT_TURNS, validity)
+    off, unsure = felt_turns(task) - query.turns(bolt), _unsure_turns(task)
+    if known and abs(off) < 2.0 * FELT_TURNS + (unsure if is_loose(task) else 0.0):
+        return []
+    return _at(task, felt_turns(task) - FELT_TURNS, validity if unsure < FREE_TURNS else Validity.SUSPECT)
 
 
-def _on_head(task: AnalyzeTask, turns: float, validity: Validity) -> list[WorldChange]:
-    """How the driver lies in the hand, if it has turned the bolt to where it is out by `turns`: its tip is on the head.
+def _on_head(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
+    """How the driver lies in the hand, if it has turned the bolt: its tip is on the head.
 
     A tip that should be too far from the axis is of a tilted driver. One that should be before the head, or in it, is
     of a driver that stands farther out of the hand, or less far."""
@@ -134,14 +135,16 @@ def _on_head(task: AnalyzeTask, turns: float, validity: Validity) -> list[WorldC
         return []
     thread = query.thread(bolt)
     assert thread is not None
-    head = query.turned_out(bolt, min(max(0.0, turns), thread.turns))
+    head = _head(task)
     x, y, z = geometry.relative(head, tip)[:3].tolist()
-    engaged_m, tilts = task.values["engaged_m"], math.hypot(x, y) > task.values["engaged_m"]
-    if not tilts and not FELT_TURNS * thread.pitch_m < abs(z) <= engaged_m:
+    tilts = math.hypot(x, y) > task.values["engaged_m"]
+    shifts = abs(z) > FELT_TURNS * thread.pitch_m and _is_on_head(task, tip)
+    if not tilts and not shifts:
         return []
     driver = query.holding(task.evaluation.arm)
     held = query.in_hand(driver, tcp)
     assert held is not None
+    there = held
     if tilts:
         before = tip[:3] - np.asarray(tcp[:3])
         after = before - geometry.rotate(head, (x, y, 0.0))
@@ -150,14 +153,29 @@ def _on_head(task: AnalyzeTask, turns: float, validity: Validity) -> list[WorldC
         pivot = geometry.make_pose(tcp[:3], (0.0, 0.0, 0.0, 1.0))
         tilted = hinges.turned(pivot, axis / sine, math.atan2(sine, float(before @ after)))
         there = geometry.compose(tilted, geometry.relative(pivot, held))
-    else:
-        there = geometry.translate(held, (-geometry.rotate(head, (0.0, 0.0, z))).tolist())
+    if shifts:
+        there = geometry.translate(there, geometry.rotate(head, (0.0, 0.0, -z)))
     grasp = geometry.relative(tcp, there)
     now = geometry.compose(task.report.tcp_pose, grasp)
     return [
         WorldChange(key=f"{driver}.grasp", value=geometry.normalise(grasp).tolist(), validity=validity),
         WorldChange(key=f"{driver}.frame", value=geometry.normalise(now).tolist(), validity=validity),
     ]
+
+
+def _head(task: AnalyzeTask) -> Array:
+    """The frame of the bolt after this turn."""
+    query, bolt = task.query, task.context.object
+    thread = query.thread(bolt)
+    assert thread is not None
+    turns = thread.turns if task.report.reason is StopReason.SLIP else query.turns(bolt) + driven_turns(task)
+    return query.turned_out(bolt, min(max(0.0, turns), thread.turns))
+
+
+def _is_on_head(task: AnalyzeTask, tip: Array) -> bool:
+    """Whether the believed tip may be on the head that it has turned, as far as the driver is known along its axis."""
+    along_m = abs(float(geometry.relative(_head(task), tip)[2]))
+    return along_m <= max(task.values["engaged_m"], _unsure_along_m(task))
 
 
 def _tip(task: AnalyzeTask) -> Array | None:
@@ -206,16 +224,22 @@ def felt_turns(task: AnalyzeTask) -> float:
 def is_loose(task: AnalyzeTask) -> bool:
     """Whether the head that was touched is that of a loose bolt."""
     thread = task.query.thread(task.context.object)
-    return thread is not None and felt_turns(task) > thread.turns - FREE_TURNS - _unsure_turns(task)
+    return thread is not None and felt_turns(task) > thread.turns - FREE_TURNS - min(_unsure_turns(task), FREE_TURNS)
 
 
 def _unsure_turns(task: AnalyzeTask) -> float:
-    """By how many turns a touch may be wrong, because the driver may stand farther out of the hand, or less far."""
-    query, driver, thread = task.query, task.query.driver(task.evaluation.arm), task.query.thread(task.context.object)
-    if driver is None or driver.spindle is None or thread is None:
+    """By how many turns a touch may be wrong."""
+    thread = task.query.thread(task.context.object)
+    return 0.0 if thread is None else _unsure_along_m(task) / thread.pitch_m
+
+
+def _unsure_along_m(task: AnalyzeTask) -> float:
+    """By how much the driver may stand farther out of the hand than believed, or less far."""
+    query, driver = task.query, task.query.driver(task.evaluation.arm)
+    if driver is None or driver.spindle is None:
         return 0.0
     along = np.abs(geometry.rotate(driver.spindle.frame.pose, (0.0, 0.0, 1.0)))
-    return float(along @ query.spread(f"{driver.name}.grasp")[:3]) / thread.pitch_m
+    return float(along @ query.spread(f"{driver.name}.grasp")[:3])
 
 
 def in_words(task: AnalyzeTask) -> str:
