@@ -81,11 +81,20 @@ def scene_of(
         ignore=ignore,
         clearance_m=max(CLEARANCE_M, limits.clearance_m or 0.0),
         near=[*close, *(seat for seat in map(query.seat, filter(None, (*close, carried))) if seat), *hung],
+        close=beside_bolt(query, arm, touching),
         pose_tolerance_m=trust.unsure_m(query, poses, held) if unsure else {},
         keep_out=limits.keep_out,
         arms_apart_m=ARMS_APART_M,
         moving=arm,
     )
+
+
+def beside_bolt(query: WorldQuery, arm: str, touching: str) -> dict[tuple[str, str], float]:
+    """A driver that feels for the head of a bolt comes near to what the bolt is in."""
+    driver = query.driver(arm)
+    if driver is None or not touching or query.thread(touching) is None:
+        return {}
+    return {(driver.name, thing.name): 0.0 for thing in query.cell.objects if thing.fixed and thing.thread is None}
 
 
 def seat_contacts(query: WorldQuery, carried: str, entered: Iterable[str] = ()) -> list[tuple[str, str]]:

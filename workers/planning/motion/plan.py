@@ -119,7 +119,7 @@ def before_contact(request: PlanningRequest, goal: Array) -> PlanningRequest:
     near = set(request.scene.near) - ours
     if not near:
         return request
-    close: dict[tuple[str, str], float] = {}
+    close = dict(scene.close)
     for hit in request.world.too_near({**request.joints, request.arm.name: goal}, scene):
         for body in near & {hit.body_a.split()[0], hit.body_b.split()[0]}:
             least_m = max(scene.clearance_m, CLOSER * hit.distance_m)
@@ -137,7 +137,7 @@ def steered(request: PlanningRequest) -> PlanningRequest:
     if not near - ours:
         return request
     close = {(mine, body): scene.clearance_m for mine in ours for body in near - ours}
-    return replace(request, scene=replace(scene, close=close))
+    return replace(request, scene=replace(scene, close={**close, **scene.close}))
 
 
 def _ours(request: PlanningRequest) -> set[str]:
