@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.model.cells.cell import Cell
 from rtc.spatial import geometry
-from tests.apps.console.browser import Browser, Page, browser, installed
+from tests.apps.console.browser import LIMIT_S, Browser, Page, browser, installed
 
 pytestmark = [
     pytest.mark.slow,
@@ -286,10 +287,11 @@ def test_the_hand_follows_the_gizmo(page: Page, run_dir: Path):
     page.mouse("mouseMoved", (x, y - 25))
     page.mouse("mouseMoved", (x, y - 50))
     page.wait("rtcConsole.holding() === 'RIGHT-ARM' && rtcConsole.answers['RIGHT-ARM'].refused === ''")
-    page.wait(f"rtcConsole.sent.count > {page.ask('rtcConsole.sent.count') + 20}")
+    held_until_s = time.monotonic() + LIMIT_S
+    while math.dist(hand(run_dir), before) <= 0.001:  # without a GPU the gizmo follows the mouse late
+        assert time.monotonic() < held_until_s
     page.mouse("mouseReleased", (x, y - 50))
     page.wait("document.querySelector('.request .who').textContent === 'at rest'")
-    assert math.dist(hand(run_dir), before) > 0.001
 
 
 @pytest.mark.usefixtures("at_home", "given")
