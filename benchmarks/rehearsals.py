@@ -45,7 +45,7 @@ def main() -> None:
         send_tests(Path(chosen.beside))
         return
     question("rehearsals", "What does a TEST cost, and does it slow real commands?")
-    with own_cluster(cell="servicing", mcm="kinematic", speed="max") as run_dir:
+    with own_cluster(cell="servicing", speed="max") as run_dir:
         metrics = the_list(run_dir)
     with own_cluster(mcm="kinematic", speed="max") as run_dir:
         metrics |= beside_motions(run_dir, chosen.rounds, chosen.seconds)
