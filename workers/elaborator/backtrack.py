@@ -337,8 +337,7 @@ def _straight(script: ScriptFile, candidate: TaskCandidate, request: PlanningReq
             contacts += scenes.hand_contacts(query, arm, thing.name)
     elif thing is not None and not held:
         contacts = scenes.hand_contacts(query, arm, thing.name)
-    close = scenes.beside_bolt(query, arm, thing.name if thing is not None else "")
-    scene = replace(request.scene, close={**close, **request.scene.close})
+    scene = replace(request.scene, close=scenes.beside_bolt(query, arm, thing.name if thing is not None else ""))
     if (thing is not None or target is not None or script.despite_grasp) and candidate.partner is None:
         scene = replace(scene, pose_tolerance_m={})
     return replace(request, scene=replace(scene, ignore=[*scene.ignore, *contacts]))

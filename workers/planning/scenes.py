@@ -90,7 +90,8 @@ def scene_of(
 
 
 def beside_bolt(query: WorldQuery, arm: str, touching: str) -> dict[tuple[str, str], float]:
-    """A driver that feels for the head of a bolt comes near to what the bolt is in."""
+    """Pairs of bodies with a smaller clearance (m), as in `Scene.close`: a driver that feels for the head of a bolt
+    comes near to what the bolt is in. Empty for other objects."""
     driver = query.driver(arm)
     if driver is None or not touching or query.thread(touching) is None:
         return {}
