@@ -11,6 +11,10 @@ import pytest
 
 from rtc.language.parse import default_grammar, parse
 from rtc.model.cells.parts import MAINTAINED, Frame, Maintained, Region
+from rtc.programs import loader
+from rtc.programs.extension_names import PARTNER
+from rtc.programs.loader import decode
+from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     ClearanceBelow,
@@ -142,6 +146,17 @@ def test_grip_force_is_commanded_and_watched(bench, words, grip_n) -> None:
     opens = bench.elaborate("RELEASE MACS-NEW").steps[0]  # it may have been held more strongly before this command
     let_go = bench.bind(bench.elaborate(f"LIFT MACS-NEW BY 10 CM MAINTAIN GRIP-FORCE{words}"), opens).primitive
     assert conditions(let_go, GripForceAbove) == []
+
+
+def test_a_hand_that_holds_something_has_the_asked_force_before_its_arm_moves() -> None:
+    """Else F of the first motion stops it for the force of an earlier command."""
+    scripts = decode(loader.default("elaborator"), ElaboratorProgram).scripts
+    asked = [one for one in scripts if "object_held" in one.needs and any(step.op == "close" for step in one.steps)]
+    first = {
+        one.script: [step for step in one.steps if step.who != PARTNER and step.do in ("move", "grip")] for one in asked
+    }
+    assert {"handoff", "carry", "extract", "lift"} <= first.keys()
+    assert [name for name, steps in first.items() if steps and steps[0].do == "move"] == []
 
 
 @pytest.mark.parametrize(("words", "stiffness"), [(" 400 N/M", 400.0), ("", 600.0)])

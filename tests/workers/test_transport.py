@@ -196,7 +196,7 @@ def test_a_handoff_ends_with_the_object_in_the_second_hand(held: Bench) -> None:
     run = done(held, f"{GIVE} GUARDED")
     assert who_holds(held) == ("", MODULE, LEFT)
     assert [label.split()[0] for label in run.labels] == [
-        *("bring", "restate", "go", "open", "straight", "close", "check", "let", "back")
+        *("hold", "bring", "restate", "go", "open", "straight", "close", "check", "let", "back")
     ]
     done(held, f"MOVE {LEFT} BY 3 CM ALONG UP")
     done(held, f"HANDOFF {MODULE} FROM {LEFT} TO {RIGHT}")
@@ -211,7 +211,7 @@ def test_what_both_hands_hold_is_handed_over_by_letting_go(held: Bench) -> None:
 
 
 def test_a_second_hand_that_closes_on_nothing_looks_and_takes_again(held: Bench) -> None:
-    held.subsystem.closes = [0.0]
+    held.subsystem.closes = [0.020, 0.0]  # of the first hand before it moves, and of the second one
     run = done(held, GIVE)
     assert run.trims == [1]
     assert any(label.startswith(f"look for {MODULE}") for label in run.labels)
