@@ -7,7 +7,7 @@
 In physics, sentence by sentence in one process, without a broker. A run displaces a thing with the seat it is in,
 prepares a scene with sentences, and gives the sentence of the verb. The errors are normally distributed about all six
 axes: sigma 5 mm and 1 degree; at most three sigma. Run n has the same errors for every verb. The world knows a module
-within the 35 mm and 5 degrees of the cell file, and the driver, which no camera can see, within 15 mm and 3 degrees.
+within the 35 mm and 5 degrees of the cell file, and the driver within 15 mm and 3 degrees.
 After each sentence all valid facts are compared with the truth, and the arms must rest. After a refusal or a failure
 the first advised sentence is given, then the sentence again. Verbs with the same first sentences share them: these are
 performed once, and each verb continues in a copy of that process. If one of them fails, each verb behind it fails
@@ -48,7 +48,7 @@ from workers.planning.robot_models import CellModel
 SEED = 11
 SIGMA_M, SIGMA_RAD = 0.005, math.radians(1.0)
 MOST_SIGMAS = 3.0
-DRIVER_M = 0.0149  # three sigma, but less than the 15 mm at which GRASP demands that a camera sees it: none can
+DRIVER_M = 0.0149  # three sigma, but less than the 15 mm at which GRASP without a camera is refused
 
 
 class Scene(NamedTuple):

@@ -65,6 +65,40 @@ def test_a_bolt_is_loosened_verified_and_tightened_in_physics(opened: Bench) -> 
     assert sim.bolts.out_turns("BOLT-1") == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.physics
+def test_a_driver_that_is_displaced_with_its_rack_is_taken_where_a_camera_sees_it(opened: Bench) -> None:
+    """Its tip is 0.19 m from the hand, and the driver turns no bolt that is 3 mm from its axis."""
+    opened.subsystem.displace_and_turn("POWER-DRIVER", [-0.004, 0.003, -0.008, -0.015, -0.012, -0.017])
+    known_poorly(opened, 0.0149)
+    done(opened, DRIVER)
+    tcp = SERVICING.arms["RIGHT-ARM"].fk(opened.subsystem.sim.arms["RIGHT-ARM"].read().joints)
+    tip = SERVICING.cell.object("POWER-DRIVER").spindle.frame.pose
+    believed = geometry.compose(opened.world.value("POWER-DRIVER.grasp"), tip)
+    true = geometry.compose(geometry.relative(tcp, opened.subsystem.sim.truth()["poses"]["POWER-DRIVER"]), tip)
+    assert geometry.distance(true, believed) < 0.001
+
+
+@pytest.mark.parametrize(("within_m", "looks"), [(0.003, False), (0.005, True)])
+def test_a_camera_looks_for_a_driver_that_is_not_known_well(bench: Bench, within_m: float, looks: bool) -> None:
+    known_poorly(bench, within_m)
+    script = bench.elaborate(DRIVER)
+    assert isinstance(script, Script)
+    assert (script.steps[0].cameras == ["CAMERA-7"]) == looks
+
+
+@pytest.mark.parametrize(("within_m", "refused"), [(0.0149, False), (0.015, True)])
+def test_without_a_camera_a_driver_is_taken_that_is_known_less_well(within_m: float, refused: bool) -> None:
+    blind = CellModel(msgspec.structs.replace(SERVICING.cell, cameras=[]))
+    bench = Bench(Reporter(blind.cell), blind)
+    known_poorly(bench, within_m)
+    assert isinstance(bench.elaborate(DRIVER), Refusal) == refused
+
+
+def known_poorly(bench: Bench, within_m: float) -> None:
+    spread = [within_m] * 3 + [0.0] * 3
+    bench.world = bench.world.overlay([WorldChange(key="POWER-DRIVER.frame", keep_value=True, spread=spread)])
+
+
 def test_what_bolts_fasten_is_not_drawn_out_and_the_advice_names_them(bench: Bench) -> None:
     bench.set_fact("DOOR-2.angle", OPEN_RAD)
     bench.set_fact("MACS-OLD.held_by", "RIGHT-ARM")
