@@ -12,9 +12,9 @@ same errors. Nothing that is displaced takes part in the stages of the door and 
 once, and each run continues in a copy of that process.
 
 A planner without a person follows advice: after a refusal or a failure it gives the advised sentences and the line
-again. Advice that only a person can follow, SET of a pose, is not followed. So a run succeeds, or it surrenders. A
-surrender is clean if the arms rest, and the last answer has a cause and an advice. After each sentence all valid facts
-are compared with the truth.
+again, with the distance of AVOID-NEIGHBORS that is advised. Advice that only a person can follow, SET of a pose, is not
+followed. So a run succeeds, or it surrenders. A surrender is clean if the arms rest, and the last answer has a cause
+and an advice. After each sentence all valid facts are compared with the truth.
 
     success_rate          share of runs that reached the end of the last stage, by the truth too; with success_low/high
     first_time            runs in which no sentence was refused or failed

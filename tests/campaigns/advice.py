@@ -2,7 +2,7 @@
 
 An advice has steps (`; ` or `, then ` between them), and a step has alternatives (`or`). An operator who looks sees:
 `SET X FRAME x y z` and `SET X STATE LOOSE or TIGHT` state the truth. `do it again` is the sentence on which the advice
-was given.
+was given. A smaller distance of AVOID-NEIGHBORS replaces the one of that sentence.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ ELSEWHERE = re.compile(r"MOVE (.+?) TO another place first \(([A-Z0-9-]+)")
 ANYWHERE = re.compile(r"MOVE ([A-Z0-9-]+) to a place")
 AGAIN = re.compile(r"\b(?:do it|try|give (?:it|the sentence|the command)) again")
 OTHER_ARM = re.compile(r"move (.+?) away first")
+CLOSER = re.compile(r"\bAVOID-NEIGHBORS BY (\S+ \S+), or leave it out")
+NEIGHBORS = re.compile(r"\bAVOID-NEIGHBORS(?: BY \S+ \S+)?")
 STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE|STATE)")
 STEPS = re.compile(r"; |, then ")
 ALTERNATIVES = re.compile(r", or | or (?=[A-Z]{3})")
@@ -100,7 +102,10 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
                 history.append(f"{sentence}: {done}")
                 if done.succeeded:
                     break
-        if left == MAX_SENTENCES and not AGAIN.search(advice):
+        closer = CLOSER.search(advice)
+        if closer and left == MAX_SENTENCES:
+            aim = NEIGHBORS.sub(f"AVOID-NEIGHBORS BY {closer[1]}", aim)
+        elif left == MAX_SENTENCES and not AGAIN.search(advice):
             return Followed("no sentence", given, history)
         answer = say(aim)
         history.append(f"again: {answer}")

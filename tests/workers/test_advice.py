@@ -96,6 +96,19 @@ def test_advice_without_a_sentence_is_a_case_of_its_own() -> None:
     assert scene.given == []
 
 
+def test_a_smaller_distance_from_neighbours_is_put_into_the_sentence() -> None:
+    given = []
+
+    def say(sentence: str) -> Answer:
+        given.append(sentence)
+        return Answer(True, "", "")
+
+    aim = "STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 1.5 CM AND SPEED 10 CM/S"
+    refused = Answer(False, "near", "AVOID-NEIGHBORS BY 14 MM, or leave it out; or another goal")
+    assert advice.follow(say, aim, refused, lambda: TRUTH).end == "reached"
+    assert given == ["STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 14 MM AND SPEED 10 CM/S"]
+
+
 def test_the_advice_of_a_command_that_was_refused_in_a_cluster_is_followed() -> None:
     cluster = OneProcess(KinematicCell(CELL), eyes=Ideal(CELL))
     aim = "LIFT MACS-NEW BY 10 CM"  # the hand is empty

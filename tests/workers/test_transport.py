@@ -218,6 +218,27 @@ def test_a_second_hand_that_closes_on_nothing_looks_and_takes_again(held: Bench)
     assert who_holds(held) == ("", MODULE, LEFT)
 
 
+def test_the_arm_is_offered_to_the_operator_where_he_has_no_script_for_the_verb(held: Bench) -> None:
+    sentence = f"PLACE {MODULE} ON RACK-1"
+    script = held.elaborate(sentence)
+    first = next(step for step in script.steps if step.do == "move")
+    bound = held.bind(script, first)
+    held.subsystem.instead[bound.primitive.id] = StopReason.FORCE_LIMIT
+    judged = held.analyze(bound, held.subsystem.perform(bound.primitive, bound))
+    assert (judged.verdict, judged.by_operator) == ("abort", f"GIVE {RIGHT} TO OPERATOR")
+    assert isinstance(held.elaborate(judged.by_operator), Script)
+
+
+def test_an_arm_whose_object_another_one_holds_too_is_not_given_to_the_operator(held: Bench) -> None:
+    done(held, BOTH)
+    assert held.elaborate(GIVE).context.by_operator == ""
+    given = held.elaborate(f"GIVE {RIGHT} TO OPERATOR")
+    refusal = held.bind(given, next(step for step in given.steps if step.do == "operate"))
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason is RefusalReason.STATE
+    assert LEFT in refusal.message
+
+
 def test_a_second_grasp_that_is_impossible_is_refused_before_the_first_arm_moves(held: Bench) -> None:
     for name in ("BAY-2-FRONT", "CLEAR-POINT-1"):  # no place is left where the arms can meet
         held.model = CellModel(_without(held.model.cell, name))

@@ -34,7 +34,7 @@ from workers.analyzer.step_changes import (
     touched_object_changes,
 )
 from workers.analyzer.world_changes import EFFECTS, Changes, angles
-from workers.conditions import installed_phases, reflexes
+from workers.conditions import installed_phases, reflexes, sharing
 from workers.planning import in_seat, trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -194,7 +194,7 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
         further=trims[1:],
         changes=changes,
         clears=clears,
-        by_operator=task.context.by_operator if may else "",
+        by_operator=sharing.offer(task.query, task.context) if may else "",
         compared=comparison.unexpected(task),
     )
 

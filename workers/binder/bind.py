@@ -28,7 +28,7 @@ from workers.binder.bind_task import BindTask, refused_program, unknown_in_progr
 from workers.binder.motion import bind_motion
 from workers.binder.operated import bind_operated
 from workers.binder.spindle import bind_spindle
-from workers.conditions import installed_phases, prediction
+from workers.conditions import installed_phases, prediction, sharing
 from workers.conditions.prediction import Expected
 from workers.planning import step_target, suggestions
 from workers.planning.robot_models import CellModel
@@ -63,7 +63,7 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
         return installed_phases.applied(compiled.phases, data, bound)
     except Refused as refused:
         infeasible = refused.refusal.reason is RefusalReason.INFEASIBLE
-        return refused.refusal.offering(data.context.by_operator if infeasible else "")
+        return refused.refusal.offering(sharing.offer(query, data.context) if infeasible else "")
     except expressions.ExpressionError as error:
         lacking = "a figure that the step needs must be in the script, the program or the cell"
         return refused_program(str(error), lacking).refusal

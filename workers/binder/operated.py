@@ -18,6 +18,7 @@ from rtc.protocol.sentence import SHARED_AXES
 from workers.binder import assemble, targets
 from workers.binder.bind_task import BindTask, RuledTask, refused_program
 from workers.binder.motion import motion_to_share
+from workers.conditions import sharing
 from workers.conditions.prediction import Expected
 
 HAND, SPINDLE = "hand", "spindle"  # what else than the arm may be his: the word `his` of a step
@@ -28,6 +29,7 @@ PRESSES = 0.5  # share of the grip force that proves a grip
 
 def bind_operated(task: BindTask) -> BoundStep:
     """The step as a request to the operator. Raises Refused."""
+    sharing.refuse_alone(task.query, task.arm, "", task.program.clears)
     ruled = task.under(task.data.step.stop)
     values, step = ruled.values, task.data.step
     pose = _place(task)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.planning.world_query import WorldQuery
 
@@ -18,3 +19,8 @@ def refuse_alone(query: WorldQuery, arm: str, partner: str, clears: Mapping[str,
     message = f"{arm} cannot move alone: {sharing[0]} holds {held} too"
     advice = clears.get("shared", "").replace("{held}", held).replace("{other}", hand_in_words(sharing[0]))
     raise Refused.because(RefusalReason.STATE, message, clears=advice)
+
+
+def offer(query: WorldQuery, context: ScriptContext) -> str:
+    """The sentence that asks the operator instead; empty while another arm holds the same object."""
+    return "" if query.sharers(context.arm) else context.by_operator

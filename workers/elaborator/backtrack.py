@@ -170,6 +170,7 @@ def _search(
         raise _unreachable(script, candidate, lines, request)
     notes: list[str] = []
     first: Refusal | None = None
+    its_ranks = (False, False)
     searched = 0
     for n, joints, detours in _order(ways):
         if detours and searched == MAX_DETOURED:
@@ -183,21 +184,17 @@ def _search(
         notes.append(f"generated {what}; tested: {tried.message}")
         if "samples" in tried.detail:
             searched += 1
-        if first is None or _tells_more(tried, first):
-            first = tried
+        # An arm in the way may leave, so the command can wait for it. With detours a way round was searched, or another
+        # segment is blocked whatever way leads to it: this is a better reason than a blocked direct way.
+        ranks = (IN_THE_WAY in tried.detail, detours)
+        if first is None or ranks > its_ranks:
+            first, its_ranks = tried, ranks
     assert first is not None
     clears, limits = candidate.program.clears, candidate.limits
     goal = (candidate.parsed.place.name if candidate.parsed.place else None) or ""
     out = any(step.words.get("leaves") == "seat" for step in script.steps)
     first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits, goal, out)
     raise Refused(msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))}))
-
-
-def _tells_more(tried: Refusal, first: Refusal) -> bool:
-    """True if a refusal is a better reason than an earlier one. An arm in the way may leave, so the command can wait
-    for it. A search states more than a direct way."""
-    ranks = [(IN_THE_WAY in one.detail, "samples" in one.detail) for one in (tried, first)]
-    return ranks[0] > ranks[1]
 
 
 def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, list[float]], bool]]:

@@ -13,7 +13,7 @@ import msgspec
 from rtc.language.hands import hand_in_words
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.outcomes import Refused
-from rtc.protocol.sentence import OPERATOR, SHARED, ParsedCommand, Quantity
+from rtc.protocol.sentence import BOTH_ARMS, OPERATOR, SHARED, ParsedCommand, Quantity
 from rtc.protocol.units import in_words
 from workers.elaborator import command_fields
 from workers.elaborator.script_options import fits_sentence
@@ -24,9 +24,22 @@ KEPT = ("AVOID-TASK-REGION", "SAFE-WORK-RANGE")
 
 
 def by_operator(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], candidate: TaskCandidate) -> str:
-    """The same task VIA OPERATOR-INTERVENTION; empty if he has no script for it, or has it already."""
+    """The same task VIA OPERATOR-INTERVENTION. For a task with an object for which he has no script, the sentence that
+    gives him the arm.
+
+    Empty if he has it already, and for two hands with one object: one of them does not move alone."""
+    parsed, arm = candidate.parsed, candidate.hand
+    if arm is None or parsed.performer == OPERATOR or _shares(parsed):
+        return ""
+    if parsed.hand == BOTH_ARMS or candidate.query.sharers(arm.name):
+        return ""
+    return _same_task(program, scripts, candidate) or _the_arm(program, candidate, arm.name)
+
+
+def _same_task(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], candidate: TaskCandidate) -> str:
+    """The same task VIA OPERATOR-INTERVENTION; empty if he has no script for it."""
     parsed = candidate.parsed
-    if candidate.hand is None or candidate.partner is not None or parsed.performer == OPERATOR or _shares(parsed):
+    if candidate.partner is not None:
         return ""
     asked = msgspec.structs.replace(parsed, performer=OPERATOR, path=None, through=[])
     rows = (row for row in program.decision_tree if row.verb == parsed.verb and row.enabled and is_by_operator(row))
@@ -37,6 +50,11 @@ def by_operator(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], c
     regions = [f"{one.slot} {one.name}" for one in parsed.constraints if one.slot in KEPT and one.name]
     kept = f"MAINTAIN {' AND '.join(regions)}" if regions else ""
     return " ".join(filter(None, (words, kept, f"VIA {OPERATOR}-INTERVENTION")))
+
+
+def _the_arm(program: ElaboratorProgram, candidate: TaskCandidate, arm: str) -> str:
+    """The sentence that gives him the arm for a task with an object; empty if the program has none."""
+    return program.clears.get("operator", "").replace("{arm}", hand_in_words(arm)) if candidate.thing else ""
 
 
 def _shares(parsed: ParsedCommand) -> bool:

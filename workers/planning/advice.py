@@ -65,6 +65,7 @@ def advise_on_collision(
         "places": ", ".join(places),
         "or_arm": "" if held else ", or another arm",
         "turn": _turn_in_words(query, body),
+        "room": _room_in_words(refusal),
     }
     words = clears.get(row, "") if places else clears.get(row, "").replace(" ({places})", "")
     for name, text in texts.items():
@@ -85,8 +86,13 @@ def _kept_out(refusal: Refusal, body: str, limits: Limits) -> str:
     """The row for a collision that only a MAINTAIN of the command makes one; empty for others."""
     if body in limits.keep_out:
         return "way_region"
-    near = float(refusal.detail.get("distance_m", 0.0)) > 0.0
-    return "way_neighbors" if near and (limits.clearance_m or 0.0) > CLEARANCE_M else ""
+    room_m = float(refusal.detail.get("distance_m", 0.0))
+    return "way_neighbors" if room_m > CLEARANCE_M and (limits.clearance_m or 0.0) > CLEARANCE_M else ""
+
+
+def _room_in_words(refusal: Refusal) -> str:
+    """The distance of AVOID-NEIGHBORS for which there is room, in whole millimetres."""
+    return f"{math.floor(1e3 * float(refusal.detail.get('distance_m', 0.0)) + 1e-6)} MM"
 
 
 def _hinged(refusal: Refusal, query: WorldQuery, arm: str, body: str) -> str:

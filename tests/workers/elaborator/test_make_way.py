@@ -11,6 +11,7 @@ from rtc.protocol.outcomes import IN_THE_WAY, LEAVING
 from rtc.spatial import geometry
 from rtc.world.spread import even
 from tests.workers.conftest import CELL, Bench
+from workers.planning.motion import plan
 from workers.planning.robot_models import CellModel
 
 TO_BAY = "MOVE RIGHT-ARM TO BAY-2-FRONT"
@@ -68,8 +69,12 @@ def test_no_sentence_is_stated_for_an_arm_that_may_not_leave(in_the_way):
     assert "LEFT-ARM" in clears
 
 
-def test_no_arm_is_sent_away_from_a_way_that_would_not_be_free_without_it(bench: Bench) -> None:
-    """A module that may touch the satellite leaves on a line, or up and back: no other way is sought."""
+PLACE = "PLACE MACS-OLD ON RACK-2 WITH LEFT-ARM"
+
+
+@pytest.fixture
+def near(bench: Bench) -> Bench:
+    """The left hand holds a module that may touch the satellite; the right arm stands beside it."""
     bench.without_cameras()
     bench.set_fact("LEFT-ARM.joints", [-0.574600, 1.058195, -3.602150, -0.666767, 1.062702, 0.299029])
     bench.set_fact("RIGHT-ARM.joints", [0.679806, 1.510722, -3.134227, 1.505713, 0.681516, -1.487073])
@@ -88,10 +93,27 @@ def test_no_arm_is_sent_away_from_a_way_that_would_not_be_free_without_it(bench:
     for key, pose in (("MACS-OLD.frame", place), ("MACS-OLD.grasp", grasp)):
         change = WorldChange(key=key, value=pose.tolist(), spread=stated)
         bench.world = bench.world.overlay([change])
-    wanted = "PLACE MACS-OLD ON RACK-2 WITH LEFT-ARM"
+    return bench
 
-    refusal = bench.elaborate(wanted)
 
+def test_an_arm_leaves_what_it_may_touch_back_along_its_tool_before_a_way_is_sought(near: Bench) -> None:
+    script = near.elaborate(PLACE)
+    assert isinstance(script, Script), script
+    before = near.model.arms["LEFT-ARM"].fk(near.world.value("LEFT-ARM.joints"))
+    knots = next(step.way for step in script.steps if step.way is not None).knots
+    back = geometry.relative(before, near.model.arms["LEFT-ARM"].fk(knots[1]))
+    assert back[2] in (pytest.approx(-by_m, abs=1e-4) for by_m in plan.BACK_M)
+    assert back[:2] == pytest.approx([0.0, 0.0], abs=1e-4)
+
+
+def test_no_arm_is_sent_away_from_a_way_that_would_not_be_free_without_it(
+    near: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A module that may touch the satellite leaves on a line, or up and back: no other way is sought."""
+    bench, wanted = near, PLACE
+    with monkeypatch.context() as without:
+        without.setattr(plan, "BACK_M", ())
+        refusal = bench.elaborate(wanted)
     assert refusal.clears.startswith("RETRACT LEFT-ARM first: SATELLITE")
     assert refusal.detail[LEAVING] == "SATELLITE"
     bench.subsystem.widths["LEFT-ARM"] = 0.02

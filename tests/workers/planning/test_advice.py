@@ -10,15 +10,17 @@ from rtc.model.cells.cell import Cell
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, ElaboratorProgram
 from rtc.protocol.messages import EndReport
-from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason
 from rtc.spatial import geometry
 from tests.workers.conftest import Bench, Reporter
+from workers.elaborator import backtrack
 from workers.planning.advice import advise_on_collision
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 LIFT = "LIFT MACS-NEW BY 15 CM"
+BODIES = {"body_a": "RIGHT-ARM palm", "body_b": "SATELLITE right-panel"}
 
 
 def in_hand(bench, *sentences):
@@ -70,6 +72,27 @@ def test_a_motion_that_only_a_maintain_blocks_is_done_without_it(bench, sentence
     assert cause.split()[1] in advised
     assert "leave" in advised
     assert bench.elaborate(sentence).steps
+
+
+def test_the_advised_distance_from_neighbours_is_one_for_which_there_is_room(bench):
+    sentence, given = "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN AVOID-NEIGHBORS BY {}", ["30 CM"]
+    while (refusal := bench.do(sentence.format(given[-1])).refusal) is not None:
+        given.append(re.search(r"AVOID-NEIGHBORS BY (\S+ \S+), or", refusal.clears)[1])
+        assert len(given) <= 4, given
+    assert len(given) > 1
+    assert float(given[-1].split()[0]) > 5.0
+
+
+def test_a_segment_that_is_blocked_whatever_way_leads_to_it_is_the_reason(bench, monkeypatch):
+    """Not the direct way before it, round which a way would be sought."""
+
+    def blocked(*args):
+        detours = args[-1]
+        message = "the goal is taken" if detours else "the direct way is blocked"
+        raise Refused.because(RefusalReason.INFEASIBLE, message, detail={"cause": "collision", **BODIES})
+
+    monkeypatch.setattr(backtrack, "_try", blocked)
+    assert bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT").message.startswith("the goal is taken")
 
 
 SENTENCE = re.compile(r"\b(?:GRASP|OPEN|CLOSE|RELEASE|STOW)(?: [A-Z0-9-]+)+")

@@ -18,6 +18,7 @@ import numpy as np
 from rtc.model.robot.collision_scene import in_hands
 from rtc.protocol.outcomes import LEAVING, Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial.geometry import Array, Floats
+from workers.planning import axes
 from workers.planning.motion import added_planners
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
@@ -26,6 +27,7 @@ from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside
 from workers.planning.motion.timing import Timed, slower, time_path
 
 MORE_M = (0.020, 0.008)  # clearance of a freely chosen way beyond that of the request, where there is room
+BACK_M = (0.05, 0.10, 0.15)  # lines back along the tool on which an arm leaves what it may touch
 CLOSER = 0.5  # share of the distance at the goal that is kept on the way there from a body that a later step touches
 SAME_RAD = 1e-6  # tolerance of the joint values at the end of a straight line
 DIRECT = "generated a line in joint space; tested: free"
@@ -208,12 +210,15 @@ def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | Non
     except Refused as refused:
         notes.append(f"modified: a straight line of the hand; tested: {refused}")
     by_way_of = guides(request, goal)
-    # A hand that may touch a handle leaves on a line. What it holds may also go up and back.
+    # A hand that may touch a handle leaves on a line. What it holds may also go up and back, or back and on.
     aside = find_way_aside(roomy, goal, by_way_of) if not leaves or len(_ours(request)) > 1 else None
     if aside is not None:
         return FreeWay(aside.path, [*notes, *aside.notes])
     if leaves:
-        raise Refused(_leaving(request, fault(request, direct, least_room=True) or first))
+        out = _back_and_on(request, goal) if len(_ours(request)) > 1 else None
+        if out is None:
+            raise Refused(_leaving(request, fault(request, direct, least_room=True) or first))
+        return FreeWay(out.path, [*notes, *out.notes])
     if roomy is not request:
         for way in lines:
             if is_free(request, way):
@@ -225,9 +230,44 @@ def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | Non
     sampled = find_sampled_way(request, roomy, [goal], by_way_of)
     if isinstance(sampled, FreeWay):
         return FreeWay(sampled.path, [*notes, *sampled.notes])
+    if _begins_narrow(request) and (out := _back_and_on(request, goal)) is not None:
+        return FreeWay(out.path, [*notes, *out.notes])
     first = fault(request, direct, least_room=True) or first
     words = f"{first.message}; no way round it was found in {sampled} samples"
     raise Refused(msgspec.structs.replace(first, message=words, detail={**first.detail, "samples": float(sampled)}))
+
+
+def _back_and_on(request: PlanningRequest, goal: Array) -> FreeWay | None:
+    """A way that leaves a narrow place as RETRACT does, on a line back along the tool, and is searched from the end of
+    that line. None: not found.
+
+    What the arm may touch is left straight: the way bends in the second half of the line at most, and nothing is so
+    near there any more."""
+    here, test = request.arm.fk(request.start), free_posture(request)
+    for by_m in BACK_M:
+        try:
+            back = axes.shifted(here, "TOOL-Z", -by_m)
+            line = paths.task_line(request.arm, request.start, back, request.way_margin_rad)
+            refuse_if(fault(request, line))
+        except Refused:
+            return None  # a longer line begins with this one
+        end = line.knots[-1]
+        if any(test(q) is not None for q in line.joints_at(np.array((0.5, 1.0)) * line.length)):
+            continue  # still so near
+        way = rounded(request, [request.start, end, goal])
+        if way is None:
+            behind = replace(request, joints={**request.joints, request.arm.name: end})
+            found = find_sampled_way(behind, behind, [goal], guides(behind, goal))
+            way = rounded(request, [request.start, *found.path.knots]) if isinstance(found, FreeWay) else None
+        words = f"modified: back by {by_m:g} m, and on"
+        return None if way is None else FreeWay(way, [f"{words} by way of {len(way.knots) - 3} points; tested: free"])
+    return None
+
+
+def _begins_narrow(request: PlanningRequest) -> bool:
+    """Whether the start has nearly less room than the clearance, so that a search hardly finds out."""
+    more_m = request.scene.clearance_m + min(MORE_M)
+    return request.world.check(request.joints, replace(request.scene, clearance_m=more_m)) is not None
 
 
 def _leads_aside(way: Path, start: Array, goal: Array) -> bool:
