@@ -3,12 +3,24 @@
 Computed from the URDF and SRDF texts of a cell. This package knows neither tasks nor the world database.
 """
 
-from importlib.util import find_spec
+import warnings
+from functools import cache
+
+KERNEL = 2  # version of the compiled code: as in `_boxes.cpp`
 
 
+@cache
 def compiled() -> bool:
     """Whether the compiled proof of `boxes` is installed. Without it coal alone decides on collisions."""
-    return find_spec(f"{__name__}._boxes") is not None
+    try:
+        from rtc.model.robot import _boxes
+    except ImportError:  # it was installed without a compiler
+        return False
+    if getattr(_boxes, "VERSION", 1) == KERNEL:
+        return True
+    words = "the compiled collision checks are of another version and are not used; install rtc again: pip install -e ."
+    warnings.warn(words, stacklevel=2)
+    return False
 
 
 def collision_checks(boxes: bool) -> str:

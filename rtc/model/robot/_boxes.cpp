@@ -1,4 +1,5 @@
-// What is compiled of the collision checks and of the search (decisions 0069, 0093): `boxes.py` prepares it.
+// What is compiled of the collision checks and of the search (decisions 0069, 0093), which `boxes.py` prepares, and
+// of the kinematics.
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -6,10 +7,17 @@
 
 #include "_boxes.hpp"
 #include "_kinematics.hpp"
+#include "_puma.hpp"
 #include "_trees.hpp"
 
 PYBIND11_MODULE(_boxes, module) {
+    module.attr("VERSION") = 2;  // `KERNEL` of __init__.py: another one when a function here changes its arguments
     py::class_<Arm>(module, "Arm").def(py::init<Ints, Ints, Doubles, Doubles, Doubles>()).def("turned_to", &Arm::turned_to);
+    py::class_<Puma>(module, "Puma")
+        .def(py::init<Doubles, Doubles, Doubles, Doubles>())
+        .def("along", &Puma::along)
+        .def("line", &Puma::line)
+        .def("within", &Puma::within);
     py::class_<Boxes>(module, "Boxes")
         .def(py::init<Ints, Ints, Doubles, Doubles, Ints, Doubles, const std::vector<std::vector<double>>&>())
         .def("place", &Boxes::place)

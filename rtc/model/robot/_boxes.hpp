@@ -76,14 +76,20 @@ class Boxes {
         stamps_.assign(boxes_.size(), 0);
     }
 
-    // Places a box: in the axes of a joint, or in the world (-1). `levers`: of each value of the configuration.
-    void place(int box, int joint, Doubles placement, Doubles levers) {
-        if (joint >= static_cast<int>(joints_.size())) throw std::invalid_argument("no such joint");
-        if (placement.size() != 12) throw std::invalid_argument("a placement has twelve values");
-        if (levers.size() != static_cast<py::ssize_t>(joints_.size())) throw std::invalid_argument("a lever for each joint");
-        boxes_.at(box).joint = joint;
-        boxes_[box].at = pose_of(placement.data());
-        boxes_[box].levers.assign(levers.data(), levers.data() + levers.size());
+    // Places the boxes of an owner, which is at `owner` in the axes of a joint, or in the world (-1). `placements` [n]: in
+    // the axes of the owner; both as [4][4]. `levers` [n]: of each value of the configuration.
+    void place(const Slots& boxes, int joint, Doubles owner, Doubles placements, Doubles levers) {
+        const auto count = static_cast<py::ssize_t>(boxes.size()), width = static_cast<py::ssize_t>(joints_.size());
+        if (joint >= width) throw std::invalid_argument("no such joint");
+        if (owner.size() != 16 || placements.size() != 16 * count) throw std::invalid_argument("a placement has four rows");
+        if (levers.size() != count * width) throw std::invalid_argument("a lever for each joint");
+        const Pose at = pose_in(owner.data());
+        for (py::ssize_t n = 0; n < count; ++n) {
+            Box& box = boxes_.at(boxes[n]);
+            box.joint = joint;
+            box.at = compose(at, pose_in(placements.data() + 16 * n));
+            box.levers.assign(levers.data() + width * n, levers.data() + width * (n + 1));
+        }
         sorted_ = false;
     }
 

@@ -27,6 +27,15 @@ Pose pose_of(const double* values) {  // twelve: rotation row by row, position
     return pose;
 }
 
+Pose pose_in(const double* matrix) {  // [4][4]
+    Pose pose;
+    for (int i = 0; i < 3; ++i) {
+        std::copy(matrix + 4 * i, matrix + 4 * i + 3, pose.r + 3 * i);
+        pose.p[i] = matrix[4 * i + 3];
+    }
+    return pose;
+}
+
 struct Joint {
     int parent;   // number of its parent, or -1
     bool slides;

@@ -8,18 +8,20 @@ Without a compiler, or for a joint that it does not know, there are no boxes, an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import astuple
 from typing import NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
 
+from rtc.model.robot import compiled, puma_ik
 from rtc.model.robot.bodies import Bodies
 from rtc.spatial.geometry import Array
 
-try:
+if compiled():
     from rtc.model.robot import _boxes
-except ImportError:  # it was installed without a compiler
+else:
     _boxes = None  # type: ignore[assignment]
 
 KINDS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteU", "JointModelP")  # one value each
@@ -66,19 +68,13 @@ class Boxes:
         pairs = np.array(bodies.pairs, dtype=np.int32).reshape(-1, 2)
         made, hulls = zip(*(_solid(solid) for solid in solids), strict=True)
         self._proof = _boxes.Boxes(parents, slides, axes, placements, pairs, np.array(made), hulls)
-        for n, (item, of_centre) in enumerate(zip(items, of_centres, strict=True)):
-            self._put([n], item.parentJoint, (item.placement * of_centre).homogeneous[None])
+        for n, (item, piece) in enumerate(zip(items, bodies.pieces, strict=True)):
+            self.place([n], item.parentJoint, item.placement * piece.in_owner.inverse())
 
     def place(self, pieces: list[int], parent: int, at: pin.SE3) -> None:
         """Place the pieces of an owner, whose axes are at `at` in those of a joint of pinocchio (0: the world). Their
         levers must be set."""
-        self._put(pieces, parent, at.homogeneous @ self._in_owner[pieces])
-
-    def _put(self, pieces: list[int], parent: int, boxes: Array) -> None:
-        """`boxes`: their placements, [pieces][4][4]."""
-        rows = np.concatenate((boxes[:, :3, :3].reshape(-1, 9), boxes[:, :3, 3]), axis=1)
-        for piece, row in zip(pieces, rows, strict=True):
-            self._proof.place(piece, parent - 1, row, self._levers[piece])
+        self._proof.place(pieces, parent - 1, at.homogeneous, self._in_owner[pieces], self._levers[pieces])
 
     def use(self, pairs: Array, margins: Array) -> None:
         """The pairs to check, by number in `Bodies.pairs`, and their margins (m)."""
@@ -165,6 +161,12 @@ def arm_of(model: pin.Model, tip: pin.Frame) -> _boxes.Arm | None:
         return None
     parents, slides, axes, placements = zip(*joints, strict=True)
     return _boxes.Arm(parents, slides, axes, placements, [*tip.placement.rotation.flat, *tip.placement.translation])
+
+
+def puma_of(lengths: puma_ik.PumaGeometry, base: Array, tool: Array, speeds: list[float]) -> _boxes.Puma | None:
+    """The closed form of a PUMA-like arm, compiled; None: `puma_ik` does it. `base`: the world in the axes of the base;
+    `tool`: the last link in those of the tcp; both 4x4. `speeds`: of the joints, rad/s."""
+    return None if _boxes is None else _boxes.Puma(astuple(lengths), base, tool, speeds)
 
 
 def _joints_of(model: pin.Model) -> list[tuple[int, bool, Array, list[float]]]:

@@ -22,7 +22,7 @@ from rtc.model.cells import cell as cells
 from rtc.model.robot import bodies
 from rtc.model.robot.boxes import STRAIGHT, Growth, boxes_of
 from rtc.model.robot.collision_pairs import Pairs, PairTable
-from rtc.model.robot.collision_scene import AS_BUILT, Scene, in_hands
+from rtc.model.robot.collision_scene import AS_BUILT, Scene, in_hands, same_places
 from rtc.model.robot.kinematics import ArmModel
 from rtc.model.robot.levers import ball, levers, of_pairs
 from rtc.model.robot.separation import SeparationCheck
@@ -151,7 +151,7 @@ class CollisionWorld:
         self._places = {name: np.array(slots.joints) for name, slots in self._bodies.arms.items()}
         self._varying: list[int] = []  # joints of the arms that the scene checks
         self._scene: Scene | None = None
-        self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
+        self._placed: dict[str, tuple[str, list[float]]] = {}  # body -> the arm that holds it, and its pose there
         self._elsewhere: dict[str, tuple[int, pin.SE3]] = {}  # bodies that coal has not yet: parent joint, pose there
         self._pairs_of_coal: Pairs | None = None  # the pairs that coal has
         self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `PairTable.of_scene` reads
@@ -196,13 +196,15 @@ class CollisionWorld:
         self._set({**others, arm: configurations[0]}, scene)
         slots, rows = self._bodies.arms[arm].joints, np.asarray(configurations, dtype=float)
         leaving: dict[int, float] = {}  # pair -> greatest distance so far
-        index = 1
+        index, parts = 1, self._parts(slots, rows, GROUP, off)
+        part = parts(1) if len(rows) > 1 else NOTHING
+        if part[1] >= len(rows) > 1 and not part[2]:
+            return None
         try:
             self._q[slots] = rows[0]
             leaving.update(self._let_leave() if self._touches_any() else {})
-            parts = self._parts(slots, rows, GROUP, off)
             while index < len(rows):
-                first, last, near = parts(index)
+                first, last, near = part if index == 1 else parts(index)
                 if leaving:  # step by step; the pairs that leave are followed by `_at`
                     near = [pair for pair in near if pair not in leaving] if first < index else []
                     first, last = index - 1, index + 1
@@ -226,6 +228,13 @@ class CollisionWorld:
             for pair in leaving:
                 self._count_again(pair)
         return None
+
+    def proves(self, arm: str, path: Array, others: Mapping[str, Floats], scene: Scene, off: Array) -> bool:
+        """Whether boxes alone prove that `check_path` finds no collision, which is quick."""
+        if self._boxes is None or scene.hung or len(path) < 2:
+            return False
+        self._set({**others, arm: path[0]}, scene)
+        return not self._boxes.way(self._q, self._bodies.arms[arm].joints, path, 0, off)[1]
 
     def probe(
         self, arm: str, path: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT
@@ -323,7 +332,7 @@ class CollisionWorld:
         [pieces][6]: low corner, high corner (m). The hand counts as open. None without the compiled kernel."""
         if self._boxes is None:
             return None
-        if self._scene is None or not _same_places(self._scene, scene):
+        if self._scene is None or not same_places(self._scene, scene):
             self._arrange(scene)
         pieces = np.flatnonzero(self._table.carriers(scene) == self._table.number[arm]).tolist()
         slots, q = self._bodies.arms[arm], self._q.copy()
@@ -678,7 +687,8 @@ class CollisionWorld:
         i, j = self._bodies.pairs[pair]
         result = coal.DistanceResult()
         a, b = (self._bodies.geometry.geometryObjects[n].geometry for n in (i, j))
-        at, bt = (_coal_transform(self._geometry_data.oMg[n]) for n in (i, j))
+        placements = (self._geometry_data.oMg[n] for n in (i, j))
+        at, bt = (coal.Transform3s(one.rotation, one.translation) for one in placements)
         distance = coal.distance(a, at, b, bt, coal.DistanceRequest(), result)
         middle = 0.5 * (np.asarray(result.getNearestPoint1()) + np.asarray(result.getNearestPoint2()))
         x, y, z = (float(n) for n in middle)
@@ -699,7 +709,7 @@ class CollisionWorld:
         """Applies a scene: poses, parents and openings; then active pairs and margins."""
         before, self._scene = self._scene, None  # None until done: after an error the scene is applied in part only
         # Scenes often differ only in active pairs and margins; then no body has to be placed again.
-        if before is None or not _same_places(before, scene):
+        if before is None or not same_places(before, scene):
             self._place_bodies(scene)
         self._switch(scene)
         self._scene = scene
@@ -712,7 +722,7 @@ class CollisionWorld:
         for owner, built in self._built_pose.items():
             held = scene.held.get(owner)
             pose = scene.poses.get(owner, built) if held is None else held.pose
-            wanted = ("" if held is None else held.arm, tuple(pose))
+            wanted = ("" if held is None else held.arm, np.asarray(pose).tolist())
             if self._placed.get(owner) != wanted:
                 self._placed.pop(owner, None)
                 self._place_body(owner, *wanted)
@@ -794,18 +804,8 @@ def line(start: Array, end: Array, steps: int) -> Array:
     return rows
 
 
-def _same_places(before: Scene, scene: Scene) -> bool:
-    """Whether all bodies are where they were, so that none has to be placed again."""
-    same = scene.poses is before.poses and scene.held is before.held and scene.openings_m is before.openings_m
-    return same and not before.hung
-
-
 @cache
 def _halfway(count: int) -> list[int]:
     """At most `PROBES` numbers below `count`: the middle, the middles of both halves, and so on."""
     places = (odd * count // parts for parts in (2, 4, 8) for odd in range(1, parts, 2))
     return list(dict.fromkeys(places))[:PROBES]
-
-
-def _coal_transform(placement: pin.SE3) -> coal.Transform3s:
-    return coal.Transform3s(placement.rotation, placement.translation)

@@ -56,3 +56,9 @@ def in_hands(scene: Scene) -> tuple[tuple[str, str], ...]:
         *((name, held.arm) for name, held in scene.held.items()),
         *((n, hung.arm) for n, hung in scene.hung.items()),
     )
+
+
+def same_places(before: Scene, scene: Scene) -> bool:
+    """Whether all bodies are where they were, so that none has to be placed again."""
+    same = scene.poses is before.poses and scene.held is before.held and scene.openings_m is before.openings_m
+    return same and not before.hung

@@ -33,6 +33,7 @@ SAME_BRANCH_RAD = 1.5  # a larger change of a joint in `moved_by` is another bra
 REACHED_M, REACHED_RAD = 1e-4, 1e-3  # tolerance of a posture from an installed solver
 WHOLE_M, MIN_WEIGHT = 0.6, 1.0 / 3.0  # a joint that moves the hand by this much per rad, or more, has the weight 1
 SLIDE_MARGIN = 0.1  # m per rad: the margin of a joint that slides, 5 mm for 3 deg
+KEPT_MARGINS = 64  # maximum number of margins whose bounds are kept
 NEAR_M, NEAR_RAD = 0.0005, 0.005  # smaller distances are not stated
 
 
@@ -93,9 +94,9 @@ class ArmModel:
             effort=model.effortLimit.copy(),
         )
         self._lower, self._upper = self.limits.lower.tolist(), self.limits.upper.tolist()
-        self._by_margin: dict[float, tuple[list[float], list[float]]] = {}  # see `_bounds`
+        self._by_margin: dict[float, tuple[Array, Array]] = {}  # see `bounds`
         self._speeds = self.limits.velocity.tolist()
-        self._base_inverse = np.linalg.inv(geometry.to_matrix(self.base_pose))
+        self._base_inverse: Array = np.asarray(np.linalg.inv(geometry.to_matrix(self.base_pose)), dtype=float)
         tip = model.frames[self._tcp]
         self._tool_inverse = np.linalg.inv(tip.placement.homogeneous)
         self.weightless = not np.any(model.gravity.linear)
@@ -112,6 +113,9 @@ class ArmModel:
         self._in_base = lru_cache(maxsize=4)(self._turn_in_base)  # a search asks for one attitude thousands of times
         self._compiled = boxes.arm_of(model, tip)
         self._closed_form = puma_ik.recognise(placements) if turning_about_z else None
+        self._puma = None  # the closed form, compiled
+        if self._closed_form is not None:
+            self._puma = boxes.puma_of(self._closed_form, self._base_inverse, self._tool_inverse, self._speeds)
         sweeps = _sweeps(placements, tip.placement.translation, self._chain.slides)
         #: by joint: the weight of its displacement along a path, because some joints move the hand less
         self.step_weights = np.where(self._chain.slides, 1.0, np.clip(sweeps / WHOLE_M, MIN_WEIGHT, 1.0))
@@ -234,6 +238,8 @@ class ArmModel:
             if not found:
                 return [q for raw in self._branches(target, reference) for q in self._turns_within(raw, margin_rad)]
             return [q for raw in found for q in self._nearest_turns(raw, reference, margin_rad)]
+        if self._puma is not None:
+            return [*self._puma.within(target, reference, *self.bounds(margin_rad))]
         within = [q for raw in self._branches(target, reference) for q in self._turns_within(raw, margin_rad)]
         if len(within) < 2:
             return within
@@ -262,10 +268,12 @@ class ArmModel:
 
         Ends before the first target that is out of reach.
         """
-        now = np.asarray(near, dtype=float).tolist()
-        found: list[list[float]] = []
         if self._closed_form is None:
             return self._followed(targets, np.asarray(near, dtype=float))
+        if self._puma is not None:
+            return np.asarray(self._puma.along(targets, near))
+        now = np.asarray(near, dtype=float).tolist()
+        found: list[list[float]] = []
         flanges = self._base_inverse @ geometry.to_matrices(targets) @ self._tool_inverse
         for flange in flanges[:, :3].tolist():
             branch = puma_ik.nearest(self._closed_form, flange, now, self._speeds)
@@ -274,6 +282,12 @@ class ArmModel:
             found.append(branch)
             now = branch
         return np.array(found, dtype=float).reshape(-1, len(self.joints))
+
+    def ik_line(self, begin: Array, end: Floats, fractions: Array, near: Floats) -> Array:
+        """As `ik_along`, at these fractions (0..1) of the straight line from one pose to another."""
+        if self._puma is not None:
+            return np.asarray(self._puma.line(begin, end, fractions, near))
+        return self.ik_along(geometry.interpolate_all(begin, end, fractions), near)
 
     def projection(self, attitude: Floats | None) -> boxes.Projection:
         """What `turned_to` does, for compiled code: to this attitude, or to none."""
@@ -390,7 +404,8 @@ class ArmModel:
     def _turns_within(self, raw: list[float], margin: float) -> list[Array]:
         """The same posture with each angle shifted by -1, 0 or 1 turn, as far as the limits allow."""
         choices = []
-        for angle, slides, least, most in zip(raw, self.slides, *self._bounds(margin), strict=True):
+        bounds = (side.tolist() for side in self.bounds(margin))
+        for angle, slides, least, most in zip(raw, self.slides, *bounds, strict=True):
             same = (angle,) if slides else (angle, angle - _TURN, angle + _TURN)
             fits = [a for a in same if least <= a <= most]
             if not fits:
@@ -398,13 +413,14 @@ class ArmModel:
             choices.append(fits)
         return [np.array(q) for q in itertools.product(*choices)]
 
-    def _bounds(self, margin: float) -> tuple[list[float], list[float]]:
-        """The limits of all joints, this margin inside."""
-        known = self._by_margin.get(margin)
+    def bounds(self, margin_rad: float) -> tuple[Array, Array]:
+        """The lower and upper limits of all joints, this margin inside."""
+        known = self._by_margin.get(margin_rad)
         if known is None:
-            margins = self.margins(margin)
-            known = (self.limits.lower + margins).tolist(), (self.limits.upper - margins).tolist()
-            self._by_margin[margin] = known
+            if len(self._by_margin) >= KEPT_MARGINS:
+                self._by_margin.clear()
+            margins = self.margins(margin_rad)
+            known = self._by_margin[margin_rad] = self.limits.lower + margins, self.limits.upper - margins
         return known
 
     def _worst_joint(self, raw: list[float], margin: float) -> tuple[float, int, float, float]:

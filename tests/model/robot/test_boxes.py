@@ -14,6 +14,7 @@ import pytest
 
 from rtc.model.cells.cell import Cell
 from rtc.model.robot import compiled
+from rtc.model.robot.boxes import STRAIGHT
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import AttachedBody, Held, Scene
 from rtc.model.robot.kinematics import ArmModel
@@ -147,6 +148,7 @@ def test_paths_have_the_same_verdicts_without_boxes(coal_alone: CollisionWorld) 
                 expected.collision.body_a,
                 expected.collision.body_b,
             }
+        assert expected is None or not with_boxes.proves("RIGHT-ARM", rows, others, scene, STRAIGHT)
         assert with_boxes.free_until("RIGHT-ARM", rows, others, scene) == coal_alone.free_until(
             "RIGHT-ARM", rows, others, scene
         )
@@ -208,3 +210,31 @@ def test_a_posture_is_turned_to_an_attitude_as_by_pinocchio(name, monkeypatch):
                 assert np.allclose(ours, theirs, atol=1e-6)
                 assert geometry.angle(arm.fk(ours), attitude) < 2e-3
     assert found > 20
+
+
+@needs_boxes
+def test_the_compiled_closed_form_finds_what_the_python_one_finds(monkeypatch):
+    cell = Cell.load("swapout")
+    rng, lengths = np.random.default_rng(11), set()
+    for arm in (ArmModel.of(cell, one.name) for one in cell.arms):
+        for n in range(150):
+            q, near = rng.uniform(arm.limits.lower, arm.limits.upper, (2, 6))
+            if n % 5 == 0:
+                q[4] = 0.0  # a straight wrist
+            begin, end = arm.fk(q), arm.fk(q + rng.normal(0.0, 0.3, 6))
+            if n % 10 == 9:
+                end[:3] += (0.0, 0.0, 2.0)  # out of reach
+            ours = _solved(arm, begin, end, near, 0.05 * (n % 3))
+            with monkeypatch.context() as patch:
+                patch.setattr(arm, "_puma", None)
+                theirs = _solved(arm, begin, end, near, 0.05 * (n % 3))
+            for mine, other in zip(ours, theirs, strict=True):
+                assert len(mine) == len(other)
+                assert not len(mine) or np.allclose(mine, other, atol=1e-9)
+            lengths |= {len(ours[0]), len(ours[1]), len(ours[2])}
+    assert {0, 4, 8, 9} <= lengths
+
+
+def _solved(arm, begin, end, near, margin_rad):
+    line = arm.ik_line(begin, end, np.linspace(0.05, 1.0, 9), near)
+    return arm.ik(begin, near, margin_rad), arm.ik(end, near), line

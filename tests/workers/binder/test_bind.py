@@ -600,7 +600,7 @@ def test_the_way_of_the_elaborator_is_not_tested_again(bench, monkeypatch):
     script = bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT")
     anew = bench.bind(script, msgspec.structs.replace(script.steps[0], way=None))
     asked = []
-    for name in ("fault", "obstacle"):
+    for name in ("fault", "obstacle", "is_soon_free"):
         test = getattr(plan, name)
         monkeypatch.setattr(plan, name, lambda *about, test=test: asked.append(about) or test(*about))
     assert bench.bind(script, script.steps[0]) == anew

@@ -136,11 +136,11 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
     length = max(metres, METRES_PER_RAD * turn, 1e-9)
     count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
     fractions = even(0.0, 1.0, count - 1)
-    poses = geometry.interpolate_all(start_pose, goal_pose, fractions[1:])
-    table = np.vstack((np.asarray(start, dtype=float), arm.ik_along(poses, start)))
+    table = np.vstack((np.asarray(start, dtype=float), arm.ik_line(start_pose, goal_pose, fractions[1:], start)))
     n = _first_problem(arm, table, margin_rad)
     if n < count:
-        problem = _problem(arm, poses[n - 1], table[n] if n < len(table) else None, table[n - 1], margin_rad)
+        pose = geometry.interpolate_all(start_pose, goal_pose, fractions[n : n + 1])[0]
+        problem = _problem(arm, pose, table[n] if n < len(table) else None, table[n - 1], margin_rad)
         assert problem is not None
         fraction = float(fractions[n])
         raise _at(problem, fraction, fraction * metres, metres)

@@ -22,7 +22,16 @@ from workers.planning import axes
 from workers.planning.motion import added_planners
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
-from workers.planning.motion.request import FreeWay, PlanningRequest, blocked, fault, free_posture, is_free, obstacle
+from workers.planning.motion.request import (
+    FreeWay,
+    PlanningRequest,
+    blocked,
+    fault,
+    free_posture,
+    is_free,
+    is_soon_free,
+    obstacle,
+)
 from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside, guides, rounded
 from workers.planning.motion.timing import Timed, slower, time_path
 
@@ -82,8 +91,12 @@ def find_joint_way(request: PlanningRequest, goal: Floats, before: Path | None =
     """The path of `plan_joint_motion`, without its timing."""
     goal = np.asarray(goal, dtype=float)
     request = before_contact(request, goal)
-    refuse_if(request.arm.why_not_within(goal, request.margin_rad) or _occupied(request, goal))
-    return _generate_and_test(request, goal, before)
+    refuse_if(request.arm.why_not_within(goal, request.margin_rad))
+    direct = paths.joint_line(request.start, goal)
+    if is_soon_free(_wider(request, MORE_M[0]), direct):
+        return FreeWay(direct, [DIRECT])
+    refuse_if(_occupied(request, goal))
+    return _generate_and_test(request, goal, direct, before)
 
 
 def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> FreeWay | None:
@@ -95,6 +108,8 @@ def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> 
     goal = np.asarray(goal, dtype=float)
     refuse_if(request.arm.why_not_within(goal, request.margin_rad))
     line, request = paths.joint_line(request.start, goal), before_contact(request, goal)
+    if with_room and is_soon_free(_wider(request, MORE_M[0]), line):
+        return FreeWay(line, [DIRECT])
     roomy = with_more_room(request, goal, MORE_M) if with_room else request
     if is_free(roomy, line):
         return FreeWay(line, [DIRECT]) if with_room else None
@@ -185,17 +200,20 @@ def with_more_room(request: PlanningRequest, goal: Array, more_m: Sequence[float
     """The request with the first of these additions to its clearance that start and goal allow; else unchanged."""
     ends = [{**request.joints, request.arm.name: end} for end in (goal, request.start)]
     for by_m in more_m:
-        wider = replace(request, scene=replace(request.scene, clearance_m=request.scene.clearance_m + by_m))
+        wider = _wider(request, by_m)
         if all(request.world.check(joints, wider.scene) is None for joints in ends):
             return wider
     return request
 
 
-def _generate_and_test(request: PlanningRequest, goal: Array, before: Path | None) -> FreeWay:
-    """Ways with more room come first, as far as they cost little: those that need no search."""
+def _wider(request: PlanningRequest, by_m: float) -> PlanningRequest:
+    return replace(request, scene=replace(request.scene, clearance_m=request.scene.clearance_m + by_m))
+
+
+def _generate_and_test(request: PlanningRequest, goal: Array, direct: Path, before: Path | None) -> FreeWay:
+    """Ways with more room come first, as far as they cost little: those that need no search. `direct`: the line."""
     leaves = may_touch_at_start(request)
     roomy = request if leaves else with_more_room(request, goal, MORE_M)
-    direct = paths.joint_line(request.start, goal)
     first = obstacle(roomy, direct)
     if first is None:
         return FreeWay(direct, [DIRECT])

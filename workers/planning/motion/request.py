@@ -83,12 +83,14 @@ def fault(
 
     `least_room`: of two bodies that come too near, state where they are nearest.
     """
-    return _fault_of(request, way, step_rad, way.dense(step_rad, request.arm.step_weights), least_room)
+    return _fault_of(request, way, step_rad, way.dense(step_rad, request.arm.step_weights), least_room=least_room)
 
 
 def obstacle(request: PlanningRequest, way: Path) -> Refusal | None:
     """Like `fault`, but found sooner: a problem along a path, not always the first; None if the path is free."""
     s, configurations = dense = way.dense(CHECK_RAD, request.arm.step_weights)
+    if _is_proven(request, way, dense):
+        return _fault_of(request, way, CHECK_RAD, dense, proven=True)
     hit = request.world.probe(request.arm.name, configurations, request.joints, request.scene)
     if hit is not None:
         return _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)
@@ -100,12 +102,30 @@ def is_free(request: PlanningRequest, way: Path) -> bool:
     return obstacle(request, way) is None
 
 
-def _fault_of(
-    request: PlanningRequest, way: Path, step_rad: float, dense: tuple[Array, Array], least_room: bool = False
-) -> Refusal | None:
-    """`fault` of a path that is given in steps of collision checks: (s, joints)."""
+def is_soon_free(request: PlanningRequest, way: Path) -> bool:
+    """Whether a path is free, and boxes alone prove it: then its ends are free too."""
+    dense = way.dense(CHECK_RAD, request.arm.step_weights)
+    return _is_proven(request, way, dense) and _fault_of(request, way, CHECK_RAD, dense, proven=True) is None
+
+
+def _is_proven(request: PlanningRequest, way: Path, dense: tuple[Array, Array]) -> bool:
     s, configurations = dense
-    hit = _first_hit(request, way, step_rad, s, configurations)
+    arm, joints, scene = request.arm.name, request.joints, request.scene
+    return request.world.proves(arm, configurations, joints, scene, way.off_chords(s))
+
+
+def _fault_of(
+    request: PlanningRequest,
+    way: Path,
+    step_rad: float,
+    dense: tuple[Array, Array],
+    *,
+    least_room: bool = False,
+    proven: bool = False,
+) -> Refusal | None:
+    """`fault` of a path that is given in steps of collision checks: (s, joints). `proven`: it collides nowhere."""
+    s, configurations = dense
+    hit = None if proven else _first_hit(request, way, step_rad, s, configurations)
     free = configurations if hit is None else configurations[: hit.index]
     margin = request.way_margin_rad - 1e-9
     within = len(free) == 0 or request.arm.limit_margin_rad(free) >= margin  # one vectorized check; usually true

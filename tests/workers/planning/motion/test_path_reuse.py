@@ -46,7 +46,7 @@ def untested(monkeypatch):
         raise AssertionError("a way that was found already is planned again")
 
     def forbid():
-        for test in ("fault", "obstacle"):
+        for test in ("fault", "obstacle", "is_soon_free"):
             monkeypatch.setattr(plan, test, planned_again)
 
     return forbid
@@ -71,6 +71,7 @@ def test_a_way_with_detours_is_handed_on_too(asked, goal, monkeypatch, untested)
         times.append(1)
         return plan.Refusal(reason="infeasible", message="blocked") if len(times) <= 1 else obstacle(request, path)
 
+    monkeypatch.setattr(plan, "is_soon_free", lambda *_: False)
     monkeypatch.setattr(plan, "obstacle", blocked_at_first)
     segment = segments.check_segment(asked, "move_joint", Target(joints=goal), detours=True, first=True)
     way = segment.way(asked, "move_joint")
