@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 import sys
 import textwrap
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from tests.source_files import ROOT, source
+
 PACKAGES = ("rtc", "broker", "workers", "sim_mcm", "deploy")
 HEAD = """# Modules
 
@@ -32,8 +32,7 @@ def section(folder: Path) -> str:
 
 def first_paragraph(path: Path) -> str:
     """Of the module's docstring, in one line."""
-    text = ast.get_docstring(ast.parse(path.read_text())) or ""
-    return " ".join(text.partition("\n\n")[0].split()).replace("|", "\\|")
+    return " ".join(source(path).docstring.partition("\n\n")[0].split()).replace("|", "\\|")
 
 
 if __name__ == "__main__":

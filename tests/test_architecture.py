@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import functools
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,8 +14,8 @@ import yaml
 from rtc.model.cells.cell import Cell
 from rtc.protocol.subsystems import DEFAULTS
 from tests import modules_page
+from tests.source_files import ROOT, place, source
 
-ROOT = Path(__file__).parents[1]
 PACKAGES = ("rtc", "broker", "workers", "sim_mcm", "deploy")
 #: package -> those of ours it may import; the last entry that fits counts
 ARROWS = {
@@ -79,20 +78,6 @@ def sources(*folders: str) -> list[Path]:
     return sorted(p for folder in folders for p in (ROOT / folder).rglob("*.py") if "__pycache__" not in p.parts)
 
 
-def place(path: Path) -> str:
-    return path.relative_to(ROOT).as_posix()
-
-
-def imports(path: Path) -> Iterator[tuple[int, str]]:
-    """(line, dotted name) of everything a file imports, also inside functions."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            yield from ((node.lineno, alias.name) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{place(path)}:{node.lineno}: imports are absolute"
-            yield node.lineno, node.module or ""
-
-
 ALL = sources(*PACKAGES)
 
 
@@ -100,49 +85,61 @@ def test_there_is_something_to_look_at() -> None:
     assert {place(path).split("/")[0] for path in ALL} == set(PACKAGES)
 
 
-@pytest.mark.parametrize("path", ALL, ids=place)
-def test_imports_go_one_way(path: Path) -> None:
-    package = next(name for name in reversed(ARROWS) if place(path).startswith(f"{name}/"))
+def test_imports_go_one_way() -> None:
     wrong = [
         f"{place(path)}:{line} imports {name}"
-        for line, name in imports(path)
-        if (top := name.split(".")[0]) in ARROWS and top not in ARROWS[package]
+        for path in ALL
+        for line, name in source(path).imports
+        if (top := name.split(".")[0]) in ARROWS and top not in may_import(place(path))
     ]
-    assert not wrong
+    assert wrong == []
 
 
-@pytest.mark.parametrize("path", ALL, ids=place)
-def test_an_outside_library_stays_in_its_place(path: Path) -> None:
+def may_import(where: str) -> set[str]:
+    return next(ARROWS[name] for name in reversed(ARROWS) if where.startswith(f"{name}/"))
+
+
+def test_an_outside_library_stays_in_its_place() -> None:
     wrong = [
         f"{place(path)}:{line} imports {name}"
-        for line, name in imports(path)
+        for path in ALL
+        for line, name in source(path).imports
         if (homes := ONLY_IN.get(name.split(".")[0])) and not place(path).startswith(homes)
     ]
-    assert not wrong
+    assert wrong == []
 
 
-@pytest.mark.parametrize("path", [p for p in ALL if place(p).startswith(PURE)], ids=place)
-def test_a_pure_module_reaches_no_clock_no_socket_and_no_chance(path: Path) -> None:
+def test_a_pure_module_reaches_no_clock_no_socket_and_no_chance() -> None:
     """Checked through everything of ours that it imports, so that no detour leads to a clock."""
     wrong = [
         f"{place(path)} reaches {name} by {' -> '.join(way)}"
+        for path in ALL
+        if place(path).startswith(PURE)
         for way, names in reached(path)
         for name in sorted(names & IMPURE)
     ]
-    assert not wrong
+    assert wrong == []
 
 
 def reached(path: Path) -> Iterator[tuple[list[str], set[str]]]:
     """(the way of imports to a module of ours, the outside modules that this imports) for all that `path` loads."""
-    modules = {module(other): other for other in ALL}
+    modules = loaded()
     open_ways, seen = [[module(path)]], {module(path)}
     while open_ways:
         way = open_ways.pop()
-        names = set(imports_at_top(modules[way[-1]]))
-        yield way, {name.split(".")[0] for name in names if name not in modules}
-        for name in sorted(names & modules.keys() - seen):
+        ours, others = modules[way[-1]]
+        yield way, others
+        for name in ours - seen:
             seen.add(name)
             open_ways.append([*way, name])
+
+
+@functools.cache
+def loaded() -> dict[str, tuple[set[str], set[str]]]:
+    """Module -> what it imports when it is loaded: modules of ours, and outside packages."""
+    names = {module(path) for path in ALL}
+    tops = {module(path): source(path).at_top for path in ALL}
+    return {name: (set(top & names), {one.split(".")[0] for one in top - names}) for name, top in tops.items()}
 
 
 @pytest.mark.parametrize("package", ROOMS)
@@ -202,18 +199,7 @@ def room(name: str) -> str:
 def import_graph() -> dict[str, set[str]]:
     """Module -> those of ours that it imports: at the top, inside functions, under TYPE_CHECKING, and by name."""
     modules = {module(path) for path in ALL}
-    graph = {}
-    for path in ALL:
-        nodes = list(ast.walk(ast.parse(path.read_text())))
-        graph[module(path)] = {*modules_imported(nodes), *named_modules(nodes)} & modules - {module(path)}
-    return graph
-
-
-def named_modules(nodes: Iterable[ast.AST]) -> Iterator[str]:
-    """Arguments of `import_module` and `lazy` imports that are plain texts."""
-    for node in nodes:
-        if isinstance(node, ast.Call) and "import" in ast.unparse(node.func):
-            yield from (one.value for one in node.args if isinstance(one, ast.Constant) and isinstance(one.value, str))
+    return {module(path): set(source(path).modules & modules - {module(path)}) for path in ALL}
 
 
 def test_imports_make_no_cycle() -> None:
@@ -248,32 +234,10 @@ def module(path: Path) -> str:
     return place(path).removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
-def imports_at_top(path: Path) -> Iterator[str]:
-    """Modules that are imported when the file is loaded."""
-    return modules_imported(ast.parse(path.read_text()).body)
-
-
-def modules_imported(nodes: Iterable[ast.AST]) -> Iterator[str]:
-    """Modules that these nodes import, with `from package import module` counted as the module."""
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            for alias in node.names:
-                inner = ROOT / Path(*node.module.split("."), alias.name)
-                is_module = inner.with_suffix(".py").exists() or (inner / "__init__.py").exists()
-                yield f"{node.module}.{alias.name}" if is_module else node.module
-
-
-@pytest.mark.parametrize("path", [p for p in ALL if place(p).startswith(SKILLESS)], ids=place)
-def test_code_names_no_skill(path: Path) -> None:
+def test_code_names_no_skill() -> None:
     """Skills, objects and verbs of motion are data: a new one is a file, not a change here."""
-    found = {
-        node.value
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value in skill_names()
-    }
-    assert not found
+    found = {place(path): source(path).texts & skill_names() for path in ALL if place(path).startswith(SKILLESS)}
+    assert [row for row in found.items() if row[1]] == []
 
 
 @functools.cache
@@ -311,11 +275,9 @@ def test_every_module_states_its_purpose() -> None:
     assert [place(path) for path in ALL if not modules_page.first_paragraph(path)] == []
 
 
-@pytest.mark.parametrize("path", ALL, ids=place)
-def test_no_code_names_a_subsystem_or_an_arm(path: Path) -> None:
+def test_no_code_names_a_subsystem_or_an_arm() -> None:
     """The cell names its arms and subsystems; those of every cell stand in `rtc/protocol/subsystems.json`. Demos show
     one cell."""
     names = {one.name for one in DEFAULTS} | {arm.name for arm in Cell.load("swapout").arms}
-    nodes = list(ast.walk(ast.parse(path.read_text())))
-    found = {node.value for node in nodes if isinstance(node, ast.Constant) and node.value in names}
-    assert not found or path.is_relative_to(ROOT / "rtc/apps/demos")
+    found = {place(path): source(path).texts & names for path in ALL}
+    assert [row for row in found.items() if row[1] and not row[0].startswith("rtc/apps/demos/")] == []

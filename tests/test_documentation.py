@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -73,22 +74,23 @@ def test_the_architecture_names_functions_of_their_files():
     assert wrong == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_a_page_names_files_that_exist(page):
-    named = re.findall(r"`((?:rtc|broker|workers|sim_mcm|deploy|tests|benchmarks|docs)/[\w./-]*)`", page.read_text())
-    assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
+def test_a_page_names_files_that_exist():
+    path = re.compile(r"`((?:rtc|broker|workers|sim_mcm|deploy|tests|benchmarks|docs)/[\w./-]*)`")
+    named = {(page.name, name) for page in PAGES for name in path.findall(page.read_text())}
+    assert [row for row in named if "NAME" not in row[1] and not (ROOT / row[1]).exists()] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_lines_of_a_page_are_short(page):
+def test_lines_of_a_page_are_short():
     """Long lines make a diff unreadable. Tables, code blocks and links cannot be broken."""
+    assert [f"{page.name}:{number}" for page in PAGES for number in long_lines(page)] == []
+
+
+def long_lines(page: Path) -> Iterator[int]:
     code = False
-    long = []
     for number, line in enumerate(page.read_text().splitlines(), 1):
         code ^= line.startswith("```")
         if len(line) > 120 and not code and not line.startswith(("|", "[", "!")):
-            long.append(number)
-    assert long == []
+            yield number
 
 
 def shown_commands() -> list[tuple[str, ...]]:

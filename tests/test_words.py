@@ -7,14 +7,15 @@ In Python files everything is searched, in Markdown the text, in YAML the commen
 
 from __future__ import annotations
 
-import ast
+import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.source_files import ROOT, place, source
+
 FOLDERS = ("rtc", "broker", "workers", "sim_mcm", "deploy", "tests", "benchmarks", "docs")
 FIRST_SENTENCE = 25  # words, maximum
 
@@ -93,14 +94,11 @@ NO_LETTERS = re.compile(r"[^a-z]+")
 PERHAPS = re.compile("|".join(NO_LETTERS.sub("", word) for word in RETIRED))  # in a line without other characters
 
 
+@functools.cache
 def files(*endings: str) -> list[Path]:
     found = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in endings]
     found += [path for path in ROOT.glob("*") if path.suffix in endings]
     return sorted(path for path in found if "__pycache__" not in path.parts and "results" not in path.parts)
-
-
-def place(path: Path) -> str:
-    return path.relative_to(ROOT).as_posix()
 
 
 def lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -123,24 +121,31 @@ def allowed(word: str, where: str, line: str) -> bool:
     return any(word == w and where.startswith(p) and text in line for w, p, text in ALLOWED)
 
 
-@pytest.mark.parametrize("path", files(".py", ".md", ".yaml", ".yml"), ids=place)
-def test_no_retired_word_is_used(path: Path) -> None:
-    if path == Path(__file__):
-        return  # it lists them
-    found = [
-        f"{place(path)}:{number}: {word!r}, use: {RETIRED[word]}"
+@functools.cache
+def uses() -> list[tuple[str, int, str, str]]:
+    """(file, line number, line, retired word), but for this file, which lists them."""
+    return [
+        (place(path), number, line, word)
+        for path in files(".py", ".md", ".yaml", ".yml")
+        if path != Path(__file__)
         for number, line in lines(path)
         for word in retired_in(line)
-        if not allowed(word, place(path), line)
+    ]
+
+
+def test_no_retired_word_is_used() -> None:
+    found = [
+        f"{where}:{number}: {word!r}, use: {RETIRED[word]}"
+        for where, number, line, word in uses()
+        if not allowed(word, where, line)
     ]
     assert not found, "\n".join(found)
 
 
-@pytest.mark.parametrize("path", files(".py"), ids=place)
-def test_no_retired_name_of_a_module_or_type_is_used(path: Path) -> None:
-    assert path.stem.removeprefix("test_") not in RETIRED_MODULES
-    types = {node.name for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ClassDef)}
-    assert not types & RETIRED_TYPES.keys()
+def test_no_retired_name_of_a_module_or_type_is_used() -> None:
+    assert [place(path) for path in files(".py") if path.stem.removeprefix("test_") in RETIRED_MODULES] == []
+    types = {place(path): source(path).classes & RETIRED_TYPES.keys() for path in files(".py")}
+    assert [row for row in types.items() if row[1]] == []
 
 
 @pytest.mark.parametrize(
@@ -162,20 +167,17 @@ def test_every_allowed_use_is_still_there() -> None:
     """An entry that allows nothing any more is removed."""
     used = {
         entry
-        for path in files(".py", ".md", ".yaml", ".yml")
+        for where, _, line, word in uses()
         for entry in ALLOWED
-        if place(path).startswith(entry[1])
-        if any(entry[2] in line and entry[0] in retired_in(line) for _, line in lines(path))
+        if entry[0] == word and where.startswith(entry[1]) and entry[2] in line
     }
     assert not set(ALLOWED) - used
 
 
-@pytest.mark.parametrize("path", files(".py"), ids=place)
-def test_a_module_says_in_one_short_sentence_what_it_is(path: Path) -> None:
-    docstring = ast.get_docstring(ast.parse(path.read_text()))
-    assert docstring, f"{place(path)} has no docstring at its top"
-    first = first_sentence(docstring)
-    assert len(first.split()) <= FIRST_SENTENCE, f"{place(path)}: {first}"
+def test_a_module_says_in_one_short_sentence_what_it_is() -> None:
+    first = {place(path): first_sentence(source(path).docstring) for path in files(".py")}
+    assert [where for where, sentence in first.items() if not sentence] == [], "no docstring at the top"
+    assert [row for row in first.items() if len(row[1].split()) > FIRST_SENTENCE] == []
 
 
 def first_sentence(docstring: str) -> str:

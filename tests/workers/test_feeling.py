@@ -11,8 +11,7 @@ from rtc.protocol.messages import EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.world.spread import even
-
-from .conftest import Bench, Kinematic
+from tests.workers.conftest import Bench, Kinematic
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 TURNED = math.radians(4.0)

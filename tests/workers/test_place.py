@@ -13,13 +13,12 @@ from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import ForceAbove, TorqueAbove
 from rtc.spatial import geometry
 from rtc.world.spread import even
+from tests.workers.conftest import CELL, MODEL
 from workers.planning import scenes
 from workers.planning.motion.request import free_posture
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
-
-from .conftest import CELL, MODEL
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 LIFT = "LIFT MACS-NEW BY 15 CM"
