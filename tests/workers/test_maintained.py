@@ -21,6 +21,7 @@ from rtc.protocol.primitive import (
     ForceAbove,
     GripForceAbove,
     HandMotion,
+    JointTrajectory,
     TcpInside,
     TcpOutside,
     TcpSpeedAbove,
@@ -146,6 +147,32 @@ def test_grip_force_is_commanded_and_watched(bench, words, grip_n) -> None:
     opens = bench.elaborate("RELEASE MACS-NEW").steps[0]  # it may have been held more strongly before this command
     let_go = bench.bind(bench.elaborate(f"LIFT MACS-NEW BY 10 CM MAINTAIN GRIP-FORCE{words}"), opens).primitive
     assert conditions(let_go, GripForceAbove) == []
+
+
+@pytest.mark.parametrize(("off_deg", "watched_deg"), [(2.0, 6.0), (7.0, 8.1), (12.0, None)])
+def test_a_hand_that_begins_off_its_attitude_comes_no_farther_off(bench, off_deg, watched_deg) -> None:
+    place, level = bench.model.cell.place("BAY-2-FRONT").poses[ARM].pose, bench.model.cell.attitudes["LEVEL"].pose
+    turn = geometry.from_rpy((0.0, 0.0, 0.0), (math.radians(off_deg), 0.0, 0.0))
+    pose = geometry.make_pose(place[:3], geometry.compose(level, turn)[3:])
+    bench.set_fact(f"{ARM}.joints", bench.model.arms[ARM].ik(pose, [0.0] * 6, 0.06)[0].tolist())
+    sentence = f"MOVE {ARM} BY -5 CM ALONG TOOL-Z MAINTAIN POSE-DURING-MOTION LEVEL"
+    if watched_deg is None:
+        assert bench.elaborate(sentence).detail["cause"] == "attitude"
+        return
+    made = bound(bench, sentence)
+    assert conditions(made, TcpTurned)[0].limit_rad == pytest.approx(math.radians(watched_deg), abs=0.002)
+    off = [geometry.angle(pose, level) for pose in poses(bench, made)]
+    assert max(off) == pytest.approx(math.radians(off_deg), abs=0.001)
+
+
+def test_only_the_first_hand_keeps_an_attitude(bench) -> None:
+    assert bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").succeeded
+    assert bench.do("EXTRACT MACS-NEW FROM RACK-1").succeeded
+    run = bench.do("CARRY MACS-NEW TO BAY-2-FRONT WITH BOTH-ARMS MAINTAIN POSE-DURING-MOTION LEVEL")
+    assert run.succeeded, run.refusal
+    moves = [made for made in run.primitives if isinstance(made.trajectory, JointTrajectory)]
+    kept = {made.performer: bool(conditions(made, TcpTurned)) for made in moves}
+    assert kept == {ARM: True, "LEFT-ARM": False}
 
 
 def test_a_hand_that_holds_something_has_the_asked_force_before_its_arm_moves() -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import msgspec
+
 from rtc.language.alike import unknown
 from rtc.programs.schema import BinderProgram, StopClass
-from rtc.protocol.messages import BinderInput
+from rtc.protocol.messages import BinderInput, Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.conditions import stop_conditions
 from workers.conditions.stop_conditions import Values
@@ -26,6 +28,12 @@ class BindTask:
     def arm(self) -> str:
         """The arm that performs the step: that of the command, or another one whose joints it reads first."""
         return self.data.step.arm or self.data.context.arm
+
+    @property
+    def limits(self) -> Limits:
+        """The limits of the command for this arm: only its first hand keeps an attitude."""
+        limits = self.data.context.limits
+        return limits if self.arm == self.data.context.arm else msgspec.structs.replace(limits, attitude=None)
 
     @property
     def held(self) -> str:

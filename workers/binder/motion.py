@@ -78,7 +78,7 @@ def planning_request(task: RuledTask, speed_m_s: float, space: str) -> PlanningR
     scene = scenes.scene_of(
         query,
         task.arm,
-        context.limits,
+        task.limits,
         touching=context.object if stop_class.touches and task.held != context.object else "",
         seated=stop_class.seated,
         ignore_suspect=stop_class.away,
@@ -87,7 +87,7 @@ def planning_request(task: RuledTask, speed_m_s: float, space: str) -> PlanningR
     )
     pace = SpeedLimits(speed_m_s, values["laden_acceleration_m_s2" if task.held else "acceleration_m_s2"])
     request = scenes.planning_request(
-        query, task.arm, scene, context.limits, pace, math.radians(values["joint_margin_deg"])
+        query, task.arm, scene, task.limits, pace, math.radians(values["joint_margin_deg"])
     )
     both = task.data.step.space == segments.BOTH and context.partner
     return replace(request, partner=query.model.arms[context.partner]) if both else request

@@ -44,6 +44,7 @@ from rtc.protocol.primitive import (
     Vector,
 )
 from workers.conditions import reflexes
+from workers.planning.motion.constraints import ATTITUDE_RAD, attitude_tolerance_rad
 from workers.planning.world_query import WorldQuery
 
 Values = dict[str, float]
@@ -140,9 +141,11 @@ def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[Sto
         region = cell.region(name)
         size_m = [max(side - 2.0 * margin_m, 0.5 * side) for side in region.size_m]  # a thin region is watched too
         made.append((StopReason.OUT_OF_RANGE, TcpInside(centre=region.frame.pose.tolist(), size_m=size_m)))
-    if limits.attitude:
-        attitude = cell.attitudes[limits.attitude].pose[3:].tolist()
-        made.append((StopReason.OUT_OF_RANGE, TcpTurned(attitude=attitude, limit_rad=values["turned_rad"])))
+    if limits.attitude and data.step.arm in ("", data.context.arm):  # only the first hand keeps it
+        frame = cell.attitudes[limits.attitude]
+        more_rad = attitude_tolerance_rad(query.tcp(data.context.arm), frame) - ATTITUDE_RAD
+        turned = TcpTurned(attitude=frame.pose[3:].tolist(), limit_rad=values["turned_rad"] + more_rad)
+        made.append((StopReason.OUT_OF_RANGE, turned))
     if limits.clearance_m:
         least_m = max(limits.clearance_m - margin_m, 0.5 * limits.clearance_m)
         made.append((StopReason.OUT_OF_RANGE, ClearanceBelow(limit_m=least_m, except_near=_beside(data, query))))

@@ -13,7 +13,7 @@ import msgspec
 from rtc.language.hands import hand_in_words
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.outcomes import Refused
-from rtc.protocol.sentence import BOTH_ARMS, OPERATOR, SHARED, ParsedCommand, Quantity
+from rtc.protocol.sentence import OPERATOR, SHARED, ParsedCommand, Quantity
 from rtc.protocol.units import in_words
 from workers.elaborator import command_fields
 from workers.elaborator.script_options import fits_sentence
@@ -27,11 +27,9 @@ def by_operator(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], c
     """The same task VIA OPERATOR-INTERVENTION. For a task with an object for which he has no script, the sentence that
     gives him the arm.
 
-    Empty if he has it already, and for two hands with one object: one of them does not move alone."""
+    Empty if he has it already, and while two hands hold one object: one of them does not move alone."""
     parsed, arm = candidate.parsed, candidate.hand
-    if arm is None or parsed.performer == OPERATOR or _shares(parsed):
-        return ""
-    if parsed.hand == BOTH_ARMS or candidate.query.sharers(arm.name):
+    if arm is None or parsed.performer == OPERATOR or _shares(parsed) or candidate.query.sharers(arm.name):
         return ""
     return _same_task(program, scripts, candidate) or _the_arm(program, candidate, arm.name)
 

@@ -56,7 +56,8 @@ class TaskCandidate:
         figures = figures_of(
             self.program, self.parsed, self.query, self.partner, self.thing, self.point, self.target, self.hand
         )
-        return replace(self, hand=self.partner, partner=self.hand, figures=figures)
+        limits = msgspec.structs.replace(self.limits, attitude=None)  # only the first hand keeps it
+        return replace(self, hand=self.partner, partner=self.hand, figures=figures, limits=limits)
 
     @property
     def body(self) -> str:

@@ -39,7 +39,8 @@ def advise_on_collision(
     leaves = str(refusal.detail.get(LEAVING, ""))  # first: other arms are passed by ways that are not sought before
     seated = bool(seat) and held in bodies
     hinged = _hinged(refusal, query, arm, body)
-    if not (seated or other or hinged or leaves) and (unsure := _unsure(refusal, query, bodies, limits)):
+    unsure = "" if seated or other or leaves else _unsure(refusal, query, bodies, limits)
+    if unsure and (not hinged or query.cameras(unsure.rpartition(".")[0])):
         return msgspec.structs.replace(refusal, clears=trust.narrows(query, unsure, clears))
     if leaves and held in bodies and not seated and query.cameras(held):  # it creeps in the hand
         return msgspec.structs.replace(refusal, clears=trust.narrows(query, f"{held}.grasp", clears))
@@ -79,7 +80,7 @@ def _unsure(refusal: Refusal, query: WorldQuery, bodies: list[str], limits: Limi
     if float(refusal.detail.get("distance_m", 0.0)) < clearance_m:
         return ""
     keys = [key for body in bodies if (key := trust.unsure_key(query, body))]
-    return max(keys, key=lambda key: math.hypot(*query.spread(key)[:3]), default="")
+    return max(keys, key=lambda key: trust.off_m(query, key.rpartition(".")[0], query.spread(key)), default="")
 
 
 def _kept_out(refusal: Refusal, body: str, limits: Limits) -> str:

@@ -9,7 +9,7 @@ from rtc.protocol.messages import Limits
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning import trust
-from workers.planning.motion.constraints import PathConstraints
+from workers.planning.motion.constraints import ATTITUDE_RAD, PathConstraints, attitude_tolerance_rad
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
@@ -118,6 +118,7 @@ def hand_contacts(query: WorldQuery, arm: str, thing: str) -> list[tuple[str, st
 def planning_request(
     query: WorldQuery, arm: str, scene: Scene, limits: Limits, pace: SpeedLimits, margin_rad: float
 ) -> PlanningRequest:
+    attitude = query.cell.attitudes[limits.attitude] if limits.attitude else None
     return PlanningRequest(
         arm=query.model.arms[arm],
         world=query.model.collision,
@@ -125,8 +126,9 @@ def planning_request(
         scene=scene,
         path_constraints=PathConstraints(
             work_range=query.cell.region(limits.work_range) if limits.work_range else None,
-            attitude=query.cell.attitudes[limits.attitude] if limits.attitude else None,
+            attitude=attitude,
             attitude_name=limits.attitude or "",
+            attitude_tolerance_rad=attitude_tolerance_rad(query.tcp(arm), attitude) if attitude else ATTITUDE_RAD,
         ),
         pace=pace,
         margin_rad=margin_rad,

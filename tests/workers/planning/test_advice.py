@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 
+import msgspec
 import pytest
 
 from rtc.model.cells.cell import Cell
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, ElaboratorProgram
-from rtc.protocol.messages import EndReport
+from rtc.protocol.messages import EndReport, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason
 from rtc.spatial import geometry
 from tests.workers.conftest import Bench, Reporter
@@ -81,6 +82,24 @@ def test_the_advised_distance_from_neighbours_is_one_for_which_there_is_room(ben
         assert len(given) <= 4, given
     assert len(given) > 1
     assert float(given[-1].split()[0]) > 5.0
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "seen", "first"), [(0.022, True, "LOCATE"), (0.022, False, "GRASP"), (0.002, True, "GRASP")]
+)
+def test_a_door_that_lacks_room_only_for_its_angle_is_looked_at_if_a_camera_sees_it(distance_m, seen, first):
+    cell = Cell.load("servicing")
+    cell = cell if seen else msgspec.structs.replace(cell, cameras=[])
+    bench = Bench(Reporter(cell), CellModel(cell))
+    door = WorldQuery(bench.model, bench.world).frame("DOOR-2").tolist()
+    bench.world = bench.world.overlay([WorldChange(key="DOOR-2.frame", value=door, spread=[0.0] * 5 + [0.03])])
+    detail = {"cause": "collision", "body_a": "RIGHT-ARM palm", "body_b": "DOOR-2 panel", "distance_m": distance_m}
+    blocked = Refusal(reason=RefusalReason.INFEASIBLE, message="too near", detail=detail)
+    clears = decode(bench.programs["binder"], BinderProgram).clears
+
+    advised = advise_on_collision(blocked, WorldQuery(bench.model, bench.world), "RIGHT-ARM", clears)
+
+    assert advised.clears.startswith(f"{first} DOOR-2")
 
 
 def test_a_segment_that_is_blocked_whatever_way_leads_to_it_is_the_reason(bench, monkeypatch):

@@ -12,7 +12,17 @@ from rtc.model.cells import parts
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
-from rtc.spatial.geometry import Array
+from rtc.spatial.geometry import Array, Floats
+
+ATTITUDE_RAD = math.radians(5.0)  # within which a hand keeps its attitude
+BEGINS_RAD = 2.0 * ATTITUDE_RAD  # a hand that begins farther off, but within this, comes no farther off
+SLACK_RAD = 0.002
+
+
+def attitude_tolerance_rad(start: Floats, attitude: parts.Frame) -> float:
+    """How far off an attitude a hand may be on its way from the pose `start` (world)."""
+    off_rad = geometry.angle(start, attitude.pose)
+    return off_rad + SLACK_RAD if ATTITUDE_RAD < off_rad <= BEGINS_RAD else ATTITUDE_RAD
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +32,7 @@ class PathConstraints:
     work_range: parts.Region | None = None
     attitude: parts.Frame | None = None  # of the tcp, world frame
     attitude_name: str = ""
-    attitude_tolerance_rad: float = math.radians(5.0)
+    attitude_tolerance_rad: float = ATTITUDE_RAD
 
     @property
     def any(self) -> bool:
