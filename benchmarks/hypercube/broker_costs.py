@@ -342,7 +342,9 @@ def growth() -> tuple[float, float]:
         registry = WorkerRegistry()
         for node in range(size):
             registry.register(_name(KINDS[node % 4], node), node, KINDS[node % 4], 1, 0.0)
-        job = DispatchJob(job="C-1/1", attempt=1, kind=KINDS[0], program="", cell="", input=msgspec.Raw(b""))
+        job = DispatchJob(
+            job="C-1/1", attempt=1, kind=KINDS[0], queue=KINDS[0], program="", cell="", input=msgspec.Raw(b"")
+        )
         autoscaler, times = Autoscaler(0, 0), []
         for _ in range(3):
             registry.submit(job, 1.0)

@@ -16,7 +16,7 @@ from broker.decisions.resources import WORLD, Quarantine
 from broker.decisions.state import NOTES_KEPT, SPACES_KEPT, ArmMotion, Command, PendingJob, ScriptHead, State, StepHead
 from rtc.programs.action_stack import NOMINAL, ActionStack
 from rtc.protocol import wire
-from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
+from rtc.protocol.messages import REHEARSER, Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Compared, Measured
 from rtc.protocol.primitive import Box, apart
 
@@ -49,7 +49,7 @@ class DecisionContext:
     def leave_intake(self, command: Command) -> None:
         """Remove a command that was taken up or has ended. Its client's next command is taken up if it is parsed."""
         line = self.state.intake_order[command.client]
-        was_next = self.is_next(command)
+        was_next = next(iter(line)) == command.id
         del line[command.id]
         if not line:
             del self.state.intake_order[command.client]
@@ -241,12 +241,12 @@ class DecisionContext:
                 job=job.id,
                 attempt=job.attempt,
                 kind=job.kind,
+                queue=REHEARSER if job.rehearses else job.kind,
                 program=job.program,
                 cell=self.state.programs.get("cell", ""),
                 input=job.input,
                 locations=job.locations,
                 client=client,
-                rehearses=job.rehearses,
                 programs=programs,
                 doubt=job.doubt,
             )

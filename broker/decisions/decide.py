@@ -216,7 +216,7 @@ def _pending(context: DecisionContext, event: JobFinished | JobDeclined | JobLos
         return None
     command = context.state.commands.get(event.job.partition("/")[0])
     pending = command.job if command is not None else None
-    if command is None or pending is None or (pending.id, pending.attempt) != (event.job, event.attempt):
+    if command is None or pending is None or pending.id != event.job or pending.attempt != event.attempt:
         context.count("stale")
         return None
     context.node, context.took_s = event.node, event.at_s - pending.since_s
@@ -231,7 +231,8 @@ def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
     program_rollout.on_job_done(context, job)
     try:
         stimulate(context, command, Stimulus.PRODUCT, event.product)
-        parsed_before.keep(context.state, command, job, event.product)
+        if job.kind is WorkerKind.PARSER:
+            parsed_before.keep(context.state, job.program, command.text, event.product)
     except WireError as error:
         message = f"the {job.kind.value} returned an invalid product: {error}"
         stimulate(context, command, Stimulus.REFUSAL, Refusal(reason=RefusalReason.PROGRAM, message=message))

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import msgspec
 
 from rtc.protocol.messages import (
-    REHEARSER,
     BrokerToClient,
     CommandEnded,
     CommandRecord,
@@ -32,19 +31,14 @@ class DispatchJob(Effect, frozen=True, kw_only=True, gc=False):
     job: str
     attempt: int
     kind: WorkerKind
+    queue: str  # it waits in: its kind, or REHEARSER with the `programs` of all kinds
     program: str
     cell: str
     input: msgspec.Raw
     locations: list[str] | None = None  # names in the lease that is sent with the job
     client: str = ""  # client of its command: the jobs of all clients are assigned in turn
-    rehearses: bool = False  # for a rehearser, with the `programs` of all kinds
     programs: dict[str, str] = {}
     doubt: str = ""  # why the facts of `locations` become suspect, instead of an analysis
-
-    @property
-    def queue(self) -> str:
-        """The name of the queue that it waits in."""
-        return REHEARSER if self.rehearses else self.kind
 
 
 class LoadPart(Effect, frozen=True, kw_only=True, gc=False):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import msgspec
 
-from broker.decisions.state import Command, PendingJob, State
+from broker.decisions.state import Command, State
 from rtc.protocol.messages import WorkerKind
 
 KEPT = 512  # maximum number of records
@@ -19,11 +19,11 @@ def find(state: State, command: Command) -> msgspec.Raw | None:
     return state.parsed.get(_key(command.programs.get(WorkerKind.PARSER, ""), command.text))
 
 
-def keep(state: State, command: Command, job: PendingJob, product: msgspec.Raw) -> None:
+def keep(state: State, program: str, text: str, product: msgspec.Raw) -> None:
     """Keep what a parser has made. Without the digest of its program it is not known whose record it is."""
-    if job.kind is not WorkerKind.PARSER or not job.program or len(command.text) > CHARACTERS:
+    if not program or len(text) > CHARACTERS:
         return
-    state.parsed[_key(job.program, command.text)] = product.copy()  # the original keeps its whole message alive
+    state.parsed[_key(program, text)] = product.copy()  # the original keeps its whole message alive
     if len(state.parsed) > KEPT:
         del state.parsed[next(iter(state.parsed))]
 

@@ -113,9 +113,7 @@ class Resources(msgspec.Struct, kw_only=True):
                 insort(self.alone.setdefault(name, []), command, key=number)
         return self._grantable(gone)
 
-    def release(
-        self, command: str, in_doubt: Quarantine | None = None, names: frozenset[str] = frozenset()
-    ) -> list[str]:
+    def release(self, command: str, in_doubt: Quarantine | None = None, names: Collection[str] = ()) -> list[str]:
         """Release the claims of an ended command. Returns the commands that can be granted now, in order.
 
         `in_doubt`: the rest of its primitive is not confirmed; its held `names` are quarantined until it is."""

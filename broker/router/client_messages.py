@@ -49,28 +49,26 @@ class ClientMessages:
     # --- sentences ------------------------------------------------------------------------------------
 
     def _take_sentence(self, peer: bytes, message: m.CommandText, now: float) -> None:
-        if known := self._reused_request(peer, message):
+        name = name_of(peer)
+        key = request_key(name, message.request)
+        if known := self._reused_request(key, message):
             words = f"the request {message.request} was another sentence before, {known}; nothing is done"
             self._decline(peer, message, RefusalReason.STATE, words, "give each sentence a request of its own")
             return
-        if self._shutdown.begun and not self._is_known(peer, message):
+        if self._shutdown.begun and key not in self._core.state.requests:
             self._decline(peer, message, RefusalReason.STATE, "the cluster is being stopped", "rtc up")
             return
-        name = name_of(peer)
         if message.halt_if_lost:
             self._health.client_seen_s[name] = now
         if len(message.text) > MAX_TEXT:
             message = msgspec.structs.replace(message, text=message.text[:MAX_TEXT])
         self._core.enqueue(CommandReceived(at_s=now, client=name, sentence=message))
 
-    def _is_known(self, peer: bytes, message: m.CommandText) -> bool:
-        return request_key(name_of(peer), message.request) in self._core.state.requests
-
-    def _reused_request(self, peer: bytes, message: m.CommandText) -> str:
+    def _reused_request(self, key: str, message: m.CommandText) -> str:
         """The command already accepted under this (client, request) if its text differs: a restarted client reused a
         request id. Otherwise empty."""
         state = self._core.state
-        command = state.requests.get(request_key(name_of(peer), message.request))
+        command = state.requests.get(key)
         if command is None:  # the usual case
             return ""
         if (live := state.commands.get(command)) is not None:

@@ -36,6 +36,7 @@ DROP_COUNTERS = ("estop", "bench")  # of the MCM's own sockets
 class SubsystemMessages:
     def __init__(self, core: Core, egress: Egress, halts: Halts, health: Health, shutdown: Shutdown) -> None:
         self._core, self._egress, self._halts, self._health, self._shutdown = core, egress, halts, health, shutdown
+        self._of_cell = {core.given.identity(one.name): one.name for one in core.settings.subsystems}
         self._forwarded = Allowance(reporting.MAX_PER_S)  # periodic reports, to each client
 
     def receive(self, peer: bytes, message: Any, now: float) -> None:
@@ -49,10 +50,9 @@ class SubsystemMessages:
         """The name of the subsystem. Raises WireError for a name that the cell does not have, and for a stranger with
         the name of one of the cluster's own: its identity lacks the token. Its hello is answered with a refusal."""
         name = name_of(peer)
-        bare = name.removesuffix(f"@{self._core.given.token}")
-        of_cell = [one.name for one in self._core.settings.subsystems]
-        if bare in of_cell and name == self._core.given.identity(bare):
-            return bare
+        if own := self._of_cell.get(name):
+            return own
+        bare, of_cell = name.removesuffix(f"@{self._core.given.token}"), self._of_cell.values()
         if bare not in of_cell and isinstance(message, m.HaltOrder):
             return bare  # it only stops
         if isinstance(message, m.SubsystemHello):

@@ -214,7 +214,7 @@ class OneProcess:
 
     def _worked(self, job: do.DispatchJob) -> events.Event:
         at_s = self.now_s + TICKS[job.kind] * TICK_S
-        if job.rehearses:
+        if job.queue == m.REHEARSER:
             data = wire.decoder(rehearse.INPUT)(job.input)
             product: Any = rehearse.run(all_compiled(), self.model, self.world, data)
         elif job.kind is WorkerKind.PARSER:

@@ -70,7 +70,7 @@ def next_step(context: DecisionContext, command: Command, remark: str = "") -> N
         end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, remark))
     elif command.pause_wanted or command.single_step:
         context.enter(command, Phase.PAUSED, "paused between two steps")
-    elif (breakpoint := _breakpoint(command)) in context.state.breakpoints:
+    elif context.state.breakpoints and (breakpoint := _breakpoint(command)) in context.state.breakpoints:
         context.enter(
             command, Phase.PAUSED, f"breakpoint {breakpoint}; `rtc step {command.id}`, or RESUME {command.id}"
         )

@@ -56,6 +56,8 @@ def _not_one(head: ParsedHead, asked: list[Command]) -> Refusal:
 
 def on_reported(context: DecisionContext, report: EndReport) -> None:
     """Settle the answers to a primitive that has ended."""
+    if not context.state.answers:  # the usual case
+        return
     answered = report.reason in OF_OPERATOR
     words = f"{report.primitive} ended: {report.reason.value}{f', {report.message}' if report.message else ''}"
     settle_answers(context, report.primitive, "" if answered else f"{words}, before the answer", words)

@@ -60,7 +60,7 @@ def end(
     words = f"{kind}: {ending.message}" if ending.message else f"{kind}"
     context.enter(command, Phase.ENDED, words, compared=compared)
     in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
-    granted = state.resources.release(command.id, in_doubt, frozenset(command.performers))
+    granted = state.resources.release(command.id, in_doubt, command.performers)
     context.leave_space_line(command)
     context.check_space_lines()
     if command.operated:

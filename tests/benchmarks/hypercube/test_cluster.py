@@ -210,7 +210,14 @@ def test_jobs_go_to_the_same_workers_as_with_the_brokers_own_registry():
             number += 1
             name = f"C-{number}/1"
             job = DispatchJob(
-                job=name, attempt=1, kind=KINDS[kind], program="", cell="", input=msgspec.Raw(b""), client="one"
+                job=name,
+                attempt=1,
+                kind=KINDS[kind],
+                queue=KINDS[kind],
+                program="",
+                cell="",
+                input=msgspec.Raw(b""),
+                client="one",
             )
             real.submit(job, 0.0)
             model.queues[kind].append(name)

@@ -14,7 +14,9 @@ BINDER, PARSER = WorkerKind.BINDER, WorkerKind.PARSER
 
 
 def job(n):
-    return DispatchJob(job=f"C-{n}/1", attempt=1, kind=BINDER, program="", cell="", input=msgspec.Raw(b"\xc0"))
+    return DispatchJob(
+        job=f"C-{n}/1", attempt=1, kind=BINDER, queue=BINDER, program="", cell="", input=msgspec.Raw(b"\xc0")
+    )
 
 
 def row(name, state):

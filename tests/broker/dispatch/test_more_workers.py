@@ -27,7 +27,7 @@ class Cluster:
             self.registry.register(f"binder@{n}", n, BINDER, 1, 0.0)
         for n in range(waiting + own + far):
             body = msgspec.Raw(b"\xc0")
-            job = DispatchJob(job=f"C-{n}/1", attempt=1, kind=BINDER, program="", cell="", input=body)
+            job = DispatchJob(job=f"C-{n}/1", attempt=1, kind=BINDER, queue=BINDER, program="", cell="", input=body)
             self.registry.submit(job, 0.0)
         list(self.registry.assign(0.0))
 

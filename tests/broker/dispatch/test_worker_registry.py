@@ -21,7 +21,9 @@ BINDER = WorkerKind.BINDER
 
 def job(n: int, kind: WorkerKind = BINDER, attempt: int = 1, client: str = "") -> DispatchJob:
     data = msgspec.Raw(b"\xc0")
-    return DispatchJob(job=f"C-{n}/1", attempt=attempt, kind=kind, program="", cell="", input=data, client=client)
+    return DispatchJob(
+        job=f"C-{n}/1", attempt=attempt, kind=kind, queue=kind, program="", cell="", input=data, client=client
+    )
 
 
 def registry(*names: str, mean_s: float = 0.1) -> WorkerRegistry:

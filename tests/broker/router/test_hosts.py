@@ -68,7 +68,7 @@ def test_the_round_trip_has_its_age_and_is_the_shortest_of_the_host(registry: Wo
 
 
 def job(name: str) -> DispatchJob:
-    return DispatchJob(job=name, attempt=1, kind=BINDER, program="", cell="", input=msgspec.Raw(b"\xc0"))
+    return DispatchJob(job=name, attempt=1, kind=BINDER, queue=BINDER, program="", cell="", input=msgspec.Raw(b"\xc0"))
 
 
 def test_a_silent_host_is_shown_with_its_limit_unless_its_worker_is_busy(registry: WorkerRegistry) -> None:
