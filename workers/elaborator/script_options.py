@@ -77,9 +77,10 @@ def _holds_for(check: BranchCondition, parsed: ParsedCommand) -> bool:
         return False
     if check.missing and command_fields.field(parsed, check.missing) is not None:
         return False
-    if any(command_fields.field(parsed, path) != value for path, value in check.equals.items()):
-        return False
-    return not any(command_fields.field(parsed, path) == value for path, value in check.differs.items())
+    for path, value in check.equals.items():
+        if command_fields.field(parsed, path) != value:
+            return False
+    return not check.differs or all(command_fields.field(parsed, p) != v for p, v in check.differs.items())
 
 
 def holds(check: BranchCondition, candidate: TaskCandidate) -> bool:

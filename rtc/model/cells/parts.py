@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from functools import lru_cache
 from typing import Annotated, Literal, TypeVar
 
 import msgspec
@@ -42,7 +43,15 @@ class Frame(CellPart, frozen=True, kw_only=True):
 
     @property
     def pose(self) -> geometry.Array:
-        return geometry.from_rpy(self.xyz, [math.radians(n) for n in self.rpy_deg])
+        """Read-only."""
+        return _pose(self.xyz, self.rpy_deg)
+
+
+@lru_cache(maxsize=1024)
+def _pose(xyz: Vec3, rpy_deg: Vec3) -> geometry.Array:
+    pose = geometry.from_rpy(xyz, [math.radians(n) for n in rpy_deg])
+    pose.setflags(write=False)
+    return pose
 
 
 # --- shapes --------------------------------------------------------------------------------------------

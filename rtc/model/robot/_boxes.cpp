@@ -1,5 +1,5 @@
 // What is compiled of the collision checks and of the search (decisions 0069, 0093), which `boxes.py` prepares, and
-// of the kinematics.
+// of the kinematics and the pace.
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -7,11 +7,13 @@
 
 #include "_boxes.hpp"
 #include "_kinematics.hpp"
+#include "_pace.hpp"
 #include "_puma.hpp"
 #include "_trees.hpp"
 
 PYBIND11_MODULE(_boxes, module) {
-    module.attr("VERSION") = 2;  // `KERNEL` of __init__.py: another one when a function here changes its arguments
+    module.attr("VERSION") = 3;  // `KERNEL` of __init__.py: another one when a function is added or changes its arguments
+    module.def("squared_pace", &squared_pace);
     py::class_<Arm>(module, "Arm").def(py::init<Ints, Ints, Doubles, Doubles, Doubles>()).def("turned_to", &Arm::turned_to);
     py::class_<Puma>(module, "Puma")
         .def(py::init<Doubles, Doubles, Doubles, Doubles>())

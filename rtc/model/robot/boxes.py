@@ -24,6 +24,9 @@ if compiled():
 else:
     _boxes = None  # type: ignore[assignment]
 
+#: both passes of a curve's timing, compiled; None: `workers.planning.motion.pace` makes them
+squared_pace = None if _boxes is None else _boxes.squared_pace
+
 KINDS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteU", "JointModelP")  # one value each
 STEP_M = 0.03  # greatest displacement of a piece between two configurations of which its space is made
 STRAIGHT: Array = np.empty((0, 0))  # a way along the lines between its rows

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rtc.model.robot import boxes
 from rtc.spatial.geometry import Array
 
 NONE = 1e-9  # share of the other coefficient below which a limit does not depend on an unknown
@@ -27,16 +28,22 @@ def fastest(grid: Array, slope: Array, bend: Array, most: Array, acceleration: A
     [grid]. `acceleration`: of the joints (rad/s^2).
     """
     alpha, beta = _limits(grid, slope, bend, acceleration)
-    peaks, squares = _peaks(alpha, beta).tolist(), (most * most).tolist()
+    found = _two_passes if boxes.squared_pace is None else boxes.squared_pace
+    return np.sqrt(found(alpha, beta, _peaks(alpha, beta), most * most, NONE))
+
+
+def _two_passes(alpha: Array, beta: Array, of_peaks: Array, of_squares: Array, none: float) -> list[float]:
+    """The squared pace at each point of the grid. `of_squares`: the greatest one there by the other limits."""
+    peaks, squares = of_peaks.tolist(), of_squares.tolist()
     reaches = [0.0]  # from the last point to the first
-    for n, lines in zip(range(len(peaks) - 1, -1, -1), reversed(_lines(alpha, beta)), strict=True):
+    for n, lines in zip(range(len(peaks) - 1, -1, -1), reversed(_lines(alpha, beta, none)), strict=True):
         y = min(reaches[-1], peaks[n])
         reaches.append(min(squares[n], min([most + rise * y for most, rise in lines])))
     found = [0.0]
-    for reach, lines in zip(reaches[-2::-1], _lines(beta, alpha), strict=True):
+    for reach, lines in zip(reaches[-2::-1], _lines(beta, alpha, none), strict=True):
         x = found[-1]
         found.append(max(0.0, min(reach, min([most + rise * x for most, rise in lines]))))
-    return np.sqrt(found)
+    return found
 
 
 def _limits(grid: Array, slope: Array, bend: Array, acceleration: Array) -> tuple[Array, Array]:
@@ -47,9 +54,9 @@ def _limits(grid: Array, slope: Array, bend: Array, acceleration: Array) -> tupl
     return np.hstack((bend[:-1] - begin, -end)), np.hstack((begin, bend[1:] + end))
 
 
-def _lines(own: Array, other: Array) -> list[list[tuple[float, float]]]:
+def _lines(own: Array, other: Array, none: float) -> list[list[tuple[float, float]]]:
     """The greatest value of one unknown by the other, as lines (value at 0, rise) of each interval."""
-    free = np.abs(own) <= NONE * np.abs(other)
+    free = np.abs(own) <= none * np.abs(other)
     own = np.where(free, 1.0, own)
     most, rise = np.where(free, np.inf, np.abs(1 / own)), np.where(free, 0.0, -other / own)
     return [list(zip(*pair, strict=True)) for pair in zip(most.tolist(), rise.tolist(), strict=True)]

@@ -68,14 +68,16 @@ class Path:
         Between neighbours each joint, times its weight, moves at most `step_rad`. `weights`: `ArmModel.step_weights`.
         """
         turned = np.abs(self.knots[1:] - self.knots[:-1])
-        counts = (turned * weights).max(axis=1) / step_rad
-        pieces = np.maximum(1, np.ceil(counts)).astype(int)
-        if len(pieces) == 1:
-            s = even(0.0, self.length, int(pieces[0]))
+        counts = ((turned * weights).max(axis=1) / step_rad).tolist()
+        if len(counts) == 1:
+            s = even(0.0, self.length, max(1, math.ceil(counts[0])))
             return s, self.joints_at(s)
-        steps = np.repeat(np.diff(self.s) / pieces, pieces)
-        nth = np.arange(len(steps)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-        s = np.append(nth * steps + np.repeat(self.s[:-1], pieces), self.length)
+        places: list[float] = []  # a list, because numpy takes longer for so few values
+        for (first, last), count in zip(pairwise(self.s.tolist()), counts, strict=True):
+            pieces = max(1, math.ceil(count))
+            step = (last - first) / pieces
+            places += [n * step + first for n in range(pieces)]
+        s = np.array([*places, self.length])
         return s, self.joints_at(s)
 
     def off_chords(self, s: Array) -> Array:

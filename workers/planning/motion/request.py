@@ -89,8 +89,6 @@ def fault(
 def obstacle(request: PlanningRequest, way: Path) -> Refusal | None:
     """Like `fault`, but found sooner: a problem along a path, not always the first; None if the path is free."""
     s, configurations = dense = way.dense(CHECK_RAD, request.arm.step_weights)
-    if _is_proven(request, way, dense):
-        return _fault_of(request, way, CHECK_RAD, dense, proven=True)
     hit = request.world.probe(request.arm.name, configurations, request.joints, request.scene)
     if hit is not None:
         return _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)
@@ -104,14 +102,10 @@ def is_free(request: PlanningRequest, way: Path) -> bool:
 
 def is_soon_free(request: PlanningRequest, way: Path) -> bool:
     """Whether a path is free, and boxes alone prove it: then its ends are free too."""
-    dense = way.dense(CHECK_RAD, request.arm.step_weights)
-    return _is_proven(request, way, dense) and _fault_of(request, way, CHECK_RAD, dense, proven=True) is None
-
-
-def _is_proven(request: PlanningRequest, way: Path, dense: tuple[Array, Array]) -> bool:
-    s, configurations = dense
+    s, configurations = dense = way.dense(CHECK_RAD, request.arm.step_weights)
     arm, joints, scene = request.arm.name, request.joints, request.scene
-    return request.world.proves(arm, configurations, joints, scene, way.off_chords(s))
+    proven = request.world.proves(arm, configurations, joints, scene, way.off_chords(s))
+    return proven and _fault_of(request, way, CHECK_RAD, dense, proven=True) is None
 
 
 def _fault_of(

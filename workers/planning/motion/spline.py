@@ -28,8 +28,10 @@ class Spline:
         speeds = _resting_speeds(width, slope) if at_rest else _speeds(width, slope)
         # Of each piece, by powers of the distance from its beginning.
         bend = (speeds[:-1] + speeds[1:] - 2 * slope) / width[:, None]
-        self._powers = np.stack((rows[:-1], speeds[:-1], (slope - speeds[:-1]) / width[:, None] - bend, bend))
-        self._powers[3] /= width[:, None]
+        self._powers = np.empty((4, *slope.shape))
+        self._powers[0], self._powers[1] = rows[:-1], speeds[:-1]
+        self._powers[2] = (slope - speeds[:-1]) / width[:, None] - bend
+        self._powers[3] = bend / width[:, None]
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
         """The values and their first and second derivative by s, each [len(s)][joints]."""

@@ -7,6 +7,7 @@ import pytest
 import toppra
 import toppra.algorithm
 
+from rtc.model.robot import boxes, compiled
 from workers.planning.motion import timing
 from workers.planning.motion.blended import lengths, widest
 from workers.planning.motion.pace import fastest
@@ -75,3 +76,14 @@ def test_one_joint_that_turns_evenly_accelerates_and_brakes_with_all_it_has():
     straight = np.stack((np.ones(41), np.zeros(41)), axis=1)
     pace = fastest(grid, straight, np.zeros((41, 2)), np.full(41, 9.0), np.array([3.0, 1.0]))
     assert np.allclose(pace**2, 2 * 3.0 * np.minimum(grid, 2.0 - grid))
+
+
+@pytest.mark.skipif(not compiled(), reason="installed without a compiler")
+def test_the_compiled_passes_are_those_in_python(right, monkeypatch):
+    random = np.random.default_rng(7)
+    for path in curves(right, seed=8):
+        given = limits(right, path, random)
+        ours = fastest(*given)
+        with monkeypatch.context() as patch:
+            patch.setattr(boxes, "squared_pace", None)
+            assert np.array_equal(ours, fastest(*given))
