@@ -270,8 +270,9 @@ def test_a_module_whose_pose_was_stated_goes_from_afar_into_the_tilted_bay(bench
 
 def test_a_module_whose_way_out_is_blocked_is_not_sent_the_same_way_again(bench):
     assert bench.do(GRASP).succeeded
-    above = geometry.translate(bench.world.value("MACS-NEW.frame"), [0.0, 0.0, 0.20])
+    above = geometry.translate(bench.world.value("MACS-NEW.frame"), [-0.25, 0.20, 0.15])
     bench.set_fact("MACS-OLD.frame", above.tolist())
     bench.set_fact("MACS-OLD.seat", "")
     refusal = bench.do("LIFT MACS-NEW BY 15 CM").refusal
     assert refusal.clears.startswith("RELEASE MACS-NEW: MACS-OLD is in its way out of RACK-1")
+    assert bench.do("RELEASE MACS-NEW").succeeded  # the hand backs off without it
