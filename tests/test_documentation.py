@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -117,3 +118,8 @@ def test_a_command_line_of_a_page_is_valid(words: tuple[str, ...]):
         for sentence in (word for word in words[1:] if " " in word):
             wrong = isinstance(parse(default_grammar(), sentence), Refusal)
             assert wrong is sentence.startswith("GRAPS")
+
+
+def test_each_decision_has_a_number_of_its_own():
+    numbers = Counter(page.name.partition("-")[0] for page in (ROOT / "docs" / "decisions").glob("[0-9]*.md"))
+    assert [number for number, count in numbers.items() if count > 1] == []
