@@ -36,7 +36,7 @@ class DecisionContext:
         self.effects: list[Effect] = []
         self.followups: list[tuple[str, Stimulus, Any]] = []  # (command, stimulus, payload)
         self.node = ""  # worker or subsystem that caused the event
-        self.took_s = 0.0  # duration of its work
+        self.took_s: float = 0  # duration of its work
 
     def enqueue_stimulus(self, command: str, stimulus: Stimulus, payload: Any = None) -> None:
         """Stimulate another command after this action."""
@@ -149,7 +149,7 @@ class DecisionContext:
         phase: Phase,
         text: str = "",
         *,
-        expected_s: float = 0.0,
+        expected_s: float = 0,
         measured: Measured | None = None,
         compared: Compared | None = None,
     ) -> None:
@@ -161,7 +161,7 @@ class DecisionContext:
         self,
         command: Command,
         text: str = "",
-        expected_s: float = 0.0,
+        expected_s: float = 0,
         measured: Measured | None = None,
         warning: bool = False,
         compared: Compared | None = None,

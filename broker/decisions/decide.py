@@ -74,7 +74,7 @@ def decide_batch(state: State, events: Iterable[Event]) -> list[Effect]:
     effects: list[Effect] = []
     context = DecisionContext(state, 0.0)
     for event in events:
-        context.now, context.effects, context.node, context.took_s = event.at_s, [], "", 0.0
+        context.now, context.effects, context.node, context.took_s = event.at_s, [], "", 0
         HANDLERS[type(event)](context, event)
         if context.followups:
             _follow(context)
@@ -85,7 +85,7 @@ def decide_batch(state: State, events: Iterable[Event]) -> list[Effect]:
 def _follow(context: DecisionContext) -> None:
     """Stimulate the other commands that the actions of this event named. These actions may name more."""
     for name, stimulus, payload in context.followups:  # it grows during the loop
-        context.node, context.took_s = "", 0.0
+        context.node, context.took_s = "", 0
         command = context.state.commands.get(name)
         if command is not None:
             stimulate(context, command, stimulus, payload)

@@ -141,9 +141,9 @@ class ProgressNote(Message, frozen=True, kw_only=True):
     phase: Phase  # the phase it is in now
     step: str = ""  # "5 of 9: feel GP1"
     node: str = ""  # process that did the work that just ended: "binder@2", "MCM"
-    took_s: float = 0.0  # duration of that work, from dispatch to answer
+    took_s: float = 0  # duration of that work, from dispatch to answer; 0, which is left out, not 0.0, which is not
     note: str = ""  # its result, in words
-    expected_s: float = 0.0  # planned duration of the current step; 0 = unknown
+    expected_s: float = 0  # planned duration of the current step; 0 = unknown
     measured: Measured | None = None  # what REPORT requests
     compared: Compared | None = None  # prediction and report of the step that was judged
     trim: int = 0  # entry of the trimming stack that was pushed

@@ -70,7 +70,7 @@ def test_a_parser_is_asked_for(s, other):
 def test_the_number_of_records_has_a_limit(s):
     for n in range(parsed_before.KEPT + 1):
         parse(s, f"GRASP {n}")
-    assert len(s.state.parsed) == parsed_before.KEPT
+    assert len(s.state.parsed) <= parsed_before.KEPT
     assert is_parsed(s, f"GRASP {parsed_before.KEPT}")
     assert not is_parsed(s, "GRASP 0")
 
