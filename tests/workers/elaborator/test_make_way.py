@@ -106,6 +106,25 @@ def test_an_arm_leaves_what_it_may_touch_back_along_its_tool_before_a_way_is_sou
     assert back[:2] == pytest.approx([0.0, 0.0], abs=1e-4)
 
 
+@pytest.mark.parametrize(("distance_mm", "found"), [(20, True), (5, False)])
+def test_an_arm_goes_back_first_if_a_search_fails_from_a_start_with_little_room(
+    near: Bench, monkeypatch: pytest.MonkeyPatch, distance_mm: int, found: bool
+) -> None:
+    """The module is 25 mm from the satellite."""
+    search, start = plan.find_sampled_way, near.world.value("LEFT-ARM.joints")
+
+    def fails_at_the_start(request, *more):
+        return 1 if np.allclose(request.start, start) else search(request, *more)
+
+    monkeypatch.setattr(plan, "find_sampled_way", fails_at_the_start)
+    monkeypatch.setattr(plan, "find_way_aside", lambda *_: None)
+    for key in ("MACS-OLD.frame", "MACS-OLD.grasp"):
+        near.set_fact(key, near.world.value(key))  # exactly known
+    script = near.elaborate(f"{PLACE} MAINTAIN AVOID-NEIGHBORS BY {distance_mm} MM")
+    assert isinstance(script, Script) == found, script
+    assert not found or any("back by" in note for step in script.steps if step.way for note in step.way.notes)
+
+
 def test_no_arm_is_sent_away_from_a_way_that_would_not_be_free_without_it(
     near: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
