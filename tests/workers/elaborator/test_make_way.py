@@ -99,11 +99,13 @@ def near(bench: Bench) -> Bench:
 def test_an_arm_leaves_what_it_may_touch_back_along_its_tool_before_a_way_is_sought(near: Bench) -> None:
     script = near.elaborate(PLACE)
     assert isinstance(script, Script), script
-    before = near.model.arms["LEFT-ARM"].fk(near.world.value("LEFT-ARM.joints"))
+    arm = near.model.arms["LEFT-ARM"]
+    before = arm.fk(near.world.value("LEFT-ARM.joints"))
     knots = next(step.way for step in script.steps if step.way is not None).knots
-    back = geometry.relative(before, near.model.arms["LEFT-ARM"].fk(knots[1]))
+    straight, back = (geometry.relative(before, arm.fk(knot)) for knot in knots[1:3])
     assert back[2] in (pytest.approx(-by_m, abs=1e-4) for by_m in plan.BACK_M)
-    assert back[:2] == pytest.approx([0.0, 0.0], abs=1e-4)
+    assert straight[2] == pytest.approx(plan.STRAIGHT * back[2], abs=1e-4)
+    assert [*straight[:2], *back[:2]] == pytest.approx([0.0] * 4, abs=1e-4)
 
 
 @pytest.mark.parametrize(("distance_mm", "found"), [(20, True), (5, False)])

@@ -36,7 +36,8 @@ from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside
 from workers.planning.motion.timing import Timed, slower, time_path
 
 MORE_M = (0.020, 0.008)  # clearance of a freely chosen way beyond that of the request, where there is room
-BACK_M = (0.05, 0.10, 0.15)  # lines back along the tool on which an arm leaves what it may touch
+BACK_M = (0.05, 0.10, 0.15)  # lines back along the tool, to leave what is near
+STRAIGHT = 0.8  # share of such a line that stays straight
 CLOSER = 0.5  # share of the distance at the goal that is kept on the way there from a body that a later step touches
 SAME_RAD = 1e-6  # tolerance of the joint values at the end of a straight line
 DIRECT = "generated a line in joint space; tested: free"
@@ -259,8 +260,7 @@ def _back_and_on(request: PlanningRequest, goal: Array) -> FreeWay | None:
     """A way that leaves a narrow place as RETRACT does, on a line back along the tool, and is searched from the end of
     that line. None: not found.
 
-    What the arm may touch is left straight: the way bends in the second half of the line at most, and nothing is so
-    near there any more."""
+    What the arm may touch is left straight: the way bends at the end of the line only, and nothing is so near there."""
     here, test = request.arm.fk(request.start), free_posture(request)
     for by_m in BACK_M:
         try:
@@ -269,16 +269,16 @@ def _back_and_on(request: PlanningRequest, goal: Array) -> FreeWay | None:
             refuse_if(fault(request, line))
         except Refused:
             return None  # a longer line begins with this one
-        end = line.knots[-1]
-        if any(test(q) is not None for q in line.joints_at(np.array((0.5, 1.0)) * line.length)):
+        left, end = out = line.joints_at(np.array((STRAIGHT, 1.0)) * line.length)
+        if any(test(q) is not None for q in out):
             continue  # still so near
-        way = rounded(request, [request.start, end, goal])
+        way = rounded(request, [request.start, left, end, goal])
         if way is None:
             behind = replace(request, joints={**request.joints, request.arm.name: end})
             found = find_sampled_way(behind, behind, [goal], guides(behind, goal))
-            way = rounded(request, [request.start, *found.path.knots]) if isinstance(found, FreeWay) else None
+            way = rounded(request, [request.start, left, *found.path.knots]) if isinstance(found, FreeWay) else None
         words = f"modified: back by {by_m:g} m, and on"
-        return None if way is None else FreeWay(way, [f"{words} by way of {len(way.knots) - 3} points; tested: free"])
+        return None if way is None else FreeWay(way, [f"{words} by way of {len(way.knots) - 4} points; tested: free"])
     return None
 
 
