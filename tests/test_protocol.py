@@ -15,7 +15,7 @@ import msgpack
 import pytest
 import zmq
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 LIMIT_MS = 60_000
 

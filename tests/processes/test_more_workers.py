@@ -22,7 +22,7 @@ from rtc.runtime.process import now_s
 from rtc.runtime.process_table import processes
 from tests.processes.test_gateway import LIMIT_S, free_ports, wait_for
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 OWN = "elaborator@1"
 ATTEMPTS = 5  # a slow broker may overlook a job that waits for one second only
