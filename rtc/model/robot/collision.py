@@ -765,8 +765,8 @@ class CollisionWorld:
 
     def _tell_coal(self) -> None:
         """Brings coal up to the scene. Where boxes decide a whole job it is never needed."""
-        items, pieces = self._bodies.geometry.geometryObjects, self._bodies.pieces
         for owner, (parent, at) in self._elsewhere.items():
+            items, pieces = self._bodies.geometry.geometryObjects, self._bodies.pieces
             for n in self._table.pieces_of.get(owner, ()):
                 items[n].parentJoint, items[n].placement = parent, at * pieces[n].in_owner
         self._elsewhere.clear()

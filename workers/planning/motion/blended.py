@@ -55,12 +55,16 @@ class Blended:
 
     def off_chords(self, s: Array) -> Array:
         """As `Path.off_chords`. Beside a corner the direction turns one way only. A curve on which it turns by d is off
-        its chord by d/4 of the length at most, and the corner is off its lines by 3/16 of d times its radius."""
+        its chord by d/4 of the length at most, and by 1/8 of the length squared times its second derivative; and the
+        corner is off its lines by 3/16 of d times its radius."""
         radii = np.maximum(self.radii, MIN_LENGTH)
         u = np.clip((s[:, None] - self._s[1:-1] + radii) / (2 * radii), 0.0, 1.0)
         turned = np.abs(np.diff(u * u * (3 - 2 * u), axis=0))
         most = np.where(turned > 0.0, 3 / 16 * radii, 0.0)
-        found: Array = np.minimum(0.25 * np.diff(s)[:, None] * turned, most) @ np.abs(np.diff(self._slopes, axis=0))
+        middle = np.clip(0.5, u[:-1], u[1:])  # where it bends most
+        width = np.diff(s)[:, None]
+        off = np.minimum(0.25 * width * turned, 3 / 8 * width**2 * middle * (1 - middle) / radii)
+        found: Array = np.minimum(off, most) @ np.abs(np.diff(self._slopes, axis=0))
         return found
 
     def __call__(self, s: Array, order: int = 0) -> Array:

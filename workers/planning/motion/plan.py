@@ -111,12 +111,12 @@ def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> 
     line, request = paths.joint_line(request.start, goal), before_contact(request, goal)
     if with_room and is_soon_free(_wider(request, MORE_M[0]), line):
         return FreeWay(line, [DIRECT])
-    roomy = with_more_room(request, goal, MORE_M) if with_room else request
-    if is_free(roomy, line):
-        return FreeWay(line, [DIRECT]) if with_room else None
     if (problem := fault(request, line)) is not None:  # a goal that is taken is a better reason than the line to it
         raise Refused(_occupied(request, goal) or _leaving(request, problem))
-    return None
+    if not with_room:
+        return None
+    roomy = with_more_room(request, goal, MORE_M)
+    return FreeWay(line, [DIRECT]) if roomy is request or is_free(roomy, line) else None
 
 
 def _occupied(request: PlanningRequest, goal: Array) -> Refusal | None:
@@ -133,10 +133,11 @@ def before_contact(request: PlanningRequest, goal: Array) -> PlanningRequest:
 
     The goal may be nearer to them than they are uncertain, but not nearer than the clearance. Then the way keeps
     `CLOSER` of the distance at the goal."""
-    scene, ours = replace(request.scene, near=()), _ours(request)
+    ours = _ours(request)
     near = set(request.scene.near) - ours
     if not near:
         return request
+    scene = replace(request.scene, near=())
     close = dict(scene.close)
     for hit in request.world.too_near({**request.joints, request.arm.name: goal}, scene):
         for body in near & {hit.body_a.split()[0], hit.body_b.split()[0]}:
