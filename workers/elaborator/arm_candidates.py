@@ -57,9 +57,11 @@ def _with_place(
     """The sentence, with its target as the destination if it is a place and a script of the verb goes to places.
 
     Raises Refused for a target that is neither a seat nor a place."""
-    uses = {name for row in program.decision_tree if row.verb == parsed.verb for name in scripts[row.script].uses}
     seats = [seat.name for seat in query.cell.seats]
-    if parsed.target is None or parsed.target in seats or not {"place", "target"} <= uses:
+    if parsed.target is None or parsed.target in seats:
+        return parsed
+    uses = {name for row in program.decision_tree if row.verb == parsed.verb for name in scripts[row.script].uses}
+    if not {"place", "target"} <= uses:
         return parsed
     places = [place.name for place in query.places]
     if parsed.target not in places:
@@ -142,7 +144,7 @@ def _points(
     thing: parts.Object | None,
 ) -> list[parts.GraspPoint | None]:
     """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
-    rows = [row for row in program.decision_tree if row.verb == parsed.verb]
+    rows = [row for row in program.decision_tree if row.verb == parsed.verb] if thing is not None else []
     chosen = [scripts[row.script] for row in rows if fits_sentence(row, parsed)]
     if thing is None or not any("grasp_point" in script.uses for script in chosen):
         return [None]

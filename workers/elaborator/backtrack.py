@@ -168,6 +168,8 @@ def _search(
     ways = list(_ways(script, candidate, lines, request))
     if not ways:
         raise _unreachable(script, candidate, lines, request)
+    lines_too = any(step.to and step.space != "move_joint" for step in steps)
+    straight = _straight(script, candidate, request) if lines_too else request
     notes: list[str] = []
     first: Refusal | None = None
     its_ranks = (False, False)
@@ -177,7 +179,7 @@ def _search(
             break
         what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
         try:
-            found, end = _try(script, steps, candidate, lines, joints, request, detours)
+            found, end = _try(steps, candidate, lines, joints, request, straight, detours)
             return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], found, end
         except Refused as refused:
             tried = refused.refusal
@@ -283,19 +285,18 @@ def _unreachable(
 
 
 def _try(
-    script: ScriptFile,
     steps: Sequence[Step],
     candidate: TaskCandidate,
     lines: dict[str, Anchor],
     joints: dict[str, list[float]],
     request: PlanningRequest,
+    straight: PlanningRequest,
     detours: bool,
 ) -> tuple[dict[int, PlannedPath], Array | None]:
     """Test the segments in order; the way of the first segment, by index of its step, and the end of the last one. The
     later segments start where the arm will come to rest, which is not known yet. Raises Refused for the first blocked
     one."""
     here = start = request.start
-    straight = _straight(script, candidate, request)
     ways: dict[int, PlannedPath] = {}
     last: _Test | None = None
     bound = partial(_bound, candidate, lines, joints)
@@ -305,7 +306,7 @@ def _try(
             here = np.asarray(joints.get(step.words.place, here), dtype=float)  # where the operator brings it
             continue
         asked = request if step.space == "move_joint" else straight
-        now = replace(asked, joints={**request.joints, candidate.arm.name: here})
+        now = asked if here is start else replace(asked, joints={**request.joints, candidate.arm.name: here})
         tcp, clears = now.arm.fk(here), candidate.program.clears
         with _at_place(f"step {n} ({step.to})"):
             target = target_of(step, candidate.query, candidate.arm.name, thing, tcp, bound)
@@ -334,10 +335,15 @@ def _straight(script: ScriptFile, candidate: TaskCandidate, request: PlanningReq
             contacts += scenes.hand_contacts(query, arm, thing.name)
     elif thing is not None and not held:
         contacts = scenes.hand_contacts(query, arm, thing.name)
-    scene = replace(request.scene, close=scenes.beside_bolt(query, arm, thing.name if thing is not None else ""))
-    if (thing is not None or target is not None or script.despite_grasp) and candidate.partner is None:
-        scene = replace(scene, pose_tolerance_m={})
-    return replace(request, scene=replace(scene, ignore=[*scene.ignore, *contacts]))
+    scene = request.scene
+    touches = (thing is not None or target is not None or script.despite_grasp) and candidate.partner is None
+    scene = replace(
+        scene,
+        close=scenes.beside_bolt(query, arm, thing.name if thing is not None else ""),
+        pose_tolerance_m={} if touches else scene.pose_tolerance_m,
+        ignore=[*scene.ignore, *contacts],
+    )
+    return replace(request, scene=scene)
 
 
 class _Test(NamedTuple):

@@ -67,11 +67,11 @@ def in_words(path: str) -> str:
 
 def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand) -> None:
     """Refuse a field that this release does not support."""
-    checks = [check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when]
-    chosen_by = {(name, value) for check in checks for name, value in check.equals.items()}
     for name, why in program.not_yet.items():
-        value = field(parsed, name)
-        if value is not None and not (isinstance(value, str) and (name, value) in chosen_by):
+        if (value := field(parsed, name)) is None:
+            continue
+        checks = (check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when)
+        if not (isinstance(value, str) and any(check.equals.get(name) == value for check in checks)):
             raise _refused(why, name, f"leave out {in_words(name)}")
 
 

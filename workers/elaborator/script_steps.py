@@ -29,6 +29,7 @@ class Compiled:
 
 
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
+FIGURES = frozenset(StepFigures.__struct_fields__)
 ENDS = "ends"  # word of a step that UNTIL ends; another one that watches it may end otherwise too
 MAX_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
 
@@ -44,7 +45,7 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
     asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
     own = [entry.n for entry in entries if nominal and entry.n > MAX_ENTRIES]
     numbers = {name: expressions.number(e, candidate.figures) for name, e in step.args.items()}
-    figures = {name: numbers.pop(name) for name in StepFigures.__struct_fields__ if name in numbers}
+    figures = {name: numbers.pop(name) for name in step.args if name in FIGURES}
     words: dict[str, Any] = {name: candidate.fill_in(word) for name, word in step.words.items()}
     words["through"] = words.get("through", "").split()
     expect, until = step.expect, candidate.parsed.until
@@ -206,9 +207,8 @@ def sensed_first(compiled: Compiled, candidate: TaskCandidate, doubtful: list[st
     steps = []
     for arm in (candidate.arm, *(arm for arm in candidate.query.cell.arms if arm.name in others)):
         unknown = [name for name in of_arm if not trusts(f"{arm.name}.{name}")]
-        of_it = replace(candidate, hand=arm)
         steps += [
-            _performed_by(arm.name, candidate, step_for(step, of_it, [], nominal=False))
+            _performed_by(arm.name, candidate, step_for(step, replace(candidate, hand=arm), [], nominal=False))
             for name in unknown
             for step in pieces[senses[name]].steps
         ]

@@ -29,7 +29,8 @@ def target_of(step: Step, query: WorldQuery, arm: str, thing: str, here: Array, 
     `thing`: the object of the command, which leaves its seat along WAY-OUT. Raises Refused.
     """
     if step.to != HERE:
-        return replace(bound(step.to), via=tuple(bound(name) for name in step.words.through))
+        target, through = bound(step.to), step.words.through
+        return replace(target, via=tuple(map(bound, through))) if through else target
     axis = axis_of(step)
     if axis not in PLAN_AXES:
         raise suggestions.unknown("axis", axis, PLAN_AXES)

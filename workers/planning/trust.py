@@ -127,6 +127,8 @@ def unsure_m(query: WorldQuery, poses: Iterable[str], held: Iterable[str]) -> di
 
 def off_m(query: WorldQuery, body: str, spread: Spread) -> float:
     """How far a point of a body is from its place at most, if its pose has this spread."""
+    if not any(spread):
+        return 0.0
     turns, radius_m = np.asarray(spread[3:]), query.model.collision.radius_m(body)
     most_m = math.hypot(*spread[:3])
     driver = query.model.drivers.get(body)

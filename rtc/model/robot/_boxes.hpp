@@ -265,14 +265,21 @@ class Boxes {
         }
         movers_.resize(count);
         others_.clear();
-        levers_.clear();
+        const size_t width = slots_.size();
+        std::vector<double> own(boxes_.size() * width), half(boxes_.size() * 3);  // of each box, for all of its pairs
+        for (size_t n = 0; n < boxes_.size(); ++n) {
+            for (size_t k = 0; k < width; ++k) own[n * width + k] = boxes_[n].levers[slots_[k]];
+            for (int i = 0; i < 3; ++i) half[3 * n + i] = half_extent(static_cast<int>(n), i);
+        }
+        levers_.resize(pairs_.size() * width);
         for (size_t n = 0; n < pairs_.size(); ++n) {
             const Pair& pair = pairs_[n];
             bool rigid = true;
-            for (int slot : slots_) {
-                const double la = boxes_[pair.a].levers[slot], lb = boxes_[pair.b].levers[slot];
-                levers_.push_back(la == 0.0 || lb == 0.0 ? la + lb : 0.0);
-                rigid = rigid && levers_.back() == 0.0;
+            for (size_t k = 0; k < width; ++k) {
+                const double la = own[pair.a * width + k], lb = own[pair.b * width + k];
+                const double lever = la == 0.0 || lb == 0.0 ? la + lb : 0.0;
+                levers_[n * width + k] = lever;
+                rigid = rigid && lever == 0.0;
             }
             const int a = mover_of[pair.a], b = mover_of[pair.b];
             if ((a < 0) == (b < 0)) {
@@ -284,7 +291,7 @@ class Boxes {
             mover.pairs.push_back(static_cast<int>(n));
             for (int i = 0; i < 3; ++i) {
                 mover.centre[i].push_back(placed_[other].p[i]);
-                mover.half[i].push_back(half_extent(other, i) + pair.margin + ROUNDING_M);
+                mover.half[i].push_back(half[3 * other + i] + pair.margin + ROUNDING_M);
             }
         }
         for (Mover& mover : movers_) mover.near.resize(mover.pairs.size());

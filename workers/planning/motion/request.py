@@ -121,10 +121,10 @@ def _fault_of(
     s, configurations = dense
     hit = None if proven else _first_hit(request, way, step_rad, s, configurations)
     free = configurations if hit is None else configurations[: hit.index]
-    margin = request.way_margin_rad - 1e-9
-    within = len(free) == 0 or request.arm.limit_margin_rad(free) >= margin  # one vectorized check; usually true
+    room = request.arm.limit_margin_rad(free) if len(free) else math.inf  # one vectorized check; usually enough
+    within = room >= request.margin_rad - 1e-9 or room >= request.way_margin_rad - 1e-9
     for n, joints in enumerate(free) if request.path_constraints.any or not within else ():
-        problem = None if within else request.arm.why_not_within(joints, margin)
+        problem = None if within else request.arm.why_not_within(joints, request.way_margin_rad - 1e-9)
         problem = problem or request.path_constraints.violation(request.arm, joints)
         if problem is not None:
             return _at(problem, float(s[n]) / way.length)
