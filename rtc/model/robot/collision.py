@@ -722,7 +722,7 @@ class CollisionWorld:
         for owner, built in self._built_pose.items():
             held = scene.held.get(owner)
             pose = scene.poses.get(owner, built) if held is None else held.pose
-            wanted = ("" if held is None else held.arm, np.asarray(pose).tolist())
+            wanted = ("" if held is None else held.arm, pose if pose is built else np.asarray(pose).tolist())
             if self._placed.get(owner) != wanted:
                 self._placed.pop(owner, None)
                 self._place_body(owner, *wanted)
@@ -760,7 +760,7 @@ class CollisionWorld:
 
     def _put_in_force(self, pairs: Pairs) -> None:
         if self._boxes is not None:
-            self._boxes.use(pairs.numbers, pairs.margin[pairs.numbers])
+            self._boxes.use(pairs.numbers, pairs.kept)
         self._pairs = pairs
 
     def _tell_coal(self) -> None:
@@ -793,9 +793,9 @@ class CollisionWorld:
             owner: max(math.hypot(*balls[n][0]) + balls[n][1] for n in numbers)
             for owner, numbers in self._table.pieces_of.items()
         }
-        self._built_pose: dict[str, Floats] = {seat.name: seat.frame.pose for seat in self.cell.seats}
-        self._built_pose |= {thing.name: self.cell.object_pose(thing.name) for thing in self.cell.objects}
-        self._built_pose |= {region.name: region.frame.pose for region in self.cell.regions}
+        self._built_pose = {seat.name: np.asarray(seat.frame.pose).tolist() for seat in self.cell.seats}
+        self._built_pose |= {n.name: np.asarray(self.cell.object_pose(n.name)).tolist() for n in self.cell.objects}
+        self._built_pose |= {region.name: np.asarray(region.frame.pose).tolist() for region in self.cell.regions}
 
 
 def line(start: Array, end: Array, steps: int) -> Array:

@@ -17,6 +17,7 @@ class Pairs:
 
     active: np.ndarray
     numbers: np.ndarray  # of the active ones
+    kept: np.ndarray  # their margins
     margin: np.ndarray
     active_matrix: np.ndarray
     margin_matrix: np.ndarray
@@ -65,7 +66,8 @@ class PairTable:
             by_arm = np.isin(carrier, [self.number[arm] for arm in self._bodies.arms])
             two_arms = by_arm[first] & by_arm[second] & (carrier[first] != carrier[second])
             margin = np.where(two_arms, np.maximum(margin, scene.arms_apart_m), margin)
-        return Pairs(active, np.flatnonzero(active), margin, self.as_matrix(active), self.as_matrix(margin))
+        numbers = np.flatnonzero(active).astype(np.int32)
+        return Pairs(active, numbers, margin[numbers], margin, self.as_matrix(active), self.as_matrix(margin))
 
     def _keeps_distance(self, scene: Scene, carrier: np.ndarray) -> np.ndarray:
         """Mask of the pairs that a clearance applies to: two bodies that move apart, or a held one and its own arm.
