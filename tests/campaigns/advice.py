@@ -2,7 +2,7 @@
 
 An advice has steps (`; ` or `, then ` between them), and a step has alternatives (`or`). An operator who looks sees:
 `SET X FRAME x y z` and `SET X STATE LOOSE or TIGHT` state the truth. `do it again` is the sentence on which the advice
-was given. A smaller distance of AVOID-NEIGHBORS replaces the one of that sentence.
+was given. A smaller distance of AVOID-NEIGHBORS is put into that sentence, and no other advice is followed.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ ELSEWHERE = re.compile(r"MOVE (.+?) TO another place first \(([A-Z0-9-]+)")
 ANYWHERE = re.compile(r"MOVE ([A-Z0-9-]+) to a place")
 AGAIN = re.compile(r"\b(?:do it|try|give (?:it|the sentence|the command)) again")
 OTHER_ARM = re.compile(r"move (.+?) away first")
-CLOSER = re.compile(r"\bAVOID-NEIGHBORS BY (\S+ \S+), or leave it out")
+CLOSER = re.compile(r"\b(AVOID-NEIGHBORS BY \S+ \S+), (?:or leave it out|if it may come as near)")
 NEIGHBORS = re.compile(r"\bAVOID-NEIGHBORS(?: BY \S+ \S+)?")
+CLAUSES = re.compile(r" MAINTAIN | (?=UNLESS|UNTIL|VIA|GUARDED|AFTER|TOGETHER-WITH|NOW)|$")
 STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE|STATE)")
 STEPS = re.compile(r"; |, then ")
 ALTERNATIVES = re.compile(r", or | or (?=[A-Z]{3})")
@@ -94,7 +95,8 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
     history, advised = [f"{aim}: {answer}"], {answer.clears}
     for _ in range(MAX_OBSTACLES):
         advice, left = answer.clears, MAX_SENTENCES
-        for step in steps(advice, "", truth):
+        closer = CLOSER.search(advice)
+        for step in [] if closer else steps(advice, "", truth):
             for sentence in step[:left]:
                 left -= 1
                 given.append(sentence)
@@ -102,9 +104,8 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
                 history.append(f"{sentence}: {done}")
                 if done.succeeded:
                     break
-        closer = CLOSER.search(advice)
-        if closer and left == MAX_SENTENCES:
-            aim = NEIGHBORS.sub(f"AVOID-NEIGHBORS BY {closer[1]}", aim)
+        if closer:
+            aim = _kept_apart(aim, closer[1])
         elif left == MAX_SENTENCES and not AGAIN.search(advice):
             return Followed("no sentence", given, history)
         answer = say(aim)
@@ -115,6 +116,16 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
             return Followed("same advice", given, history)
         advised.add(answer.clears)
     return Followed("too many obstacles", given, history)
+
+
+def _kept_apart(sentence: str, by: str) -> str:
+    """The sentence with this item of MAINTAIN."""
+    if NEIGHBORS.search(sentence):
+        return NEIGHBORS.sub(by, sentence)
+    first = CLAUSES.search(sentence)
+    assert first is not None
+    more = " AND " if "MAINTAIN" in first[0] else " "
+    return f"{sentence[: first.start()]} MAINTAIN {by}{more}{sentence[first.end() :]}".rstrip()
 
 
 def follow_on_bench(bench: Bench, aim: str, done: Run) -> Followed:

@@ -109,6 +109,26 @@ def test_a_smaller_distance_from_neighbours_is_put_into_the_sentence() -> None:
     assert given == ["STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 14 MM AND SPEED 10 CM/S"]
 
 
+@pytest.mark.parametrize(
+    ("aim", "again"),
+    [
+        ("STOW RIGHT-ARM", "STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 4 MM"),
+        ("STOW RIGHT-ARM NOW", "STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 4 MM NOW"),
+        ("LIFT X MAINTAIN SPEED UNTIL CONTACT", "LIFT X MAINTAIN AVOID-NEIGHBORS BY 4 MM AND SPEED UNTIL CONTACT"),
+    ],
+)
+def test_a_distance_that_the_sentence_does_not_state_is_put_before_its_other_clauses(aim: str, again: str) -> None:
+    given = []
+
+    def say(sentence: str) -> Answer:
+        given.append(sentence)
+        return Answer(True, "", "")
+
+    refused = Answer(False, "near", "MAINTAIN AVOID-NEIGHBORS BY 4 MM, if it may come as near; or RELEASE X")
+    assert advice.follow(say, aim, refused, lambda: TRUTH).end == "reached"
+    assert given == [again]
+
+
 def test_the_advice_of_a_command_that_was_refused_in_a_cluster_is_followed() -> None:
     cluster = OneProcess(KinematicCell(CELL), eyes=Ideal(CELL))
     aim = "LIFT MACS-NEW BY 10 CM"  # the hand is empty

@@ -275,6 +275,7 @@ def test_an_attitude_is_kept_all_the_way(bench, words) -> None:
         (f"{TO} MAINTAIN AVOID-TASK-REGION NOWHERE", "NOWHERE"),
         (f"{TO} MAINTAIN AVOID-TASK-REGION BAY-2-RANGE", "BAY-2-RANGE"),
         (f"{TO} MAINTAIN AVOID-NEIGHBORS BY 0 CM", "more than nothing"),
+        (f"{TO} MAINTAIN AVOID-NEIGHBORS BY 0.5 MM", "0.001 to 10 M"),
         (f"{TO} MAINTAIN AVOID-NEIGHBORS BY 2 M", "comes within"),
         (f"{TO} MAINTAIN POSE-DURING-MOTION SIDEWAYS", "SIDEWAYS"),
         (f"{TO} MAINTAIN POSE-DURING-MOTION 5 DEG", "POSE-DURING-MOTION"),

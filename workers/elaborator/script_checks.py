@@ -14,7 +14,7 @@ from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import trust
-from workers.planning.scenes import CLEARANCE_M
+from workers.planning.scenes import clearance_of
 
 
 def _refuse_too_tight(_: ScriptFile, candidate: TaskCandidate) -> None:
@@ -83,8 +83,7 @@ def a_look_makes_room(refusal: Refusal, script: ScriptFile, candidate: TaskCandi
     bodies = [str(refusal.detail.get(name, "")).split(" ")[0] for name in ("body_a", "body_b")]
     if not held or held not in bodies or script.despite_grasp or refusal.detail.get("cause") != "collision":
         return False
-    clearance_m = max(CLEARANCE_M, candidate.limits.clearance_m or 0.0)
-    free = float(refusal.detail["distance_m"]) >= clearance_m
+    free = float(refusal.detail["distance_m"]) >= clearance_of(candidate.limits)
     return free and can_be_seen(f"{held}.grasp", candidate)
 
 

@@ -11,10 +11,11 @@ from rtc.language.hands import hand_in_words
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal
 from workers.planning import in_seat, trust
-from workers.planning.scenes import CLEARANCE_M
+from workers.planning.scenes import CLEARANCE_M, clearance_of
 from workers.planning.world_query import WorldQuery
 
 UNLIMITED = Limits()
+LEAST_ROOM_MM = 1  # that is advised: the least of AVOID-NEIGHBORS
 SHARE_OF_RANGE = 0.9  # of a hinge, that advised sentences use
 
 
@@ -57,6 +58,7 @@ def advise_on_collision(
     known = [place for place in query.places if arm in place.poses or arm in place.joints_deg]
     places = [place.name for place in known if place.name != goal]
     texts = {
+        "closer": clears.get("way_closer", "") if _is_room(refusal, limits) else "",
         "arm": hand_in_words(arm),
         "held": held,
         "seat": seat,
@@ -66,7 +68,7 @@ def advise_on_collision(
         "places": ", ".join(places),
         "or_arm": "" if held else ", or another arm",
         "turn": _turn_in_words(query, body),
-        "room": _room_in_words(refusal),
+        "room": f"{_room_mm(refusal)} MM",
     }
     words = clears.get(row, "") if places else clears.get(row, "").replace(" ({places})", "")
     for name, text in texts.items():
@@ -76,8 +78,7 @@ def advise_on_collision(
 
 def _unsure(refusal: Refusal, query: WorldQuery, bodies: list[str], limits: Limits) -> str:
     """The key of the fact whose spread alone asks for more room than there is; empty if there is none."""
-    clearance_m = max(CLEARANCE_M, limits.clearance_m or 0.0)
-    if float(refusal.detail.get("distance_m", 0.0)) < clearance_m:
+    if float(refusal.detail.get("distance_m", 0.0)) < clearance_of(limits):
         return ""
     keys = [key for body in bodies if (key := trust.unsure_key(query, body))]
     return max(keys, key=lambda key: trust.off_m(query, key.rpartition(".")[0], query.spread(key)), default="")
@@ -91,9 +92,15 @@ def _kept_out(refusal: Refusal, body: str, limits: Limits) -> str:
     return "way_neighbors" if room_m > CLEARANCE_M and (limits.clearance_m or 0.0) > CLEARANCE_M else ""
 
 
-def _room_in_words(refusal: Refusal) -> str:
-    """The distance of AVOID-NEIGHBORS for which there is room, in whole millimetres."""
-    return f"{math.floor(1e3 * float(refusal.detail.get('distance_m', 0.0)) + 1e-6)} MM"
+def _is_room(refusal: Refusal, limits: Limits) -> bool:
+    """Whether a smaller AVOID-NEIGHBORS would allow the motion, as far as this pair of bodies is concerned."""
+    needed_m = float(refusal.detail.get("margin_m", 0.0))
+    return LEAST_ROOM_MM <= _room_mm(refusal) < 1e3 * needed_m <= 1e3 * clearance_of(limits)
+
+
+def _room_mm(refusal: Refusal) -> int:
+    """The distance of AVOID-NEIGHBORS for which there is room: whole millimetres, and some micrometres less."""
+    return math.floor(1e3 * float(refusal.detail.get("distance_m", 0.0)) - 1e-3)
 
 
 def _hinged(refusal: Refusal, query: WorldQuery, arm: str, body: str) -> str:

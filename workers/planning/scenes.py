@@ -14,8 +14,8 @@ from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
 
-# Least distance of arms and held objects from all that a command does not mean to touch. The hand tracks a path to
-# tenths of a millimetre.
+# Least distance of arms and held objects from all that a command does not mean to touch, if it states none. The hand
+# tracks a path to tenths of a millimetre.
 CLEARANCE_M = 0.005
 ARMS_APART_M = 0.005  # least distance of a planned path from another arm
 
@@ -79,7 +79,7 @@ def scene_of(
         hung=hung,
         openings_m=openings,
         ignore=ignore,
-        clearance_m=max(CLEARANCE_M, limits.clearance_m or 0.0),
+        clearance_m=clearance_of(limits),
         near=[*close, *(seat for seat in map(query.seat, filter(None, (*close, carried))) if seat), *hung],
         close=beside_bolt(query, arm, touching),
         pose_tolerance_m=trust.unsure_m(query, poses, held) if unsure else {},
@@ -87,6 +87,11 @@ def scene_of(
         arms_apart_m=ARMS_APART_M,
         moving=arm,
     )
+
+
+def clearance_of(limits: Limits) -> float:
+    """The clearance (m) that a command asks for: that of AVOID-NEIGHBORS, which may be less than the default."""
+    return CLEARANCE_M if limits.clearance_m is None else limits.clearance_m
 
 
 def beside_bolt(query: WorldQuery, arm: str, touching: str) -> dict[tuple[str, str], float]:

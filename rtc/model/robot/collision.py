@@ -385,7 +385,7 @@ class CollisionWorld:
     def least_room(
         self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene, hit: PathCollision
     ) -> PathCollision:
-        """Where along a path the two bodies of a hit are nearest to each other; the hit itself if they collide there.
+        """Where along a path, from a hit on, its two bodies are nearest to each other, or deepest in one another.
 
         Every `STRIDE`-th configuration is measured, and those around the nearest of them.
         """
@@ -407,7 +407,7 @@ class CollisionWorld:
 
         near = measure([*range(hit.index, len(configurations), STRIDE), len(configurations) - 1])
         near = measure(range(max(hit.index, near - STRIDE + 1), min(len(configurations), near + STRIDE)))
-        return PathCollision(near, found[near]) if found[near].distance_m > 0 else hit
+        return PathCollision(near, found[near])
 
     # --- inside ------------------------------------------------------------------------------------------
 

@@ -84,6 +84,17 @@ def test_the_advised_distance_from_neighbours_is_one_for_which_there_is_room(ben
     assert float(given[-1].split()[0]) > 5.0
 
 
+def test_a_goal_with_less_room_than_the_usual_clearance_is_reached_with_the_advised_one(bench):
+    aim = "MOVE RIGHT-ARM TO POSITION 80 -80 70.8 CM"  # 3 mm above a module; 5 mm are usual
+    refusal = bench.elaborate(aim)
+    closer = re.search(r"MAINTAIN AVOID-NEIGHBORS BY \S+ MM", refusal.clears)
+
+    assert "comes within 3 mm" in refusal.message
+    assert bench.do(f"{aim} {closer[0]}").succeeded
+    assert not isinstance(bench.elaborate("MOVE RIGHT-ARM BY 2 CM ALONG UP"), Refusal)  # it can leave again
+    assert "AVOID-NEIGHBORS" not in bench.elaborate("MOVE RIGHT-ARM TO POSITION 80 -80 70 CM").clears  # inside it
+
+
 @pytest.mark.parametrize(
     ("distance_m", "seen", "first"), [(0.022, True, "LOCATE"), (0.022, False, "GRASP"), (0.002, True, "GRASP")]
 )
