@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rtc.drawing.scene import FilmFrame, SceneView
+from rtc.drawing.scene import FilmFrame, FilmProgress, SceneView
 from sim_mcm.cameras import film
 
 
@@ -55,3 +57,36 @@ def test_a_film_in_an_unknown_cell_ends_with_the_reason(monkeypatch, tmp_path, c
     with pytest.raises(SystemExit):
         made(monkeypatch, tmp_path, "nowhere", [FilmFrame(scene=SceneView())])
     assert "nowhere" in capsys.readouterr().err
+
+
+def niceness(fifo: str, frame: FilmFrame) -> int:
+    """In place of drawing. Below its parent's priority it writes its niceness to the FIFO, and only "first" ends."""
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    if own > os.getpriority(os.PRIO_PROCESS, os.getppid()):
+        if frame.caption != "first":
+            signal.pause()
+        Path(fifo).write_text(str(own))
+    return own
+
+
+def test_after_the_last_frame_no_drawing_waits_for_other_processes(tmp_path, monkeypatch) -> None:
+    """While frames arrive they are drawn at a low priority; beside busy processes that may take minutes."""
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    if own == 19:
+        pytest.skip("this process has the lowest priority itself")
+    fifo = tmp_path / "niceness"
+    os.mkfifo(fifo)
+    meanwhile, reported = [], []
+
+    def frames() -> Iterator[FilmFrame]:
+        yield FilmFrame(scene=SceneView(), caption="first")
+        meanwhile.append(int(fifo.read_text()))
+        yield FilmFrame(scene=SceneView(), caption="last")
+
+    monkeypatch.setattr(film, "NICENESS", 1)  # the lowest one would make this test slow beside busy processes
+    monkeypatch.setattr(film, "_painted", niceness)
+    monkeypatch.setattr(film.Cell, "load", lambda name: None)
+    pictures = film.drawn(str(fifo), frames(), reported.append)
+    assert meanwhile == [own + 1]
+    assert pictures[-1] == own
+    assert reported[0] in [FilmProgress(drawn=0, frames=2), FilmProgress(drawn=1, frames=2)]

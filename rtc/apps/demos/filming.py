@@ -14,11 +14,10 @@ import msgspec
 from rtc.apps.demos.narrator import Narrator
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
-from rtc.drawing.scene import FilmFrame, Panel, Picture, true_scene
+from rtc.drawing.scene import FilmFrame, FilmProgress, Panel, Picture, true_scene
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError
 
-NICENESS = 19  # a film is drawn in the time that nothing else wants
 POLL_S = 0.04
 # Limits for a machine with many busy processes.
 RENDER_S = 600.0
@@ -58,10 +57,7 @@ class Film:
         file.unlink(missing_ok=True)
         command = [sys.executable, "-P", "-m", "sim_mcm.cameras.film", "--cell", cell, "--out", str(file)]
         self._process = subprocess.Popen(
-            ["nice", "-n", str(NICENESS), *command],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
 
     def __enter__(self) -> Film:
@@ -69,11 +65,14 @@ class Film:
 
     def __exit__(self, *_: object) -> None:
         self._process.kill()  # unless `check` has waited for it
-        self._process.communicate()
+        with self._process:  # waits, and closes its pipes
+            pass
 
     @contextmanager
     def shooting(self, run_dir: Path) -> Iterator[None]:
-        """Meanwhile a thread with a client of its own takes the frames, from the first caption on."""
+        """Meanwhile a thread with a client of its own takes the frames, from the first caption on.
+
+        Afterwards what is not drawn yet is drawn at normal priority."""
         thread = threading.Thread(target=self._shoot, args=(run_dir,), daemon=True)
         thread.start()
         try:
@@ -81,11 +80,23 @@ class Film:
         finally:
             self._done.set()
             thread.join(FILM_S)
+            assert self._process.stdin is not None
+            with suppress(BrokenPipeError):  # it has ended: `check` fails
+                self._process.stdin.close()
 
     def check(self, narrator: Narrator) -> None:
-        """Wait for the film."""
-        with suppress(subprocess.TimeoutExpired):
-            self._process.communicate(timeout=FILM_S)
+        """Wait for the film, and print how much of it is drawn."""
+        assert self._process.stdout is not None
+        limit = threading.Timer(FILM_S, self._process.kill)
+        limit.start()
+        try:
+            for line in self._process.stdout:
+                if line.startswith(b"{"):  # the libraries of the processes that draw print, too
+                    progress = msgspec.json.decode(line, type=FilmProgress)
+                    narrator.line(f"film: {progress.drawn} of {progress.frames} frames drawn", "dim")
+            self._process.wait()
+        finally:
+            limit.cancel()
         narrator.check(f"film {self._file} of {self.frames} frames", self._file.is_file())
 
     def _shoot(self, run_dir: Path) -> None:

@@ -162,8 +162,8 @@ def run(
                 check(narrator, rtc, cell, performed, lines, course)
             if performed is WHOLE:
                 check_surrender(narrator, course)
+        film.check(narrator)  # the longer wait, with its progress; the pictures are drawn meanwhile
         pictures.check(narrator)
-        film.check(narrator)
     return narrator.passed()
 
 
