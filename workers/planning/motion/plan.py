@@ -237,7 +237,7 @@ def _generate_and_test(request: PlanningRequest, goal: Array, direct: Path, befo
     if leaves:
         out = _back_and_on(request, goal) if len(_ours(request)) > 1 else None
         if out is None:
-            raise Refused(_leaving(request, fault(request, direct, least_room=True) or first))
+            raise Refused(_leaving(request, _narrowest(request, direct, first)))
         return FreeWay(out.path, [*notes, *out.notes])
     if roomy is not request:
         for way in lines:
@@ -252,9 +252,18 @@ def _generate_and_test(request: PlanningRequest, goal: Array, direct: Path, befo
         return FreeWay(sampled.path, [*notes, *sampled.notes])
     if _begins_narrow(request) and (out := _back_and_on(request, goal)) is not None:
         return FreeWay(out.path, [*notes, *out.notes])
-    first = fault(request, direct, least_room=True) or first
+    first = _narrowest(request, direct, first)
     words = f"{first.message}; no way round it was found in {sampled} samples"
     raise Refused(msgspec.structs.replace(first, message=words, detail={**first.detail, "samples": float(sampled)}))
+
+
+def _narrowest(request: PlanningRequest, way: Path, first: Refusal) -> Refusal:
+    """The fault of a way where its bodies are nearest, or the first one if they collide there: another way may have
+    room. `first`: what a way with more room meets."""
+    found = fault(request, way, least_room=True)
+    if found is not None and float(found.detail.get("distance_m", 0.0)) <= 0.0:
+        found = fault(request, way)
+    return found or first
 
 
 def _back_and_on(request: PlanningRequest, goal: Array) -> FreeWay | None:
