@@ -232,7 +232,8 @@ def _analyzer(program: AnalyzerProgram) -> Problems:
             placeholders = (*extension_names.FAILURE_PLACEHOLDERS, *more)
             for word in PLACEHOLDER.findall(getattr(failure, field)):
                 yield from known("placeholder", word, placeholders, f"classes.{name}.{field}")
-    yield from known("class", program.unmet, ("", *program.classes), "unmet")
+    for field in ("unmet", "squeezed"):
+        yield from known("class", getattr(program, field), ("", *program.classes), field)
     for row, cells in program.outcomes.items():
         missing = [reason.value for reason in StopReason if reason not in cells and reason not in OF_OPERATOR]
         if missing:

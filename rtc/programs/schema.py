@@ -281,6 +281,7 @@ class AnalyzerProgram(ProgramPart, frozen=True, kw_only=True):
     rules: list[TrimRule] = []
     search: SearchModel | None = None
     unmet: str = ""  # class of a step that has reached its end before the condition of UNTIL was true
+    squeezed: str = ""  # class of a step that fingers have ended which press more than the GRIP-FORCE of the sentence
     values: dict[str, float] = {}  # tolerances: position_m, angle_rad, width_m
     clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
     phases: list[str] = []  # of installed packages, in this order; each product passes through them

@@ -24,7 +24,7 @@ from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
 from workers.analyzer.held_object import held_object_changes, interrupted_grasp, moved_in_hand, with_spread
-from workers.analyzer.post_conditions import MOVES, SEEN, TURNING, UNMET, dropped, unmoved_joint, violated
+from workers.analyzer.post_conditions import MOVES, SEEN, TURNING, UNMET, dropped, squeezed, unmoved_joint, violated
 from workers.analyzer.step_changes import (
     arm_changes,
     merged,
@@ -110,8 +110,9 @@ def _assessed(task: AnalyzeTask) -> Assessment:
         report = msgspec.structs.replace(report, message=words)
         task = replace(task, data=msgspec.structs.replace(task.data, report=report))
     cells = task.program.outcomes[row]
+    behind = task.program.unmet if wrong == UNMET else task.program.squeezed if squeezed(task) else ""
     # An answer of the operator to what he does not perform: it was stopped.
-    name = task.program.unmet if wrong == UNMET else cells.get(reason, cells[StopReason.HALT])
+    name = behind or cells.get(reason, cells[StopReason.HALT])
     return _failure(task, reason, name)
 
 

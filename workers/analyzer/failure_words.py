@@ -12,7 +12,7 @@ from rtc.protocol.sentence import ReflexItem
 from rtc.protocol.units import figure
 from workers.analyzer import sighting, turning
 from workers.analyzer.analyze_task import AnalyzeTask
-from workers.analyzer.post_conditions import distance_off_m, pressing_n, seen_as_believed, turned_rad
+from workers.analyzer.post_conditions import distance_off_m, pressing_n, seen_as_believed, squeezed, turned_rad
 from workers.conditions import reflexes
 
 UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
@@ -24,7 +24,7 @@ def what_happened(task: AnalyzeTask, reason: StopReason, failure: OutcomeClass, 
     words.append(reflexes.describe_action(task.report))
     if reason is StopReason.OUT_OF_RANGE and seen_as_believed(task):
         words.append("it is where it is believed to be")
-    if reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
+    if reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT) and not squeezed(task):
         words.append(task.evaluation.remark)
     return "; ".join(filter(None, words))
 
@@ -58,6 +58,7 @@ def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:
         "speed": sighting.speed_in_words(report.sighting),
         "jam": _jam(report),
         "excess": _excess(task),
+        "grip": figure(task.context.limits.grip_force_n or 0.0),
         "short": _short(task),
         "progress": turning.in_words(task),
         "until": task.context.until.sentence if task.context.until else "the condition",

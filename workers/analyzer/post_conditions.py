@@ -147,6 +147,13 @@ def turned_rad(task: AnalyzeTask) -> float:
     return geometry.angle(sighting.pose, place) if place is not None and sighting is not None else 0.0
 
 
+def squeezed(task: AnalyzeTask) -> bool:
+    """Whether fingers that press more than the GRIP-FORCE of the sentence allows have ended the step."""
+    report, most_n = task.report, task.evaluation.squeeze_n
+    at_limit = report.limit is not None and math.isclose(report.limit, most_n)
+    return report.reason is StopReason.FORCE_LIMIT and most_n > 0.0 and at_limit
+
+
 def pressing_n(task: AnalyzeTask) -> float:
     """The force (N) of an arm that pressed on something when it was stopped; 0 if it did not press."""
     report = task.report

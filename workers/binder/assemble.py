@@ -57,7 +57,8 @@ def of_arm(
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
     # A hand that closes on something off its middle presses more with one finger. One that opens may have held it
     # more strongly before this command.
-    if task.held and not lets_go:
+    squeezable = bool(task.held) and not lets_go
+    if squeezable:
         stops += stop_conditions.squeezed(task.data, values)
     load = None if lets_go else task.query.load(task.arm)
     control_law = compliance.control_law(task, trajectory, load)
@@ -75,6 +76,7 @@ def of_arm(
         predicted_s=expected.seconds,
         within_s=expected.within_s,
         force_n=_least_limit_n(stops),
+        squeeze_n=stop_conditions.squeeze_limit_n(task.data, values) if squeezable else 0.0,
     )
     return _bound(task, made, evaluation, values, note)
 

@@ -163,11 +163,14 @@ def near(data: BinderInput, query: WorldQuery, limit_m: float) -> list[StopFunct
 
 def squeezed(data: BinderInput, values: Values) -> list[StopFunction]:
     """Stop functions of MAINTAIN GRIP-FORCE for a hand that holds something."""
+    most_n = squeeze_limit_n(data, values)
+    return [StopFunction(reason=StopReason.FORCE_LIMIT, when=GripForceAbove(most_n))] if most_n else []
+
+
+def squeeze_limit_n(data: BinderInput, values: Values) -> float:
+    """The finger force (N) that MAINTAIN GRIP-FORCE allows; 0: the sentence states none."""
     grip_n = data.context.limits.grip_force_n
-    if grip_n is None:
-        return []
-    most_n = values["squeeze_factor"] * grip_n + values["squeeze_n"]
-    return [StopFunction(reason=StopReason.FORCE_LIMIT, when=GripForceAbove(most_n))]
+    return 0.0 if grip_n is None else values["squeeze_factor"] * grip_n + values["squeeze_n"]
 
 
 def from_command(

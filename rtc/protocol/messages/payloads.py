@@ -112,6 +112,7 @@ class EvaluationContext(Strict, frozen=True, kw_only=True, omit_defaults=True):
     predicted_s: float = 0.0
     within_s: float = 0.0  # half the band of `predicted_s`, beyond what the analyzer's program allows every step
     force_n: float = 0.0  # at which F ends the motion as a fault; 0: none does, or a touch is to end it
+    squeeze_n: float = 0.0  # finger force at which F ends the motion, by the GRIP-FORCE of the sentence; 0: none
     width_m: list[float] | None = None  # for a grip: [least, most] that count as success
     no_contact_is_failure: bool = False
     remark: str = ""  # on speed and force of the motion, for the result

@@ -656,6 +656,19 @@ def test_what_an_arm_leaves_may_push_it_aside(bench, off_m, verdict):
     assert judged(bench, bound, ended(report, StopReason.GOAL, tcp_pose=aside)).verdict == verdict
 
 
+def test_a_grip_above_the_asked_one_is_not_taken_for_an_obstacle(bench):
+    """Fingers at 45 N where GRIP-FORCE 25 N allows 35.5 N ended a motion on which nothing was in the way."""
+    bench.without_cameras()
+    assert bench.do(GRASP).succeeded
+    bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 15 CM MAINTAIN GRIP-FORCE 25 N GUARDED", 1)
+    made = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, measured=45.0, limit=1.3 * 25.0 + 3.0))
+    assert "press with 45 N; GRIP-FORCE 25 N allows 35.5 N" in made.message
+    assert "in the way" not in made.message + made.clears
+    assert "a GRIP-FORCE above 25 N" in made.clears
+    at_the_wrist = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, measured=45.0, limit=20.0))
+    assert "GRIP-FORCE" not in at_the_wrist.message + at_the_wrist.clears
+
+
 def test_a_stop_that_was_asked_for_names_the_way_out_of_what_the_arm_presses_on(bench):
     bound, report = bound_and_done(bench, "MOVE RIGHT-ARM BY 8 CM ALONG UP UNLESS FORCE EXCEEDS 20 N THEN STOP")
     stopped = pressed_down(report, StopReason.FORCE_LIMIT, measured=25.0, limit=20.0)
