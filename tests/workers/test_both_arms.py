@@ -14,6 +14,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import ClearanceBelow, ForceAbove, TcpOutside, TcpSpeedAbove, TcpTurned
 from rtc.spatial import geometry
 from rtc.world.facts import TRUSTED
+from tests.campaigns import advice
 from tests.campaigns.carry import CARRIED, Carrier
 from tests.workers.conftest import CELL, MODEL, Bench
 from workers.planning.robot_models import CellModel
@@ -325,3 +326,14 @@ def test_a_second_hand_takes_a_module_which_is_carried_halted_carried_on_and_let
     assert max(run.between_n, run.resting_n) <= 5.0
     assert run.path_m == pytest.approx(0.06, abs=1e-3)
     assert run.slip_m < 0.002
+
+
+@pytest.mark.parametrize("verb", ["STOW", "RETRACT", "OPEN", "HOLD"])
+def test_a_verb_without_a_script_for_two_arms_names_one_sentence_for_each(bench, verb) -> None:
+    assert bench.do("MOVE RIGHT-ARM TO CLEAR-POINT-1").succeeded
+    refused = bench.elaborate(f"{verb} BOTH-ARMS")
+    assert isinstance(refused, Refusal)
+    offered = [sentence for (sentence,) in advice.steps(refused.clears, "", dict)]
+    assert offered == [f"{verb} {RIGHT}", f"{verb} {LEFT}"]
+    for sentence in offered:
+        assert bench.do(sentence).succeeded, sentence

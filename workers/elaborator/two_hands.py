@@ -25,7 +25,9 @@ def both_arms(
     able = [row.verb for row in rows]
     if parsed.verb not in able:
         message = f"{parsed.verb} has no script for two arms"
-        clears = f"name one arm; {', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}"
+        each = ", then ".join(f"{parsed.verb} {hand_in_words(arm.name)}" for arm in query.cell.arms)
+        one = "name one arm" if parsed.object else f"one sentence for each arm: {each}"
+        clears = f"{one}; {', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}"
         raise Refused.because(RefusalReason.NO_SCRIPT, message, clears=clears)
     if any(reflex.action != "stop" for reflex in parsed.reflexes):
         message = f"{BOTH_ARMS} can only stop when an UNLESS becomes true: another reflex would pull at the object"
