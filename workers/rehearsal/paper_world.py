@@ -40,8 +40,8 @@ class PaperWorld(World):
         return replace(self, facts=after.facts)
 
     def predicted(self) -> list[Fact]:
-        """The facts that are not those of the world database."""
-        return [fact for key, fact in self.facts.items() if fact is not self.real.get(key)]
+        """The facts that are not those of the world database, by key: a view states its facts in any order."""
+        return [fact for key, fact in sorted(self.facts.items()) if fact is not self.real.get(key)]
 
 
 def on_paper(world: World, predicted: Iterable[Fact] = ()) -> PaperWorld:

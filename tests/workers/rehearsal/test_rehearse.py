@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from rtc.protocol import wire
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.protocol.primitive import GoalReached, JointTrajectory, Primitive, StopFunction, TimeAbove
@@ -209,3 +212,11 @@ def test_the_sentence_of_a_test_is_without_test_and_without_the_assumed_fault(te
 
 def test_the_record_is_that_of_the_sentence_that_may_be_given(paper: OnPaper):
     assert paper.test("STOW LEFT-ARM ASSUMING FAULTS").parsed == record("STOW LEFT-ARM")
+
+
+def test_a_rehearsal_is_the_same_whatever_the_order_of_the_facts_in_its_view(paper: OnPaper):
+    """Its recorded job is repeated with the same facts in another order: rtc replay compares the bytes."""
+    other = OnPaper()
+    other.world = replace(other.world, facts=dict(reversed(other.world.facts.items())))
+    for sentence in (GRASP, LIFT):
+        assert wire.encode(paper.test(sentence)) == wire.encode(other.test(sentence))
