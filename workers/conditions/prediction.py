@@ -24,10 +24,11 @@ class Expected(NamedTuple):
 
 def of_path(values: Values, step: Step, path_s: float, *, speed_m_s: float, laden: bool) -> Expected:
     """Of a motion along a path of `path_s`. One that should end with a touch ends `beyond_m` before the end of its
-    path, or after `touch_s` if it begins in contact; it may end earlier or later by as much."""
+    path, or after `touch_s` if it begins in contact; it may end earlier or later by as much. On a shorter path than
+    `blend_s` it may last so long: an offset of the arm from its path takes that time to fade out."""
     whole_s = path_s + values["settle_s"] + (values["laden_settle_s"] if laden else 0.0)
     if StopReason.CONTACT not in step.expect:
-        return Expected(whole_s)
+        return Expected(whole_s, max(0.0, values["blend_s"] - whole_s))
     if StopReason.GOAL in step.expect:  # a touch is possible, but not foreseen
         return Expected(whole_s, whole_s)
     if (touch_s := values.get("touch_s")) is not None:

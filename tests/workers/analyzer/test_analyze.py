@@ -250,6 +250,15 @@ def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
     assert bench.do("STOW RIGHT-ARM").succeeded
 
 
+@pytest.mark.parametrize(("took_s", "late"), [(0.26, False), (0.60, True)])
+def test_an_arm_that_is_at_its_goal_already_may_settle_there(bench, took_s, late):
+    """An offset from the path fades out in 0.25 s, however short the path is: STOW of a stowed arm warned each time."""
+    assert bench.do("STOW RIGHT-ARM").succeeded
+    bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
+    made = judged(bench, bound, ended(report, StopReason.GOAL, duration_s=took_s))
+    assert bool(made.drift) is late
+
+
 def test_a_force_in_a_carry_may_come_from_the_load(bench):
     """A module of 1.5 times the stated mass was stopped so, with nothing in its way."""
     bench.without_cameras()
