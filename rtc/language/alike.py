@@ -14,7 +14,7 @@ MAX_NEAREST = 3
 def unknown(kind: str, name: str, known: Iterable[str]) -> str:
     """The problem text for an unknown name: the known ones, and those that it may stand for."""
     names = sorted(set(known))
-    text = f"there is no {kind} {name}; there are {', '.join(names) or 'none'}"
+    text = f"there is no {kind} {name}; there {'is' if len(names) == 1 else 'are'} {', '.join(names) or 'none'}"
     return "; ".join(filter(None, (text, did_you_mean(nearest(name, names)))))
 
 

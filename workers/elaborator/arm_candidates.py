@@ -150,14 +150,14 @@ def _points(
         return [None]
     if parsed.grasp_point is None:
         return [*thing.grasp_points] or [None]
-    return [_part(thing.grasp_points, parsed.grasp_point, f"grasp point of {thing.name}")]
+    return [_part(thing.grasp_points, parsed.grasp_point, "grasp point", of=thing.name)]
 
 
 T = TypeVar("T", parts.Arm, parts.Object, parts.Seat, parts.GraspPoint)
 
 
-def _part(choices: list[T], name: str, what: str) -> T:
+def _part(choices: list[T], name: str, what: str, of: str = "") -> T:
     known = {part.name: part for part in choices}
     if name not in known:
-        raise suggestions.unknown(what, name, known)
+        raise suggestions.unknown(what, name, known, of=of)
     return known[name]

@@ -8,10 +8,14 @@ from rtc.language.alike import did_you_mean, nearest
 from rtc.protocol.outcomes import RefusalReason, Refused
 
 
-def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> Refused:
-    """A refusal with reason NAME. `expected` lists all known names, `nearest` those like the unknown one."""
+def unknown(what: str, name: str, known: Iterable[str], where: str = "", of: str = "") -> Refused:
+    """A refusal with reason NAME. `expected` lists all known names, `nearest` those like the unknown one.
+
+    `of`: the body whose part is named."""
     names = sorted(set(known))
     near = nearest(name, names)
-    message = f"there is no {what} {name}" + ("" if names else "; there are none at all")
+    message = (f"{of} has no {what} {name}" if of else f"there is no {what} {name}") + (
+        "" if names else "; there are none at all"
+    )
     clears = did_you_mean(near) or ("use one of the names expected" if names else "")
     return Refused.because(RefusalReason.NAME, message, where=where, nearest=near, expected=names, clears=clears)

@@ -55,7 +55,7 @@ def print_log(records: list[m.CommandRecord], run: Past | None, *, far: bool = F
         row = as_row(record, run, far=far)
         at = row["at"] and clock_time(datetime.fromisoformat(row["at"]).timestamp())
         outcome = Text(row["outcome"], style=COLOUR[record.outcome.kind] if record.outcome else "cyan")
-        reports = f"  ({row['reports']} reports)" if row["reports"] else ""
+        reports = f"  ({row['reports']} report{'s' * (row['reports'] != 1)})" if row["reports"] else ""
         sentence = Text(quoted(record.text)).append(reports, style="dim")
         out.add_row(record.command, at or "-", seconds(row["took_s"]), outcome, sentence)
     console.print(out)

@@ -90,7 +90,7 @@ def unknown_label(text: str, above: Iterable[str], strict: bool) -> str:
     labels = list(above)
     for one in references(text):
         if one.sure and spelt(one.name) not in labels and (strict or one.name.isalnum()):
-            known = f"the labels above are {', '.join(labels)}" if labels else f"such a line begins with {one.name}:"
+            known = f"the labels above are {', '.join(labels)}" if labels else f'such a line begins with "{one.name}:"'
             return f"no line above has the label {one.name}; {known}"
     return ""
 
@@ -104,7 +104,7 @@ def _problems(lines: list[Line]) -> Iterator[str]:
         if line.label and not line.text:
             yield f"{line.place}: after the label {line.label} there is no sentence"
         if problem := unknown_label(line.text, above, strict):
-            yield f"{line.place}: {problem}: {line.text}"
+            yield ": ".join(filter(None, (line.place, line.text, problem)))
         if line.label:
             above[line.label] = line.place
 

@@ -219,7 +219,7 @@ def print_differences(found: list[Difference], units: JointUnits) -> None:
         by = "" if one.off_m is None else f"{1e3 * one.off_m:.1f} mm, {math.degrees(one.turned_rad or 0.0):.2f} deg"
         out.add_row(one.key, _shown(one.key, one.before, units), _shown(one.key, one.after, units), by)
     console.print(out)
-    console.print(f"{len(found)} facts differ")
+    console.print("1 fact differs" if len(found) == 1 else f"{len(found)} facts differ")
 
 
 def _shown(key: str, fact: SavedFact | None, units: JointUnits) -> Text:
