@@ -7,7 +7,9 @@ Units are SI and stand last in the name (`approach_m`). This module knows no ski
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -151,7 +153,7 @@ class ActsOn(ProgramPart, frozen=True, kw_only=True):
     about: str  # the same as text
 
 
-class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
+class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True, dict=True):
     decision_tree: list[Branch]
     command_object_table: list[TableRow]
     scripts: list[ScriptFile]
@@ -172,6 +174,26 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
     not_settable: dict[str, str] = {}  # attribute that SET may not change -> the command that measures it
     clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
     senses: dict[str, str] = {}  # suspect attribute of an arm -> piece of script that runs first
+
+    @cached_property
+    def branches(self) -> dict[str, list[Branch]]:
+        """The rows of the decision tree by verb."""
+        return _by_verb(self.decision_tree)
+
+    @cached_property
+    def table_rows(self) -> dict[str, list[TableRow]]:
+        """The rows of the command-object table by verb."""
+        return _by_verb(self.command_object_table)
+
+
+Row = TypeVar("Row", Branch, TableRow)
+
+
+def _by_verb(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row.verb, []).append(row)
+    return found
 
 
 # --- binder --------------------------------------------------------------------------------------------

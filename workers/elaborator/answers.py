@@ -161,7 +161,7 @@ def _script_named(program: ElaboratorProgram, name: str) -> ScriptFile | None:
         return scripts[short.lower()]
     rows = [row for row in program.decision_tree if strategies.is_strategy(short, row.verb, row.script)]
     if not rows and short != name:
-        rows = [row for row in program.decision_tree if row.verb == short]
+        rows = program.branches.get(short, [])
     return scripts[max(rows, key=lambda row: row.likelihood).script] if rows else None
 
 

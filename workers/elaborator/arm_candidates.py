@@ -60,7 +60,7 @@ def _with_place(
     seats = [seat.name for seat in query.cell.seats]
     if parsed.target is None or parsed.target in seats:
         return parsed
-    uses = {name for row in program.decision_tree if row.verb == parsed.verb for name in scripts[row.script].uses}
+    uses = {name for row in program.branches[parsed.verb] for name in scripts[row.script].uses}
     if not {"place", "target"} <= uses:
         return parsed
     places = [place.name for place in query.places]
@@ -76,8 +76,7 @@ def _thing(program: ElaboratorProgram, parsed: ParsedCommand, cell: cells.Cell) 
     try:
         return _part(cell.objects, parsed.object, "object")
     except Refused as unknown:
-        takers = [row for row in program.decision_tree if row.verb == parsed.verb]
-        hands = any(check.missing == "object" for row in takers for check in row.when)
+        hands = any(check.missing == "object" for row in program.branches[parsed.verb] for check in row.when)
         if parsed.hand is not None or not hands:
             raise
         raise _neither_object_nor_hand(unknown.refusal, parsed, cell) from None
@@ -91,9 +90,9 @@ def _shared(
     arm: parts.Arm,
 ) -> parts.Object | None:
     """What this arm and another one hold, for a verb with a script that lets go of it first; None without one."""
-    rows = (row for row in program.decision_tree if row.verb == parsed.verb)
     if parsed.object is not None or not query.sharers(arm.name):
         return None
+    rows = program.branches[parsed.verb]
     leaves = any(two_hands.lets_go_first(scripts[row.script], of_object=True) for row in rows)
     return query.cell.object(query.holding(arm.name)) if leaves else None
 
@@ -144,9 +143,10 @@ def _points(
     thing: parts.Object | None,
 ) -> list[parts.GraspPoint | None]:
     """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
-    rows = [row for row in program.decision_tree if row.verb == parsed.verb] if thing is not None else []
-    chosen = [scripts[row.script] for row in rows if fits_sentence(row, parsed)]
-    if thing is None or not any("grasp_point" in script.uses for script in chosen):
+    if thing is None:
+        return [None]
+    chosen = [scripts[row.script] for row in program.branches[parsed.verb] if fits_sentence(row, parsed)]
+    if not any("grasp_point" in script.uses for script in chosen):
         return [None]
     if parsed.grasp_point is None:
         return [*thing.grasp_points] or [None]

@@ -70,7 +70,7 @@ def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand) -> Non
     for name, why in program.not_yet.items():
         if (value := field(parsed, name)) is None:
             continue
-        checks = (check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when)
+        checks = (check for branch in program.branches[parsed.verb] for check in branch.when)
         if not (isinstance(value, str) and any(check.equals.get(name) == value for check in checks)):
             raise _refused(why, name, f"leave out {in_words(name)}")
 

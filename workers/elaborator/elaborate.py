@@ -105,7 +105,7 @@ def _elaborated(
 ) -> Script:
     """The first feasible script of those that the decision tree has for this sentence. Raises Refused."""
     program, scripts = compiled.program, compiled.scripts
-    branches = [branch for branch in program.decision_tree if branch.verb == parsed.verb and branch.enabled]
+    branches = [branch for branch in program.branches.get(parsed.verb, []) if branch.enabled]
     if not branches:
         raise no_script.refused_verb(program, parsed)
     cameras = any("camera" in scripts[branch.script].resources for branch in branches)
@@ -129,7 +129,7 @@ def _elaborated(
     if not options and unstated:
         raise Refused(unstated[0])
     if not options and parsed is not asked:
-        every = [row for row in program.decision_tree if row.verb == parsed.verb and row.enabled]
+        every = [row for row in program.branches[parsed.verb] if row.enabled]
         fitting = ranked(every, candidates, scripts, [])
         raise strategies.refused(asked, strategies.names([one.branch for one in fitting]))
     if not options:

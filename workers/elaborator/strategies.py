@@ -88,14 +88,14 @@ def refused(parsed: ParsedCommand, others: list[str]) -> Refused:
 
 
 def is_default(program: ElaboratorProgram, parsed: ParsedCommand) -> bool:
-    return (parsed.object or "").removesuffix(STRATEGY) in {row.verb for row in program.decision_tree}
+    return (parsed.object or "").removesuffix(STRATEGY) in program.branches
 
 
 def stated(program: ElaboratorProgram, parsed: ParsedCommand) -> Stated:
     """The default strategy of a verb; NONE forgets it. Raises Refused."""
     place = parsed.object or ""
     verb = place.removesuffix(STRATEGY)
-    rows = [row for row in program.decision_tree if row.verb == verb]
+    rows = program.branches[verb]
     values = parsed.value or []
     name = values[0] if len(values) == 1 and isinstance(values[0], str) else ""
     if parsed.attribute != DEFAULT or not name:

@@ -40,7 +40,7 @@ def _same_task(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], ca
     if candidate.partner is not None:
         return ""
     asked = msgspec.structs.replace(parsed, performer=OPERATOR, path=None, through=[])
-    rows = (row for row in program.decision_tree if row.verb == parsed.verb and row.enabled and is_by_operator(row))
+    rows = (row for row in program.branches[parsed.verb] if row.enabled and is_by_operator(row))
     row = next((row for row in rows if fits_sentence(row, asked)), None)
     words = "" if row is None or not _is_used(asked, scripts[row.script]) else _words(candidate)
     if not words:

@@ -241,7 +241,7 @@ def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:
 
 def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery) -> Refused:
     """Refusal if the table has no row for this verb and object. A verb without any row is a program error."""
-    rows = [row for row in program.command_object_table if row.verb == verb]
+    rows = program.table_rows.get(verb, [])
     fits = [one.name for one in query.cell.objects if any(_is_about(row, one) for row in rows)]
     if thing is None or not rows:
         what = f"{thing.name} ({thing.kind})" if thing else "no object"
@@ -264,7 +264,7 @@ def _table(
     program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery, given: dict[str, float]
 ) -> dict[str, float]:
     """The row of the command-object table, evaluated over `given`: numbers of the cell, attributes of the object."""
-    rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
+    rows = [row for row in program.table_rows.get(verb, []) if _is_about(row, thing)]
     if not rows:
         raise _not_for(program, verb, thing, query)
     rows.sort(key=lambda row: bool(row.name))  # rows for a name override rows for a kind
