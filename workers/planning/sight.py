@@ -52,8 +52,9 @@ class Sight:
         if len(kept) > KEPT:
             kept.clear()
             new = list(range(len(keys)))
-        views = [optics.view(every[n], hands[n]) for n in new]
-        for n, widths in zip(new, absence.widths_px(known, pose, views), strict=True):
-            kept[keys[n]] = max(widths, default=0.0)
+        if new:
+            views = [optics.view(every[n], hands[n]) for n in new]
+            for n, widths in zip(new, absence.widths_px(known, pose, views), strict=True):
+                kept[keys[n]] = max(widths, default=0.0)
         able = [(kept[key], camera) for key, camera in zip(keys, every, strict=True) if kept[key] >= absence.MIN_PX]
         return [camera for _, camera in sorted(able, key=lambda one: -one[0])]
