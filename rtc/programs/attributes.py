@@ -6,7 +6,7 @@ number are figures.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 from rtc.programs import expressions
 from rtc.programs.schema import BranchCondition, ElaboratorProgram, Expression, ScriptFile, ScriptPiece, ScriptStep
@@ -22,9 +22,10 @@ def figures(program: ElaboratorProgram) -> dict[str, str]:
     return {PREFIX + "_".join(filter(None, (name, SUFFIXES.get(row.unit, "")))): name for name, row in rows}
 
 
-def of_script(script: ScriptFile, pieces: Iterable[ScriptPiece]) -> list[str]:
-    """The attributes that a script uses, with those of its pieces."""
-    steps = [*script.steps, *(step for piece in pieces for step in piece.steps)]
+def of_script(script: ScriptFile, pieces: Mapping[str, ScriptPiece]) -> list[str]:
+    """The attributes that a script uses, with those of its pieces. `pieces`: by skill."""
+    own = [pieces[entry.skill] for entry in script.trimming_stack if entry.skill in pieces]
+    steps = [*script.steps, *(step for piece in own for step in piece.steps)]
     used = [*(line.by for line in script.plan), *(line.turn_rad for line in script.plan), *_of_steps(steps)]
     conditions = [script.unsure_if] if script.unsure_if is not None else []
     return sorted({*_among(used), *of_conditions(conditions)})

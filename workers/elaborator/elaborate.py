@@ -74,7 +74,9 @@ def compile(program: bytes) -> Compiled:
     """Check and index the program. Raises ProgramError."""
     document = spliced(decode(program, ElaboratorProgram))
     installed_phases.refuse_unknown(document.phases)
-    return Compiled(document, {s.script: s for s in document.scripts}, {p.skill: p for p in document.pieces})
+    pieces = {piece.skill: piece for piece in document.pieces}
+    used = {s.script: attributes.of_script(s, pieces) for s in document.scripts}
+    return Compiled(document, {s.script: s for s in document.scripts}, pieces, used)
 
 
 def run(
@@ -243,8 +245,7 @@ def _script(compiled: Compiled, option: ScriptOption, options: list[ScriptOption
     command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses, performer=chosen)
     for check in CHECKS:
         check(script, candidate)
-    pieces = [compiled.pieces[entry.skill] for entry in script.trimming_stack if entry.skill in compiled.pieces]
-    used = attributes.of_script(script, pieces)
+    used = compiled.attributes[script.script]
     object_attributes.refuse_unstated(compiled.program, candidate.query, candidate.thing, used)
     try:
         return _planned(compiled, option, options, notes)

@@ -26,6 +26,7 @@ class Compiled:
     program: ElaboratorProgram
     scripts: dict[str, ScriptFile]
     pieces: dict[str, ScriptPiece]
+    attributes: dict[str, list[str]]  # that a script and its pieces use, by script
 
 
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
