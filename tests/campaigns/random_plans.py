@@ -14,10 +14,10 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from benchmarks.load.planning_queries import Queries, Query
 from benchmarks.report import finish, question

@@ -7,7 +7,8 @@ the arm may reach from where it stopped is doubtful until it is sensed again (R1
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.spatial.geometry import Floats

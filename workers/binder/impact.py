@@ -7,10 +7,10 @@ effective mass times speed. Neither a lower threshold nor a softer arm can reduc
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.messages import ScriptContext

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from rtc.protocol.messages import BoundStep, EvaluationContext, Limits
 from rtc.protocol.outcomes import Refused, StopReason, refuse_if

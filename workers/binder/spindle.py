@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from rtc.model.cells import parts
 from rtc.protocol.messages import BoundStep, EvaluationContext

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
@@ -25,8 +26,7 @@ ALONG_BAR = (1.0, 0.0, 0.0)  # tool x
 ALONG_BOLT = (0.0, 0.0, 1.0)  # z of the tip of a spindle
 
 
-@dataclass(frozen=True)
-class Anchor:
+class Anchor(msgspec.Struct, frozen=True):
     """Joint values (rad), or a tcp pose in `frame` (an object or seat; None = world). `grasp`: pose of the held object
     in the hand that it was made for; with another one the tcp must go elsewhere. `relies_on`: keys of the facts used.
     """

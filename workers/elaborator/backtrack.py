@@ -13,12 +13,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from rtc.language.alike import unknown
 from rtc.model.cells import parts
@@ -44,8 +44,7 @@ MAX_DETOURED = 3  # maximum number of inverse solutions to which ways round are 
 FRAME, GRASP = "frame", "grasp"  # attributes that cameras sense
 
 
-@dataclass(frozen=True)
-class Planned:
+class Planned(msgspec.Struct, frozen=True):
     bindings: dict[str, Binding]
     relies_on: list[str]  # keys of the facts used
     notes: list[str]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import msgspec
+from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
 from rtc.protocol.messages import Limits, WorldChange

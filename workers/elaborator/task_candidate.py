@@ -7,7 +7,6 @@ command-object table, the hand, the object, the sentence.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import msgspec
@@ -28,8 +27,7 @@ from workers.planning.trust import AHEAD_S
 from workers.planning.world_query import WorldQuery
 
 
-@dataclass(frozen=True)
-class TaskCandidate:
+class TaskCandidate(msgspec.Struct, frozen=True, dict=True):
     query: WorldQuery
     program: ElaboratorProgram
     parsed: ParsedCommand
@@ -57,7 +55,7 @@ class TaskCandidate:
             self.program, self.parsed, self.query, self.partner, self.thing, self.point, self.target, self.hand
         )
         limits = msgspec.structs.replace(self.limits, attitude=None)  # only the first hand keeps it
-        return replace(self, hand=self.partner, partner=self.hand, figures=figures, limits=limits)
+        return msgspec.structs.replace(self, hand=self.partner, partner=self.hand, figures=figures, limits=limits)
 
     @property
     def body(self) -> str:

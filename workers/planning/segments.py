@@ -7,11 +7,11 @@ The keys of `SPACES` are the words of the fourth column of the paper's Figure 4.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from rtc.protocol.messages import PlannedPath
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
@@ -36,8 +36,7 @@ from workers.planning.motion.request import FreeWay, PlanningRequest, free_postu
 SAME_RAD = 0.02  # tolerance of the joint values at the end of a straight line
 
 
-@dataclass(frozen=True, eq=False)
-class Target:
+class Target(msgspec.Struct, frozen=True, eq=False):
     """Exactly one of the first three is set: joint values (rad), a pose of the tcp (world frame), or the poses of a
     curve, [poses][7]."""
 

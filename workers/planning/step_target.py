@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import msgspec
+from msgspec.structs import replace
 
 from rtc.programs.extension_names import PLAN_AXES, SPACE_ARGS, WAY_OUT
 from rtc.protocol.messages import Step

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+import msgspec
 
 from rtc.spatial.geometry import Floats
 
@@ -27,21 +29,18 @@ class AttachedBody:
     point: Floats  # m, object's axes
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(msgspec.Struct, frozen=True, eq=False):
     """The state of the world for a check. A name is an owner (RACK-1) or a part of one (RACK-1 floor)."""
 
-    poses: Mapping[str, Floats] = field(default_factory=dict)  # of seats and objects, world; others as in the cell
-    held: Mapping[str, Held] = field(default_factory=dict)  # by object
-    hung: Mapping[str, AttachedBody] = field(default_factory=dict)  # by object
-    openings_m: Mapping[str, float] = field(default_factory=dict)  # of the hands, by arm; default: fully open
+    poses: Mapping[str, Floats] = {}  # of seats and objects, world; others as in the cell
+    held: Mapping[str, Held] = {}  # by object
+    hung: Mapping[str, AttachedBody] = {}  # by object
+    openings_m: Mapping[str, float] = {}  # of the hands, by arm; default: fully open
     ignore: Iterable[tuple[str, str]] = ()  # pairs that may touch
     clearance_m: float = 0.0  # minimum distance of arms and held objects from others; of a held object from its arm too
-    pose_tolerance_m: Mapping[str, float] = field(
-        default_factory=dict
-    )  # bodies that may be this far from their pose here
+    pose_tolerance_m: Mapping[str, float] = {}  # bodies that may be this far from their pose here
     near: Iterable[str] = ()  # bodies exempt from both, but not from contact
-    close: Mapping[tuple[str, str], float] = field(default_factory=dict)  # pairs of pieces with a smaller clearance
+    close: Mapping[tuple[str, str], float] = {}  # pairs of pieces with a smaller clearance
     arms_apart_m: float = 0.0  # minimum distance of two arms from each other, with what they hold; without exemption
     keep_out: Iterable[str] = ()  # regions that count as solid
     moving: str = ""  # the arm to check, pairs without it are ignored; empty: all arms

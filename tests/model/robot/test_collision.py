@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from msgspec.structs import replace
 
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import Held, Scene

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Box, Frame, Object

@@ -6,7 +6,8 @@ Keep-out regions and clearances concern bodies; they belong to the collision `Sc
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+import msgspec
 
 from rtc.model.cells import parts
 from rtc.model.robot.kinematics import ArmModel
@@ -25,8 +26,7 @@ def attitude_tolerance_rad(start: Floats, attitude: parts.Frame) -> float:
     return off_rad + SLACK_RAD if ATTITUDE_RAD < off_rad <= BEGINS_RAD else ATTITUDE_RAD
 
 
-@dataclass(frozen=True, eq=False)
-class PathConstraints:
+class PathConstraints(msgspec.Struct, frozen=True, eq=False):
     """Path constraints; None = not constrained."""
 
     work_range: parts.Region | None = None

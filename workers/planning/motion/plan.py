@@ -10,10 +10,10 @@ The first that passes is taken; `notes` record the attempts. Deterministic: the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from rtc.model.robot.collision_scene import in_hands
 from rtc.protocol.outcomes import LEAVING, Refusal, RefusalReason, Refused, refuse_if
@@ -43,13 +43,12 @@ SAME_RAD = 1e-6  # tolerance of the joint values at the end of a straight line
 DIRECT = "generated a line in joint space; tested: free"
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(msgspec.Struct, frozen=True, eq=False):
     path: Path
     timed: Timed
     goal_joints: Array
     goal_pose: Array
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = []
     partner: Timed | None = None  # the motion of the second arm, if the request has one
 
 

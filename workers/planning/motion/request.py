@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgspec
@@ -23,8 +22,7 @@ from workers.planning.motion.timing import NO_SPEED_LIMITS, SpeedLimits
 FINER, FINEST_RAD = 4, CHECK_RAD / 100  # steps of a path whose chords are too near, but perhaps not the path
 
 
-@dataclass(frozen=True, eq=False)
-class PlanningRequest:
+class PlanningRequest(msgspec.Struct, frozen=True, eq=False):
     """A planning problem without its goal: arm, collision world, start joints, scene, constraints and pace."""
 
     arm: ArmModel

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from rtc.model.robot.collision_scene import Scene
 from rtc.protocol.messages import PlannedPath

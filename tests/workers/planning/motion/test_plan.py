@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from rtc.model.cells.parts import Box, Frame, Object
 from rtc.model.robot.collision import CollisionWorld
