@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Meta
 
 from rtc.protocol.outcomes import Reflex, StopReason
+from rtc.protocol.sentence import OPERATOR
 
 Expression = str | float  # see rtc.programs.expressions
 Case = Annotated[int, Meta(ge=1, le=4)]
@@ -41,7 +42,7 @@ class BranchCondition(ProgramPart, frozen=True, kw_only=True):
     at_most: Expression | None = None
 
 
-class Branch(ProgramPart, frozen=True, kw_only=True):
+class Branch(ProgramPart, frozen=True, kw_only=True, dict=True):
     """A verb, its conditions and its script. All branches that hold are candidates, the likeliest first (R28)."""
 
     verb: str
@@ -50,6 +51,11 @@ class Branch(ProgramPart, frozen=True, kw_only=True):
     likelihood: Share = 1.0
     enabled: bool = True
     extra: dict[str, Any] = {}  # the keys x-..., for evaluators of installed packages (rtc.programs.plugin_fields)
+
+    @cached_property
+    def by_operator(self) -> bool:
+        """Whether the operator performs the script: VIA OPERATOR-INTERVENTION."""
+        return any(check.equals.get("performer") == OPERATOR for check in self.when)
 
 
 class TableRow(ProgramPart, frozen=True, kw_only=True):

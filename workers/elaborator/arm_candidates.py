@@ -57,8 +57,7 @@ def _with_place(
     """The sentence, with its target as the destination if it is a place and a script of the verb goes to places.
 
     Raises Refused for a target that is neither a seat nor a place."""
-    seats = [seat.name for seat in query.cell.seats]
-    if parsed.target is None or parsed.target in seats:
+    if parsed.target is None or parsed.target in (seats := [seat.name for seat in query.cell.seats]):
         return parsed
     uses = {name for row in program.branches[parsed.verb] for name in scripts[row.script].uses}
     if not {"place", "target"} <= uses:

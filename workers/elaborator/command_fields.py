@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import msgspec
-
 from rtc.model.cells.cell import Cell
 from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
@@ -26,6 +24,8 @@ EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "refle
 }
 
 
+#: The other fields: a script that is asked for one must list it.
+LISTED = [name for name in ParsedCommand.__struct_fields__ if name not in EVERYWHERE]
 NAMED = {"attitude": "attitude", "shared": "part"}  # what a limit names; other limits name a region
 SOFT = "stiffness_n_m"  # figure of a compliant step
 MIN_REPORT_S = 0.1  # minimum interval of REPORT EVERY, in arm time
@@ -77,10 +77,8 @@ def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand) -> Non
 
 def refuse_unused_field(parsed: ParsedCommand, script: str, uses: list[str], *, performer: bool = False) -> None:
     """Refuse a field that is set but not used by the script. `performer`: VIA has chosen it."""
-    for name in parsed.__struct_fields__:
-        if name == "performer" and performer:
-            continue
-        if name not in EVERYWHERE and name not in uses and field(parsed, name) is not None:
+    for name in LISTED:
+        if field(parsed, name) is not None and name not in uses and not (name == "performer" and performer):
             words = in_words(name)
             message = f"{parsed.verb} does not take {words}: its script {script} has no use for it"
             clears = f"leave out {words}; in a script of your own, put {name} into its `uses`"
@@ -104,7 +102,7 @@ def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Lim
             figures.setdefault("keep_out", []).append(value)
         else:
             figures[kept[unit]] = value
-    return msgspec.convert({limit: value for limit, value in figures.items() if limit}, Limits)
+    return Limits(**{limit: value for limit, value in figures.items() if limit})
 
 
 def argument(constraint: Constraint, cell: Cell) -> tuple[str, str | float]:
@@ -138,9 +136,7 @@ def _refuse_impossible(
 def refuse_without_effect(script: ScriptFile, candidate: TaskCandidate) -> None:
     """Refuse a constraint, condition or reflex that applies to no step of the script."""
     parsed = candidate.parsed
-    complies = any(SOFT in step.args and not step.op for step in script.steps)
-    soft = complies or any(constraint.slot == "STIFFNESS" for constraint in parsed.constraints)
-    if not soft and any(condition.event == "NO-PROGRESS" for condition in parsed.conditions):
+    if any(condition.event == "NO-PROGRESS" for condition in parsed.conditions) and not _complies(script, parsed):
         message = f"NO-PROGRESS is about a compliant arm; {parsed.verb} moves a rigid one, which its force limit stops"
         raise _refused(message, "NO-PROGRESS", "MAINTAIN STIFFNESS, such as 600 N/M; or leave out NO-PROGRESS")
     if any(item.action == "back_off" for item in parsed.reflexes) and not any(s.do == "move" for s in script.steps):
@@ -152,6 +148,11 @@ def refuse_without_effect(script: ScriptFile, candidate: TaskCandidate) -> None:
             continue
         message = f"MAINTAIN {constraint.slot} is about {wanted.about}, of which {parsed.verb} has none"
         raise _refused(message, constraint.slot, f"leave out {constraint.slot}")
+
+
+def _complies(script: ScriptFile, parsed: ParsedCommand) -> bool:
+    soft = any(SOFT in step.args and not step.op for step in script.steps)
+    return soft or any(constraint.slot == "STIFFNESS" for constraint in parsed.constraints)
 
 
 def _is(step: ScriptStep, wanted: ActsOn) -> bool:
@@ -170,9 +171,8 @@ def refuse_report_interval(parsed: ParsedCommand) -> None:
 
 def refuse_report_items(parsed: ParsedCommand) -> None:
     """Refuse REPORT of an item that no installed package measures."""
-    known = report_items.known()
     for item in parsed.report.items if parsed.report else ():
-        if item not in known:
+        if item not in (known := report_items.known()):
             raise suggestions.unknown("report item", item, known, where="REPORT")
 
 

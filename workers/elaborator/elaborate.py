@@ -52,6 +52,7 @@ from workers.elaborator.script_steps import (
     Compiled,
     context_for,
     lost_arms,
+    names_by_role,
     names_of,
     sensed_first,
     step_for,
@@ -110,9 +111,8 @@ def _elaborated(
     branches = [branch for branch in program.branches.get(parsed.verb, []) if branch.enabled]
     if not branches:
         raise no_script.refused_verb(program, parsed)
-    cameras = any("camera" in scripts[branch.script].resources for branch in branches)
     asked = parsed
-    parsed, branches = strategies.via(program, parsed, branches, query, cameras=cameras)
+    parsed, branches = strategies.via(program, scripts, parsed, branches, query)
     command_fields.refuse_unsupported(program, parsed)
     command_fields.refuse_report_interval(parsed)
     command_fields.refuse_report_items(parsed)
@@ -157,6 +157,8 @@ def _of_data(
 
 def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:
     """Refuse conditions that nothing measures, and actions that no reflex performs."""
+    if not parsed.conditions:
+        return
     joints = max(len(arm.joints) for arm in query.cell.arms)
     for reflex in parsed.reflexes:
         reflexes.refuse_unsupported(reflex, parsed.object is not None, joints)
@@ -280,6 +282,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     looking = [*steps, *(step for entry in entries for step in entry.steps)]
     cameras = [name for step in looking for name in step.cameras]
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
+    stands_for = names_by_role(candidate)
     in_reserve = any(entry.n > RESERVE for entry in entries)
     writes = [*script.writes, *(WRITES_OF_RESERVE if in_reserve else ())]
     return Script(
@@ -288,8 +291,8 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
         steps=steps,
         trims=entries,
         bindings=planned.bindings,
-        resources=list(dict.fromkeys([*names_of(script.resources, candidate, held), *others, *cameras])),
-        writes=list(dict.fromkeys([*names_of(writes, candidate, held), *others, *with_seats(candidate, doubtful)])),
+        resources=list(dict.fromkeys([*names_of(script.resources, stands_for, held), *others, *cameras])),
+        writes=list(dict.fromkeys([*names_of(writes, stands_for, held), *others, *with_seats(candidate, doubtful)])),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
         notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out, *in_words(options)],
     )

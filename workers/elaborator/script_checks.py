@@ -104,7 +104,7 @@ def why_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | 
 
 def why_uncertain(steps: list[Step], candidate: TaskCandidate) -> Refusal | None:
     """The refusal of a script if the held object will be too uncertain for one of its steps when that step begins."""
-    if candidate.hand is None:
+    if candidate.hand is None or not candidate.query.holding(candidate.hand.name):
         return None
     query, ahead_s = candidate.query, 0.0
     motion_s = trust.motion_time_s(query, candidate.limits)

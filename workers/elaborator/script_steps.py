@@ -102,13 +102,14 @@ def trims_for(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) 
     """The trimming stack, and notes about entries without a piece of script, which are left out."""
     entries: list[Trim] = []
     left_out: list[str] = []
+    roles = candidate.roles
     for entry in script.trimming_stack:
         piece = compiled.pieces.get(entry.skill)
-        label = f"{entry.skill} {candidate.roles.get(entry.who, entry.who)}"
+        label = f"{entry.skill} {roles.get(entry.who, entry.who)}"
         if piece is None:
             left_out.append(f"trim {entry.n} ({label}) is left out: there is no piece of script for {entry.skill}")
             continue
-        if candidate.camera is None and any(step.who == CAMERA for step in _own_steps(piece, candidate) or piece.steps):
+        if _looks(_own_steps(piece, candidate) or piece.steps) and candidate.camera is None:
             left_out.append(f"trim {entry.n} ({label}) is left out: no camera can see {candidate.body}")
             continue
         try:
@@ -136,9 +137,10 @@ def _add_reserve(
     compiled: Compiled, script: ScriptFile, candidate: TaskCandidate, entries: list[Trim], left_out: list[str]
 ) -> None:
     """The entries of `reserve` whose pieces can be tried in this script; notes about the others."""
+    roles = candidate.roles
     for n, entry in enumerate(compiled.program.reserve, RESERVE + 1):
         piece = compiled.pieces[entry.skill]
-        label = f"{entry.skill} {candidate.roles.get(entry.who, entry.who)}"
+        label = f"{entry.skill} {roles.get(entry.who, entry.who)}"
         if _fits(piece, script, candidate):
             steps = _steps_of(piece, candidate)
             entries.append(Trim(n=n, label=label, steps=steps, then=entry.then, fits=entry.fits))
@@ -154,8 +156,13 @@ def _own_steps(piece: ScriptPiece, candidate: TaskCandidate) -> list[ScriptStep]
     """The steps of a piece without those of a second arm that the command lacks, and without a look that may also find
     nothing, if no camera can see the object."""
     own = [step for step in piece.steps if step.who != PARTNER or candidate.partner is not None]
-    blind = not candidate.body or candidate.camera is None
-    return [step for step in own if not (blind and step.who == CAMERA and StopReason.NOT_SEEN in step.expect)]
+    if not _looks(own) or (candidate.body and candidate.camera is not None):
+        return own
+    return [step for step in own if step.who != CAMERA or StopReason.NOT_SEEN not in step.expect]
+
+
+def _looks(steps: list[ScriptStep]) -> bool:
+    return any(step.who == CAMERA for step in steps)
 
 
 def _fits(piece: ScriptPiece, script: ScriptFile, candidate: TaskCandidate) -> bool:
@@ -163,7 +170,7 @@ def _fits(piece: ScriptPiece, script: ScriptFile, candidate: TaskCandidate) -> b
     poses = {"", "HERE", *(line.name for line in script.plan)}
     own = _own_steps(piece, candidate)
     figures = {name for step in own for value in step.args.values() for name in expressions.names(str(value))}
-    blind = any(step.who == CAMERA for step in own) and (not candidate.body or candidate.camera is None)
+    blind = _looks(own) and (not candidate.body or candidate.camera is None)
     nowhere = candidate.target is None and any("{way_out}" in step.words.get("axis", "") for step in own)
     bound = all({step.to, step.words.get("about", "")} <= poses for step in own)
     known = figures <= candidate.figures.keys()
@@ -256,8 +263,8 @@ def context_for(
     )
 
 
-def names_of(roles: list[str], candidate: TaskCandidate, held: str) -> list[str]:
-    """The names that the roles stand for; includes the held object, because it moves with the arm."""
+def names_by_role(candidate: TaskCandidate) -> dict[str, list[str]]:
+    """The names that each role stands for."""
     query, thing = candidate.query, candidate.thing.name if candidate.thing else ""
     stands_for = {name: [role] for name, role in candidate.roles.items()}
     stands_for["its_seat"] = [query.seat(thing)] if thing else []
@@ -267,6 +274,11 @@ def names_of(roles: list[str], candidate: TaskCandidate, held: str) -> list[str]
         for one in query.cell.objects
         if candidate.seat is not None and query.seat(one.name) == candidate.seat.name
     ]
+    return stands_for
+
+
+def names_of(roles: list[str], stands_for: dict[str, list[str]], held: str) -> list[str]:
+    """The names of these roles; includes the held object, because it moves with the arm."""
     found = [name for role in roles for name in stands_for.get(role, [role])]
     return list(dict.fromkeys(name for name in (*found, held) if name))
 

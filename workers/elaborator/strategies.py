@@ -6,11 +6,11 @@ VERB-STRATEGY.default, which SET states, is the one that is tried first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import msgspec
 
-from rtc.programs.schema import Branch, ElaboratorProgram
+from rtc.programs.schema import Branch, ElaboratorProgram, ScriptFile
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import OPERATOR, ParsedCommand
 from workers.elaborator.teach import NONE, Stated
@@ -32,19 +32,23 @@ def names(branches: Sequence[Branch]) -> list[str]:
 
 
 def via(
-    program: ElaboratorProgram, parsed: ParsedCommand, branches: list[Branch], query: WorldQuery, *, cameras: bool
+    program: ElaboratorProgram,
+    scripts: Mapping[str, ScriptFile],
+    parsed: ParsedCommand,
+    branches: list[Branch],
+    query: WorldQuery,
 ) -> tuple[ParsedCommand, list[Branch]]:
     """The rows that VIA leaves, and the sentence without a VIA that has named one. Raises Refused.
 
-    `cameras`: VIA may name one. Without VIA the row of the default strategy comes first."""
+    Of scripts with a camera VIA may name that. Without VIA the row of the default strategy comes first."""
     wanted = parsed.performer
     if wanted is None:
-        own = [branch for branch in branches if not is_by_operator(branch)] or branches
+        own = [branch for branch in branches if not branch.by_operator] or branches
         return parsed, _default_first(parsed, own, query)
     if wanted == OPERATOR:
         return parsed, _by_operator(program, parsed, branches)
     by_row = any(check.equals.get("performer") == wanted for branch in branches for check in branch.when)
-    if by_row or cameras:
+    if by_row or any("camera" in scripts[branch.script].resources for branch in branches):
         return parsed, branches
     chosen = [branch for branch in branches if is_strategy(wanted, parsed.verb, branch.script)]
     if not chosen:
@@ -55,17 +59,13 @@ def via(
 
 def _by_operator(program: ElaboratorProgram, parsed: ParsedCommand, branches: list[Branch]) -> list[Branch]:
     """The rows for the operator. Raises Refused."""
-    chosen = [branch for branch in branches if is_by_operator(branch)]
+    chosen = [branch for branch in branches if branch.by_operator]
     if chosen:
         return chosen
-    verbs = list(dict.fromkeys(row.verb for row in program.decision_tree if is_by_operator(row)))
+    verbs = list(dict.fromkeys(row.verb for row in program.decision_tree if row.by_operator))
     message = f"there is no script in which the operator performs {parsed.verb}"
     clears = f"leave out VIA; he performs {', '.join(verbs)}"
     raise Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", expected=verbs, clears=clears)
-
-
-def is_by_operator(branch: Branch) -> bool:
-    return any(check.equals.get("performer") == OPERATOR for check in branch.when)
 
 
 def _default_first(parsed: ParsedCommand, branches: list[Branch], query: WorldQuery) -> list[Branch]:

@@ -17,7 +17,6 @@ from rtc.protocol.sentence import OPERATOR, SHARED, ParsedCommand, Quantity
 from rtc.protocol.units import in_words
 from workers.elaborator import command_fields
 from workers.elaborator.script_options import fits_sentence
-from workers.elaborator.strategies import is_by_operator
 from workers.elaborator.task_candidate import TaskCandidate
 
 KEPT = ("AVOID-TASK-REGION", "SAFE-WORK-RANGE")
@@ -40,7 +39,7 @@ def _same_task(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], ca
     if candidate.partner is not None:
         return ""
     asked = msgspec.structs.replace(parsed, performer=OPERATOR, path=None, through=[])
-    rows = (row for row in program.branches[parsed.verb] if row.enabled and is_by_operator(row))
+    rows = (row for row in program.branches[parsed.verb] if row.enabled and row.by_operator)
     row = next((row for row in rows if fits_sentence(row, asked)), None)
     words = "" if row is None or not _is_used(asked, scripts[row.script]) else _words(candidate)
     if not words:

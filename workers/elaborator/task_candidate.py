@@ -152,7 +152,7 @@ def figures_of(
     partner: parts.Arm | None = None,
 ) -> dict[str, float]:
     """All figures of a candidate. Raises Refused if the command-object table has no row for it."""
-    figures: dict[str, float] = dict(msgspec.structs.asdict(query.cell.numbers))
+    figures: dict[str, float] = msgspec.structs.asdict(query.cell.numbers)
     of_object = object_attributes.figures(program, query, thing)
     figures |= _table(program, parsed.verb, thing, query, figures | of_object) | of_object
     if arm is not None:
