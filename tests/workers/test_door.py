@@ -310,3 +310,29 @@ def test_the_angle_of_a_door_that_was_turned_to_and_fro_is_within_its_spread(phy
         assert off <= max(frame.spread[3:]), (sentence, math.degrees(off))
         assert max(frame.spread[:3]) < 1e-6  # its hinge keeps it in place
     assert max(frame.spread[3:]) < math.radians(2.5)
+
+
+@pytest.mark.parametrize("line", [f"OPEN {DOOR} BY 60 DEG", f"OPEN {DOOR} TO 60 DEG", f"CLOSE {DOOR}"])
+def test_a_bar_that_leaves_the_fingers_is_taken_deeper_and_the_door_turned_on(bench, line) -> None:
+    bench.do(GRASP)
+    if line.startswith("CLOSE"):
+        bench.do(f"OPEN {DOOR} BY 60 DEG")
+    bench.subsystem.instead[f"C-{bench.commands + 1}.1"] = StopReason.OBJECT_LOST
+    run = bench.do(line)
+    assert run.succeeded, (run.refusal, run.failure)
+    assert run.trims == [1]
+    assert run.labels[-1] == run.labels[0]
+    deeper = run.primitives[2].trajectory
+    way = [
+        geometry.transform_point(geometry.inverse(MODEL.arms[ARM].fk(deeper.positions[0])), MODEL.arms[ARM].fk(end)[:3])
+        for end in deeper.positions
+    ]
+    assert way[-1] == pytest.approx([0.0, 0.0, 0.030], abs=1e-4)
+    assert angle_deg(bench) == pytest.approx(0.0 if line.startswith("CLOSE") else 60.0, abs=3.0)
+
+
+def test_a_loss_at_which_the_sentence_stops_is_not_mended(bench) -> None:
+    bench.do(GRASP)
+    bench.subsystem.instead["C-2.1"] = StopReason.OBJECT_LOST
+    run = bench.do(f"OPEN {DOOR} BY 60 DEG UNLESS OBJECT-LOST THEN STOP")
+    assert (run.succeeded, run.trims) == (False, [])

@@ -17,6 +17,7 @@ from rtc.programs.schema import AnalyzerProgram, Bounds
 from rtc.protocol.messages import TrimOffer
 from rtc.protocol.outcomes import ProgramError, StopReason
 from workers.analyzer.analyze_task import AnalyzeTask
+from workers.conditions import reflexes
 
 NAMELESS = TrimOffer(skill="")  # an entry of the sentence (AND TRY)
 
@@ -41,6 +42,9 @@ def chosen(task: AnalyzeTask, reason: StopReason, failure: str) -> tuple[list[in
 
 
 def _offers(task: AnalyzeTask, reason: StopReason) -> dict[int, TrimOffer]:
+    asked = reflexes.find_requested(task.context.reflexes, task.report)
+    if asked is not None and not asked.trim:  # the sentence stops here, and names nothing to try
+        return {}
     used, fits = task.data.trims_used, task.context.fits
     entries = [entry for entry in task.step.trims if entry not in used and reason in fits.get(entry, [reason])]
     return {entry: task.context.offers.get(entry, NAMELESS) for entry in entries}
