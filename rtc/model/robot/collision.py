@@ -735,11 +735,13 @@ class CollisionWorld:
             hand = self._bodies.arms[holder]
             parent, at = hand.hand_joint, hand.tcp * at
         pieces = self._table.pieces_of.get(owner, [])
-        if parent or self._levers[pieces].any():
+        if not pieces:
+            return
+        if parent or self._levers[pieces[0]].any():  # all of them have the same
             self._levers[pieces] = levers(self._bodies.model, parent, at.translation, self._radius_m.get(owner, 0.0))
             self._pair_levers.clear()
         self._elsewhere[owner] = parent, at
-        if self._boxes is not None and pieces:
+        if self._boxes is not None:
             self._boxes.place(pieces, parent, at)
 
     def _switch(self, scene: Scene) -> None:

@@ -346,8 +346,8 @@ class ArmModel:
 
     def why_not_within(self, joints: Floats, margin_rad: float = 0.0) -> Refusal | None:
         """The joint of this posture that exceeds its limits most; None: all joints are within them."""
-        q, margins = np.asarray(joints, dtype=float), self.margins(margin_rad)
-        below, above = self.limits.lower + margins - q, q - self.limits.upper + margins
+        q, (lower, upper) = np.asarray(joints, dtype=float), self.bounds(margin_rad)
+        below, above = lower - q, q - upper
         if max(below.max(), above.max()) <= 0:
             return None
         n = int(np.maximum(below, above).argmax())

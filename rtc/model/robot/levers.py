@@ -7,6 +7,7 @@ joint by dq (rad) moves no point of the body farther than lever * dq.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import coal
 import numpy as np
@@ -22,17 +23,30 @@ def levers(model: pin.Model, joint: int, centre: Floats, radius_m: float) -> Arr
     """
     found = np.zeros(model.nq)
     point = np.asarray(centre, dtype=float)
-    while joint > 0:
-        kind, at = model.joints[joint].shortname(), model.joints[joint].idx_q
+    far_m = float(np.linalg.norm(point))
+    for kind, at, most_m, place, place_m in _to_base(model, joint):
         if kind == "JointModelRZ":
             found[at] = math.hypot(point[0], point[1]) + radius_m
         elif kind.startswith("JointModelR"):
-            found[at] = float(np.linalg.norm(point)) + radius_m
+            found[at] = far_m + radius_m
         else:
             found[at] = 1.0
-            radius_m += max(abs(model.lowerPositionLimit[at]), abs(model.upperPositionLimit[at]))
-        radius_m += float(np.linalg.norm(point))
-        point = np.asarray(model.jointPlacements[joint].translation)
+            radius_m += most_m
+        radius_m += far_m
+        point, far_m = place, place_m
+    return found
+
+
+@lru_cache(maxsize=256)
+def _to_base(model: pin.Model, joint: int) -> list[tuple[str, int, float, Array, float]]:
+    """Of a joint and those that carry it: kind, index and greatest size of its value, place before it turns, and the
+    distance (m) of that."""
+    found = []
+    while joint > 0:
+        kind, at = model.joints[joint].shortname(), model.joints[joint].idx_q
+        most = max(abs(model.lowerPositionLimit[at]), abs(model.upperPositionLimit[at]))
+        place = np.array(model.jointPlacements[joint].translation)
+        found.append((kind, at, most, place, float(np.linalg.norm(place))))
         joint = model.parents[joint]
     return found
 

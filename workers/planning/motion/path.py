@@ -169,8 +169,8 @@ def _first_problem(arm: ArmModel, table: Array, margin_rad: float) -> int:
     """Index of the first row after the start that leaps or passes a limit; the number of rows if there is none."""
     rows = table[1:]
     bad = np.abs(rows - table[:-1]).max(axis=1) > LEAP_RAD
-    margins = arm.margins(margin_rad)
-    bad |= np.maximum(arm.limits.lower + margins - rows, rows - arm.limits.upper + margins).max(axis=1) > 0
+    lower, upper = arm.bounds(margin_rad)
+    bad |= ((rows < lower) | (rows > upper)).any(axis=1)
     return int(bad.argmax()) + 1 if bad.any() else len(table)
 
 
