@@ -181,13 +181,13 @@ def _wrong_units(candidate: TaskCandidate, slides: list[int], lengths: list[int]
 
 def place(query: WorldQuery, name: str) -> parts.Place:
     """The place of the cell, or the taught one, with this name. Raises Refused if there is none."""
-    known = query.places
-    if (found := next((place for place in known if place.name == name), None)) is not None:
+    own = next((place for place in query.cell.places if place.name == name), None)
+    if (found := own or next((place for place in query.taught_places if place.name == name), None)) is not None:
         return found
     if any(thing.name == name for thing in query.cell.objects):
         message = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
         raise Refused.because(RefusalReason.NAME, message, nearest=[name], clears="use one of the two forms")
-    raise suggestions.unknown("place", name, dict.fromkeys(place.name for place in reversed(known)))
+    raise suggestions.unknown("place", name, (place.name for place in query.places))
 
 
 def named(candidate: TaskCandidate, name: str) -> Anchor:

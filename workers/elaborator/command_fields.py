@@ -57,7 +57,7 @@ def field(parsed: ParsedCommand, path: str) -> Any:
         value = getattr(value, name, None)
         if value is None:
             return None
-    return None if value in ("", [], False) else value
+    return value or None
 
 
 def in_words(path: str) -> str:

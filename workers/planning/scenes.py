@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from rtc.model.robot.collision_scene import AttachedBody, Held, Scene
 from rtc.protocol.messages import Limits
 from rtc.spatial import geometry
@@ -127,7 +129,7 @@ def planning_request(
     return PlanningRequest(
         arm=query.model.arms[arm],
         world=query.model.collision,
-        joints={a.name: query.joints(a.name) for a in query.cell.arms},
+        joints={a.name: np.array(query.joints(a.name), dtype=float) for a in query.cell.arms},
         scene=scene,
         path_constraints=PathConstraints(
             work_range=query.cell.region(limits.work_range) if limits.work_range else None,

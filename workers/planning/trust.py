@@ -129,13 +129,12 @@ def off_m(query: WorldQuery, body: str, spread: Spread) -> float:
     """How far a point of a body is from its place at most, if its pose has this spread."""
     if not any(spread):
         return 0.0
-    turns, radius_m = np.asarray(spread[3:]), query.model.collision.radius_m(body)
-    most_m = math.hypot(*spread[:3])
+    turns, most_m = spread[3:], math.hypot(*spread[:3])
     driver = query.model.drivers.get(body)
     if driver is not None:  # a turn about its spindle, by the torque of a bolt, moves its tip nowhere
-        most_m += float(turns @ driver.axis) * driver.aside_m
-        turns = turns * (1.0 - driver.axis)
-    most_m += math.hypot(*turns) * radius_m
+        most_m += float(np.asarray(turns) @ driver.axis) * driver.aside_m
+        turns = (np.asarray(turns) * (1.0 - driver.axis)).tolist()
+    most_m += math.hypot(*turns) * query.model.collision.radius_m(body)
     return UNSURE_STEP_M * math.ceil(most_m / UNSURE_STEP_M - 1e-9)
 
 
