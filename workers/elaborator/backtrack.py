@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from functools import partial
 from typing import NamedTuple
 
@@ -95,11 +94,11 @@ def can_be_seen(key: str, candidate: TaskCandidate) -> bool:
 def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor]:
     lines: dict[str, Anchor] = {}
     for n, line in enumerate(script.plan):
-        with _at_place(f"{script.script}.plan[{n}] ({line.name})"):
+        with _AtPlace(f"{script.script}.plan[{n}] ({line.name})"):
             anchor = lines[line.at] if line.at in lines else _anchor(line, candidate)
             lines[line.name] = _moved(anchor, line, candidate)
     for name, place in zip(candidate.vias, candidate.parsed.through, strict=True):
-        with _at_place(f"THROUGH {place}"):
+        with _AtPlace(f"THROUGH {place}"):
             lines[name] = anchors.named(candidate, place)
     return lines
 
@@ -307,7 +306,7 @@ def _try(
         asked = request if step.space == "move_joint" else straight
         now = asked if here is start else replace(asked, joints={**request.joints, candidate.arm.name: here})
         tcp, clears = now.arm.fk(here), candidate.program.clears
-        with _at_place(f"step {n} ({step.to})"):
+        with _AtPlace(f"step {n} ({step.to})"):
             target = target_of(step, candidate.query, candidate.arm.name, thing, tcp, bound)
         if step.space not in segments.SPACES:
             raise _program(f"step {n}: {unknown('space', step.space, segments.SPACES)}")
@@ -358,7 +357,7 @@ class _Test(NamedTuple):
     def run(self, ways: dict[int, PlannedPath]) -> segments.Segment:
         """The segment; the way of the first one is added to `ways`."""
         space = self.step.space
-        with _at_place(f"step {self.n} ({self.step.to})"):
+        with _AtPlace(f"step {self.n} ({self.step.to})"):
             segment = segments.check_segment(self.request, space, self.target, self.detours, self.first)
         if self.first and (way := segment.way(self.request, space)) is not None:
             ways[self.n - 1] = way
@@ -378,13 +377,17 @@ def _at(candidate: TaskCandidate, anchor: Anchor) -> Target:
     return Target(joints=anchor.joints) if anchor.joints is not None else Target(pose=_world(candidate, anchor))
 
 
-@contextmanager
-def _at_place(where: str) -> Iterator[None]:
-    """Add the place to a refusal that is raised inside."""
-    try:
-        yield
-    except Refused as refused:
-        raise Refused(_where(refused.refusal, where)) from None
+class _AtPlace(NamedTuple):
+    """Adds the place to a refusal that is raised inside."""
+
+    where: str
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, raised: BaseException | None, _: object) -> None:
+        if isinstance(raised, Refused):
+            raise Refused(_where(raised.refusal, self.where)) from None
 
 
 def _where(refusal: Refusal, where: str) -> Refusal:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import msgspec
 
@@ -16,8 +16,7 @@ from workers.elaborator import command_fields, no_script, object_attributes
 from workers.elaborator.task_candidate import TaskCandidate
 
 
-@dataclass(frozen=True)
-class ScriptOption:
+class ScriptOption(NamedTuple):
     branch: Branch
     candidate: TaskCandidate
 

@@ -99,8 +99,8 @@ def clearance_of(limits: Limits) -> float:
 def beside_bolt(query: WorldQuery, arm: str, touching: str) -> dict[tuple[str, str], float]:
     """Pairs of bodies with a smaller clearance (m), as in `Scene.close`: a driver that feels for the head of a bolt
     comes near to what the bolt is in. Empty for other objects."""
-    driver = query.driver(arm)
-    if driver is None or not touching or query.thread(touching) is None:
+    driver = query.driver(arm) if touching and query.thread(touching) is not None else None
+    if driver is None:
         return {}
     return {(driver.name, thing.name): 0.0 for thing in query.cell.objects if thing.fixed and thing.thread is None}
 

@@ -138,7 +138,7 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
     length = max(metres, METRES_PER_RAD * turn, 1e-9)
     count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
     fractions = even(0.0, 1.0, count - 1)
-    table = np.vstack((np.asarray(start, dtype=float), arm.ik_line(start_pose, goal_pose, fractions[1:], start)))
+    table = np.concatenate((np.asarray([start], dtype=float), arm.ik_line(start_pose, goal_pose, fractions[1:], start)))
     n = _first_problem(arm, table, margin_rad)
     if n < count:
         pose = geometry.interpolate_all(start_pose, goal_pose, fractions[n : n + 1])[0]
