@@ -50,6 +50,7 @@ def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:
         "object": evaluation.body or evaluation.context.object or evaluation.held or "the object",
         "target": evaluation.context.target or "the seat",
         "or_load": f", or {evaluation.held} is heavier than stated and slips" if evaluation.held else "",
+        "or_mass": f"; correct the mass of {evaluation.held}, if it is heavier" if evaluation.held else "",
         "point": evaluation.context.grasp_point,
         "width": f"{report.hand_width_m * 1000:.1f}",
         "wanted": f"{least * 1000:.0f} to {most * 1000:.0f}",
