@@ -7,8 +7,6 @@ used may correct it; `trimmers` chooses. Memoryless: it uses only this report an
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import msgspec
 
 from rtc.language.alike import unknown
@@ -108,7 +106,7 @@ def _assessed(task: AnalyzeTask) -> Assessment:
         reason = StopReason.FOLLOWING_ERROR
         words = f"{still} of {task.evaluation.arm} has not moved while others have; {report.message}".rstrip("; ")
         report = msgspec.structs.replace(report, message=words)
-        task = replace(task, data=msgspec.structs.replace(task.data, report=report))
+        task = AnalyzeTask(task.program, task.query, msgspec.structs.replace(task.data, report=report))
     cells = task.program.outcomes[row]
     behind = task.program.unmet if wrong == UNMET else task.program.squeezed if squeezed(task) else ""
     # An answer of the operator to what he does not perform: it was stopped.
@@ -121,10 +119,11 @@ def _success(task: AnalyzeTask) -> Assessment:
     seen = sighting.in_words(task) if task.evaluation.body else ""
     changes = _success_changes(task)
     found = comparison.compared(task, changes)
-    drifts = comparison.grip_drifts(found)
-    trim = _trim_of_grip(task) if drifts else 0
-    drift = comparison.drift_of(found.figures) if found else ""
-    if drifts and not trim:
+    drifts = [figure for figure in found.figures if figure.drifts] if found else []
+    of_grip = any(figure.name in comparison.GRIP for figure in drifts)
+    trim = _trim_of_grip(task) if of_grip else 0
+    drift = comparison.in_words(drifts)
+    if of_grip and not trim:
         drift += f"; {trust.remedy(task.query, f'{task.evaluation.held}.grasp', task.program.clears)}"
     return Assessment(
         verdict="abort" if task.data.closing else "trim" if trim else "continue",

@@ -2,34 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from rtc.model.cells import parts
 from rtc.programs.schema import AnalyzerProgram
-from rtc.protocol.messages import AnalyzerInput, EndReport, EvaluationContext, ScriptContext, Step
+from rtc.protocol.messages import AnalyzerInput
 from rtc.spatial import geometry
 from workers.planning.world_query import WorldQuery
 
 
-@dataclass(frozen=True)
 class AnalyzeTask:
     """One end report, with the world before its changes."""
 
-    program: AnalyzerProgram
-    query: WorldQuery
-    data: AnalyzerInput
-
-    @property
-    def evaluation(self) -> EvaluationContext:
-        return self.data.evaluation
-
-    @property
-    def step(self) -> Step:
-        return self.data.evaluation.step
-
-    @property
-    def context(self) -> ScriptContext:
-        return self.data.evaluation.context
+    def __init__(self, program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> None:
+        self.program, self.query, self.data = program, query, data
+        self.values, self.report, self.evaluation = program.values, data.report, data.evaluation
+        self.step, self.context = data.evaluation.step, data.evaluation.context
 
     @property
     def arm(self) -> str:
@@ -44,11 +30,3 @@ class AnalyzeTask:
             return thing.grasp_point(self.context.grasp_point)
         frame = self.query.frame(thing.name)
         return min(thing.grasp_points, key=lambda one: geometry.distance(tcp, geometry.compose(frame, one.frame.pose)))
-
-    @property
-    def report(self) -> EndReport:
-        return self.data.report
-
-    @property
-    def values(self) -> dict[str, float]:
-        return self.program.values

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from operator import mul
 
 from rtc.programs.compatibility import row_of
 from rtc.protocol.outcomes import Compared, Figure, StopReason
@@ -36,14 +37,9 @@ def unexpected(task: AnalyzeTask) -> Compared | None:
     return Compared(task.context.verb, row_of(task.step)) if task.evaluation.predicted_s else None
 
 
-def drift_of(figures: Iterable[Figure]) -> str:
-    """The figures outside their bands, in words; empty if there are none."""
-    return "; ".join(WORDS[figure.name](figure) for figure in figures if figure.drifts)
-
-
-def grip_drifts(found: Compared | None) -> bool:
-    """Whether the hand has come to hold its object otherwise than when it had closed."""
-    return found is not None and any(figure.drifts for figure in found.figures if figure.name in GRIP)
+def in_words(drifts: Iterable[Figure]) -> str:
+    """Figures outside their bands."""
+    return "; ".join(WORDS[figure.name](figure) for figure in drifts)
 
 
 # --- figures -----------------------------------------------------------------------------------------------
@@ -72,7 +68,7 @@ def _turned(task: AnalyzeTask, _: Changes) -> Finding | None:
     goal, pose = task.evaluation.goal_pose, task.report.tcp_pose
     if not _reached(task) or goal is None or not pose or task.step.figures.stiffness_n_m is not None:
         return None
-    turned = 2.0 * math.acos(min(1.0, abs(sum(a * b for a, b in zip(goal[3:], pose[3:], strict=True)))))
+    turned = 2.0 * math.acos(min(1.0, abs(sum(map(mul, goal[3:], pose[3:])))))
     return 0.0, turned, task.values["off_factor"] * task.values["angle_rad"]
 
 
