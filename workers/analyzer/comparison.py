@@ -87,8 +87,7 @@ def _hand_width(task: AnalyzeTask, _: Changes) -> Finding | None:
 
 def _hand_force(task: AnalyzeTask, _: Changes) -> Finding | None:
     """Force of the same; a greater one is no drift."""
-    force_n = task.query.hand_force(task.evaluation.arm)
-    if not force_n or not _keeps(task):
+    if not _keeps(task) or not (force_n := task.query.hand_force(task.evaluation.arm)):
         return None
     return force_n, min(force_n, task.report.hand_force_n), task.values["weaker_factor"] * force_n
 
@@ -113,9 +112,7 @@ def _reached(task: AnalyzeTask) -> bool:
 
 def _keeps(task: AnalyzeTask) -> bool:
     """Whether the hand had something in it that it neither took nor let go in this step."""
-    evaluation = task.evaluation
-    moves_hand = bool(task.step.op) or task.step.do == "proc"
-    return bool(evaluation.held) and not moves_hand and bool(task.report.joints)
+    return bool(task.evaluation.held and task.report.joints) and not task.step.op and task.step.do != "proc"
 
 
 FIGURES: dict[str, Callable[[AnalyzeTask, Changes], Finding | None]] = {

@@ -28,9 +28,10 @@ def held_object_changes(
 ) -> Changes:
     """Frame and grasp of the held object after the motion; an opened hand no longer holds it."""
     arm, thing = task.evaluation.arm, task.evaluation.held
-    grasp = task.query.grasp(thing) if thing else None
+    if not thing or task.query.grasp(thing) is None:
+        return []
     let_go = any(change.key == f"{arm}.holding" and not change.keep_value for change in changes)
-    if grasp is None or let_go or any(change.key == f"{thing}.grasp" for change in changes):
+    if let_go or any(change.key == f"{thing}.grasp" for change in changes):
         return []
     if not task.report.tcp_pose:  # hand position unknown, so the held object's too
         doubtful = ("frame", "grasp", "held_by", "seat") if suspect else ()  # the hand may have opened, in a seat
@@ -78,7 +79,7 @@ def _loser(widened_m: dict[str, float], opened: bool) -> str:
 def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
     """The changes, with the current uncertainty of an object held during the whole step."""
     thing, report = task.evaluation.held, task.report
-    fact = task.query.world.get(f"{thing}.grasp")
+    fact = task.query.world.get(f"{thing}.grasp") if thing else None
     if fact is None or fact.value is None:
         return changes
     if task.query.hinge(thing) is not None:
