@@ -156,7 +156,7 @@ T = TypeVar("T", parts.Arm, parts.Object, parts.Seat, parts.GraspPoint)
 
 
 def _part(choices: list[T], name: str, what: str, of: str = "") -> T:
-    known = {part.name: part for part in choices}
-    if name not in known:
-        raise suggestions.unknown(what, name, known, of=of)
-    return known[name]
+    found = next((part for part in choices if part.name == name), None)
+    if found is None:
+        raise suggestions.unknown(what, name, [part.name for part in choices], of=of)
+    return found
