@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from msgspec.structs import replace
@@ -39,6 +40,8 @@ from workers.planning.motion.sampling import (
 SAMPLES = 4000  # budget of all searches for one way
 WIDE_SAMPLES = 1000  # of them, of the first search; the rest is for one that finds out of a narrow place
 ROOMY_SAMPLES = 80  # budget of the search with more room, before that
+LONG = 2.0  # times the length of a line: a way with an attitude that is longer is sought again
+SEARCHES, SHORTER_SAMPLES = 4, 500  # for one way, the first one included; budget of each of the others
 ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects all but the last
 MORE_M = 0.002  # clearance of the search beyond that of the request
 JUDGED_RAD = 0.012  # step of the final check: shortened ways pass obstacles closely, so it is finer than `CHECK_RAD`
@@ -84,7 +87,7 @@ def find_sampled_way(
         if not isinstance(found, Found):
             return drawn + found
         drawn += found.samples
-        corners = shorten(found.waypoints, found.steer, space.weights, seed=seed)
+        corners = space.shortest(ends, found, seed)
         way = rounded(request, corners) or rounded(request, found.waypoints)
         if way is not None:
             words = f"by way of {len(way.knots) - 2} points, found with {drawn} samples of seed {seed}"
@@ -154,6 +157,21 @@ class _Space:
             return found
         more = self._trees_in_python(goals)
         return search(more, ends, *self.limits, seed=seed, samples=samples, guides=guides, draw=draw)
+
+    def shortest(self, goals: Sequence[Array], found: Found, seed: int) -> list[Array]:
+        """The way found, shortened. One that keeps an attitude and is much longer than a line may have gone the wrong
+        way round: then the shortest of further searches."""
+        best = shorten(found.waypoints, found.steer, self.weights, seed=seed)
+        for n in range(1, SEARCHES if self._attitude is not None else 1):
+            if self._size(best) <= LONG * self._length(best[-1] - best[0]):
+                break
+            more = self.search(goals, seed + n * ATTEMPTS, SHORTER_SAMPLES)
+            if isinstance(more, Found):
+                best = min(best, shorten(more.waypoints, more.steer, self.weights, seed=seed), key=self._size)
+        return best
+
+    def _size(self, corners: list[Array]) -> float:
+        return sum(self._length(after - before) for before, after in pairwise(corners))
 
     def trees(self, goals: Sequence[Array]) -> GrowingTrees:
         """The trees of a search: compiled if boxes prove the ends free and can judge a way alone."""
