@@ -7,6 +7,7 @@ only. This module must not know arms, samples or stop reasons.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
@@ -34,8 +35,9 @@ UNLOAD_FAR_RAD = 0.05  # from where the arm was: a lead that comes from a weight
 TICKS_PER_S = 1.0 / TICK_S
 BLOCK = 256  # number of ticks of a path computed at once
 SAME_S = 1e-7  # rounding of a time that counts ticks
-BLEND_S = 0.25  # minimum time in which an initial offset between command and path fades out ...
-BLEND_RAD_S = 0.2  # ... and the maximum speed of that
+BLEND_S = 0.25  # in which an initial offset between command and path fades out ...
+BLEND_RAD_S = 0.2  # ... or longer, at this maximum speed
+BLEND_RAD_S2 = 0.5  # ... or sooner, if it is so small that this acceleration suffices
 RETREAT_SPEED_M_S = 0.05  # maximum tcp speed in a reflex
 RETREAT_MIN_S = 0.2
 
@@ -78,7 +80,8 @@ class Follow:
         self._curve = Hermite(trajectory.time_s, trajectory.positions, trajectory.velocities, trajectory.accelerations)
         self._offset = np.asarray(start) - np.asarray(trajectory.positions[0])
         most = float(np.abs(self._offset).max())
-        self._blend_s = max(BLEND_S, 1.875 * most / BLEND_RAD_S) if most > 1e-9 else 0.0
+        soon_s = min(BLEND_S, math.sqrt(5.774 * most / BLEND_RAD_S2))
+        self._blend_s = max(soon_s, 1.875 * most / BLEND_RAD_S) if most > 1e-9 else 0.0
         self.duration_s = max(self._length_s, self._blend_s)
         self._end = Stay(trajectory.positions[-1]).at(0.0)
         self.block: Array = np.empty((0, 3, 0))  # motions, one per tick

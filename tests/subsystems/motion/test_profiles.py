@@ -52,6 +52,18 @@ def test_velocity_and_acceleration_are_the_derivatives_of_the_path(seed: int) ->
     assert inner.max() < 0.02
 
 
+@pytest.mark.parametrize(("off_rad", "fades_s"), [(1e-5, 0.011), (1e-3, 0.11), (0.02, 0.25), (0.08, 0.75)])
+def test_an_offset_from_the_path_fades_out_the_sooner_the_smaller_it_is(off_rad: float, fades_s: float) -> None:
+    """So it makes a short motion no longer, and its acceleration and speed stay small."""
+    path = trajectory(seed=1)
+    motion = profiles.Follow(path, [joint + off_rad for joint in path.positions[0]])
+    times_s = np.arange(0.0, motion.duration_s, TICK_S)
+    added = np.array([motion.at(t) for t in times_s]) - motion.path(times_s)
+    assert times_s[np.abs(added[:, 0]).max(axis=1) > 1e-3 * off_rad].max() == pytest.approx(fades_s, rel=0.15)
+    assert np.abs(added[:, 1]).max() < 1.01 * profiles.BLEND_RAD_S
+    assert motion.duration_s == pytest.approx(max(path.duration_s, fades_s), rel=0.15)
+
+
 def test_blocks_and_single_times_agree_forwards_and_backwards() -> None:
     wanted = trajectory(3)
     path = profiles.Follow(wanted, wanted.positions[0])
