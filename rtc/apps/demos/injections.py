@@ -10,6 +10,7 @@ import math
 import random
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -49,7 +50,7 @@ class Scene:
 
     run_dir: Path
     rtc: Client
-    halts: list[HaltResult] = field(default_factory=list)
+    halt: Future[HaltResult] = field(default_factory=Future)  # its answer may come after the end of the line
     struck: list[str] = field(default_factory=list)  # names of processes
     command: str = ""  # in which it happens
     step: str = ""  # of the command, at present
@@ -103,7 +104,7 @@ class Scene:
         """A little later, from a thread of its own: `halt` has sockets of its own."""
         if not self.struck:
             self.struck.append("HALT ALL")
-            threading.Timer(HALT_AFTER_S, lambda: self.halts.append(self.rtc.halt("ALL", REST_S))).start()
+            threading.Timer(HALT_AFTER_S, lambda: self.halt.set_result(self.rtc.halt("ALL", REST_S))).start()
 
 
 class Injection(NamedTuple):
@@ -214,7 +215,7 @@ def _slips(narrator: Narrator, scene: Scene, course: Course) -> None:
 
 
 def _halted(narrator: Narrator, scene: Scene, course: Course) -> None:
-    halt = scene.halts[0] if scene.halts else None
+    halt = scene.halt.result(HALT_AFTER_S + REST_S) if scene.struck else None
     narrator.check("the halt is confirmed: both arms rest", halt is not None and halt.confirmed)
     moving = halt.moving if halt else []
     narrator.check(f"in motion were: {', '.join(moving)}", moving == ["LEFT-ARM", "RIGHT-ARM"])
