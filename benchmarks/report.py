@@ -85,10 +85,19 @@ def finish(
     print()
     folder.mkdir(exist_ok=True)
     document = {"benchmark": name, "metrics": metrics, "rows": dict(shown), "machine": machine()}
+    text = json.dumps(document, indent=2)
     if data is not None:
-        document["data"] = data
-    (folder / f"{name}.json").write_text(json.dumps(document, indent=2) + "\n")
+        text = f'{text[:-2]},\n  "data": {_lines(data)}\n}}'
+    (folder / f"{name}.json").write_text(text + "\n")
     print(json.dumps({"benchmark": name, "metrics": metrics}), flush=True)
+
+
+def _lines(data: Any) -> str:
+    """JSON with one line for each item of a list."""
+    if not isinstance(data, list):
+        return json.dumps(data, indent=2).replace("\n", "\n  ")
+    rows = ",\n    ".join(json.dumps(row) for row in data)
+    return f"[\n    {rows}\n  ]"
 
 
 def _figure(value: float | None) -> str:
