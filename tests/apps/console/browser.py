@@ -96,7 +96,9 @@ class Page:
 
     def mouse(self, kind: str, at: tuple[float, float]) -> None:
         self._pressed = kind == "mousePressed" or (self._pressed and kind != "mouseReleased")
-        given: dict[str, Any] = {"button": "none" if kind == "mouseMoved" else "left", "buttons": int(self._pressed)}
+        # A drag names its button in each move, as a mouse does. Without it a capture of the pointer is lost.
+        button = "left" if self._pressed or kind == "mouseReleased" else "none"
+        given: dict[str, Any] = {"button": button, "buttons": int(self._pressed)}
         self._call("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], clickCount=1, **given)
 
     def screenshot(self, selector: str = "") -> bytes:

@@ -283,6 +283,7 @@ def test_the_hand_follows_the_gizmo(page: Page, run_dir: Path):
     x, y = page.wait("rtcConsole.grip().at()")
     page.mouse("mouseMoved", (x + 1, y))
     page.mouse("mouseMoved", (x, y))
+    page.wait("rtcConsole.grip().picked() === 'XYZ'")
     page.mouse("mousePressed", (x, y))  # the middle of the gizmo: along the picture
     page.mouse("mouseMoved", (x, y - 25))
     page.mouse("mouseMoved", (x, y - 50))

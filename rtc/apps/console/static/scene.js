@@ -306,11 +306,13 @@ export function gizmo(arm, by) {
     else by.release();
   });
   settle();
-  wanted = true; // it can be picked only after it was drawn
+  scene.updateMatrixWorld(); // it can be picked before it is drawn
+  wanted = true;
 }
 
 // For tests and the keys of the gizmo; null without one.
-export const grip = () => held && { arm: held.arm, mode: (mode) => held.controls.setMode(mode), at: () => onCanvas(held.proxy) };
+export const grip = () => held && { arm: held.arm, mode: (mode) => held.controls.setMode(mode), at: () => onCanvas(held.proxy),
+  picked: () => held.controls.axis };
 
 function onCanvas(object) {
   const box = canvas.getBoundingClientRect(), spot = object.position.clone().project(camera);
