@@ -21,6 +21,11 @@ settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The tests with a limit of their own, the longest, come first: none is left for one process at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("timeout") is None)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_data_dir(tmp_path_factory):
     """Places that the user has taught must not be in the worlds of tests."""

@@ -25,7 +25,7 @@ from rtc.protocol.outcomes import OutcomeKind
 from rtc.runtime.chaos import Chaos, Strike
 from rtc.runtime.process_table import processes
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 LIMIT_S = 60.0
 ARM = "RIGHT-ARM"
@@ -250,7 +250,6 @@ def test_all_at_once(rtc: Client, chaos: Chaos, run_dir: Path) -> None:
         back(chaos, strike)
 
 
-@pytest.mark.untimed
 def test_a_cluster_without_workers_gets_them_with_its_first_command(tmp_path_factory: pytest.TempPathFactory) -> None:
     where = ["--run-dir", str(tmp_path_factory.mktemp("p"))]
     deploy = [sys.executable, "-P", "-m", "rtc.apps.cli.entry"]

@@ -23,7 +23,7 @@ from rtc.runtime.settings import Settings
 from tests.campaigns.fuzz import Others, attacked
 from tests.campaigns.hostile import ACCEPTED, IMPOSTORS, Attacker, heavy_messages, stream_garbage
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 SEED = 7
 MESSAGES = 1500  # at each endpoint
@@ -89,7 +89,6 @@ def test_a_flood_from_one_leaves_the_others_served(run_dir: Path, others: Others
     assert len(noticed.halts_s) == len(noticed.broker_halts_s) == len(noticed.commands_s)
 
 
-@pytest.mark.untimed
 @pytest.mark.parametrize(
     ("endpoint", "name"), [(endpoint, name) for endpoint in ("workers", "supervisor") for name in IMPOSTORS[endpoint]]
 )

@@ -22,7 +22,7 @@ from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.runtime.chaos import Chaos
 from rtc.spatial import geometry
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 LIMIT_S = 90.0
 MODULE = "MACS-OLD"

@@ -21,7 +21,7 @@ from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.protocol.outcomes import OutcomeKind
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 DELAY_S, JITTER_S = 0.05, 0.02
 NODES = (4, 5, 6, 7)  # the first that the cluster's own workers never use: one of each kind

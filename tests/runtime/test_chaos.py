@@ -16,7 +16,7 @@ from rtc.runtime.process import now_s
 from rtc.runtime.process_table import processes
 from rtc.runtime.settings import Settings
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 
 class Supervised:

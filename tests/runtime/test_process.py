@@ -135,6 +135,7 @@ LOOP = textwrap.dedent("""
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_loop_in_order(tmp_path, number):
     child = subprocess.Popen(
@@ -149,6 +150,7 @@ def test_a_signal_ends_the_loop_in_order(tmp_path, number):
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_a_child_dies_with_its_parent(tmp_path):
     parent_code = textwrap.dedent("""
         import os, signal, subprocess, sys
@@ -172,6 +174,7 @@ def test_a_child_dies_with_its_parent(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 @pytest.mark.parametrize("sent", [[], [signal.SIGSTOP], [signal.SIGSTOP, signal.SIGCONT]])
 def test_one_that_ends_with_its_parent_is_asked_first_and_killed_when_it_hangs(tmp_path, sent):
     """Also if it is stopped by a signal, or was."""
@@ -213,6 +216,7 @@ def test_one_that_ends_with_its_parent_is_asked_first_and_killed_when_it_hangs(t
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_a_process_that_a_person_continues_goes_on(tmp_path):
     code = """if True:
         import os, signal, sys

@@ -49,6 +49,7 @@ def refusal_of(bench: Bench, sentence: str) -> Refusal:
 
 
 @pytest.mark.physics
+@pytest.mark.timeout(400)
 def test_a_bolt_is_loosened_verified_and_tightened_in_physics(opened: Bench) -> None:
     sim = opened.subsystem.sim
     done(opened, DRIVER)

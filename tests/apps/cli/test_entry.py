@@ -23,6 +23,7 @@ entry.main()
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 @pytest.mark.parametrize("words", [["up", "--mcm", "kinematic"], ["demo"]])
 @pytest.mark.parametrize("after_s", [0.03, 0.1, 0.3])
 def test_interrupted_early(words: list[str], after_s: float, tmp_path: Path) -> None:
