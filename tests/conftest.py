@@ -6,7 +6,7 @@ import os
 import signal
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.collision import CollisionWorld
@@ -15,9 +15,10 @@ from tests.plugins.toy_packages import install  # noqa: F401
 
 # Under `nohup` children would inherit an ignored SIGHUP, and tests of its handling would fail.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+# How long an example takes says nothing on a machine that runs other tests as well.
+settings.register_profile("random", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 # Every run has the same examples, so that a failure is repeatable. Others: pytest --hypothesis-profile=random
-settings.register_profile("random")
-settings.register_profile("repeatable", derandomize=True)
+settings.register_profile("repeatable", settings.get_profile("random"), derandomize=True)
 settings.load_profile("repeatable")
 
 

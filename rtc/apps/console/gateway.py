@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import logging
 import os
 import socket as sockets
 import threading
@@ -146,6 +147,7 @@ class _Web:
                 self._loop.call_soon_threadsafe(function, *arguments)
 
     def stop(self) -> None:
+        logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # answers that are cut off are no errors
         self._server.should_exit = True
         self._thread.join()
 
