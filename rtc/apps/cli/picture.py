@@ -91,7 +91,11 @@ def picture(
         )
         return
     if locate:
-        console.print(_table(rows))
+        if any(row.pose for row in rows):
+            console.print(_table(rows))
+        for row in rows:
+            if row.pose is None:
+                console.print(Text(f"{row.name} is not seen: {row.cause}", style="yellow"))
         console.print()
     width, height = found.size_px
     words = f"{name} at {centimetres(pose)} cm: {width} x {height} pixels, {found.field_of_view_deg:g} deg high"
@@ -172,6 +176,7 @@ def _located(cell: Cell, view: optics.View, pixels: NDArray[np.uint8], poses: di
 
 
 def _table(rows: list[Located]) -> Table:
+    """The bodies that are seen."""
     columns = (
         "body",
         "x y z (cm)",
@@ -184,7 +189,6 @@ def _table(rows: list[Located]) -> Table:
     out = table(*columns)
     for row in rows:
         if row.pose is None or row.covariance is None:
-            out.add_row(row.name, Text(f"not seen: {row.cause}", style="yellow"))
             continue
         deviations = np.sqrt(np.diag(row.covariance))
         out.add_row(
