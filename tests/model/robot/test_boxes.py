@@ -50,16 +50,16 @@ def scenes(cell: Cell) -> list[Scene]:
 
 
 def postures(world: CollisionWorld, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    low, high = world._bodies.model.lowerPositionLimit, world._bodies.model.upperPositionLimit
-    slots = {name: one.joints for name, one in world._bodies.arms.items()}
+    low, high = world._state.bodies.model.lowerPositionLimit, world._state.bodies.model.upperPositionLimit
+    slots = {name: one.joints for name, one in world._state.bodies.arms.items()}
     return {name: rng.uniform(low[joints], high[joints]) for name, joints in slots.items()}
 
 
 def coal_finds(world: CollisionWorld) -> bool:
     """What coal says of the present configuration without boxes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(world, "_boxes", None)
-        return world._touches_any()
+        patch.setattr(world._state, "boxes", None)
+        return world._state.touches_any()
 
 
 def test_with_a_compiler_the_boxes_are_compiled() -> None:
@@ -73,8 +73,9 @@ def test_no_posture_that_coal_refuses_is_called_apart(shadowed: CollisionWorld) 
     rng, free, undecided = np.random.default_rng(1), 0, 0
     for scene in scenes(shadowed.cell):
         for _ in range(150):
-            shadowed._set(postures(shadowed, rng), scene)
-            near, hit = shadowed._boxes.undecided(shadowed._q, shadowed._varying), coal_finds(shadowed)
+            shadowed._state.update(postures(shadowed, rng), scene)
+            state = shadowed._state
+            near, hit = state.boxes.undecided(state.q, state.varying), coal_finds(shadowed)
             assert near or not hit
             if not hit:
                 free, undecided = free + 1, undecided + len(near)
@@ -88,11 +89,12 @@ def test_margins_that_are_too_small_would_be_noticed(shadowed: CollisionWorld) -
     rng, wrong = np.random.default_rng(2), 0
     scene = Scene(clearance_m=TIGHTER_M)
     for _ in range(300):
-        shadowed._set(postures(shadowed, rng), scene)
-        pairs = shadowed._pairs
-        shadowed._boxes.use(pairs.numbers, pairs.margin[pairs.numbers] - TIGHTER_M)
-        wrong += not shadowed._boxes.undecided(shadowed._q, shadowed._varying) and coal_finds(shadowed)
-        shadowed._boxes.use(pairs.numbers, pairs.margin[pairs.numbers])
+        shadowed._state.update(postures(shadowed, rng), scene)
+        state = shadowed._state
+        pairs, boxes = state.pairs, state.boxes
+        boxes.use(pairs.numbers, pairs.margin[pairs.numbers] - TIGHTER_M)
+        wrong += not boxes.undecided(state.q, state.varying) and coal_finds(shadowed)
+        boxes.use(pairs.numbers, pairs.margin[pairs.numbers])
     assert wrong > 0
 
 
@@ -101,12 +103,12 @@ def test_no_posture_on_a_way_that_is_proven_free_is_refused_by_coal(shadowed: Co
     """Nor between its rows. The parts that are not proven hold the pair that is too near."""
     rng, proven = np.random.default_rng(3), 0
     arm = shadowed.cell.arms[0].name
-    slots = shadowed._bodies.arms[arm].joints
+    slots = shadowed._state.bodies.arms[arm].joints
     for scene, _ in itertools.product(scenes(shadowed.cell)[:4], range(12)):
         others = postures(shadowed, rng)
         rows = others[arm] + np.linspace(0.0, 1.0, 6)[:, None] * rng.uniform(-0.4, 0.4, len(slots))
-        shadowed._set({**others, arm: rows[0]}, scene)
-        free, near = shadowed._boxes.way(shadowed._q, slots, rows, 0)
+        shadowed._state.update({**others, arm: rows[0]}, scene)
+        free, near = shadowed._state.boxes.way(shadowed._state.q, slots, rows, 0)
         assert bool(near) == (free < len(rows) - 1)
         proven += free
         for place in np.linspace(0.0, free, STEPS if free else 1)[: STEPS if free else 0]:
@@ -125,9 +127,9 @@ def test_a_door_in_the_hand_is_where_the_hand_has_turned_it() -> None:
     hung = AttachedBody(arm, home, (0.0, 0.0, 1.0), (0.0, 2.0), (0.0, 0.4, 0.0))
     scene = Scene(moving=arm, hung={door.name: hung})
     for _ in range(200):
-        world._set(postures(world, rng), scene)
-        world._turn_hung(scene)
-        assert world._boxes.undecided(world._q, world._varying) or not coal_finds(world)
+        world._state.update(postures(world, rng), scene)
+        world._state.turn_hung(scene)
+        assert world._state.boxes.undecided(world._state.q, world._state.varying) or not coal_finds(world)
 
 
 @needs_boxes
@@ -165,7 +167,7 @@ def test_the_space_of_a_way_contains_all_that_moves_on_it(shadowed):
             boxes = shadowed.space(arm, rows, scene)
             assert boxes is not None
             for share in rng.uniform(0.0, 1.0, 10):
-                shadowed._set({**start, arm: start[arm] + share * (goal[arm] - start[arm])}, scene)
+                shadowed._state.update({**start, arm: start[arm] + share * (goal[arm] - start[arm])}, scene)
                 for piece, box in zip(coal_pieces(shadowed, arm, scene), boxes, strict=True):
                     assert least_room_m(*piece, box) > -1e-6
 
@@ -174,10 +176,10 @@ def coal_pieces(
     world: CollisionWorld, arm: str, scene: Scene
 ) -> Iterator[tuple[coal.CollisionGeometry, coal.Transform3s]]:
     """The solids of an arm and of what it holds, with their present placements."""
-    bodies = world._bodies
-    world._place()
-    for n in np.flatnonzero(world._table.carriers(scene) == world._table.number[arm]).tolist():
-        at = world._geometry_data.oMg[n]
+    bodies = world._state.bodies
+    world._state.place()
+    for n in np.flatnonzero(world._state.table.carriers(scene) == world._state.table.number[arm]).tolist():
+        at = world._state.geometry_data.oMg[n]
         yield bodies.geometry.geometryObjects[n].geometry, coal.Transform3s(at.rotation, at.translation)
 
 

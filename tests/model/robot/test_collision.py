@@ -199,14 +199,14 @@ def test_a_refusal_names_the_bodies_and_what_would_clear_it(world, right, home):
 def test_the_broad_phase_misses_nothing(world, arms):
     """Against pinocchio's plain walk over all pairs, over random postures, with and without clearance."""
     random = np.random.default_rng(9)
-    bodies, hits = world._bodies, 0
+    bodies, hits = world._state.bodies, 0
     for scene in (Scene(), Scene(clearance_m=0.05)):
         for _ in range(150):
             joints = {name: random.uniform(arm.limits.lower, arm.limits.upper) for name, arm in arms.items()}
             found = world.check(joints, scene)
-            world._tell_coal()
+            world._state.tell_coal()
             plain = pin.computeCollisions(
-                bodies.model, world._data, bodies.geometry, world._geometry_data, world._q, True
+                bodies.model, world._state.data, bodies.geometry, world._state.geometry_data, world._state.q, True
             )
             assert (found is not None) == plain
             hits += plain

@@ -54,16 +54,16 @@ def test_a_group_that_is_proven_free_is_free(cell, home):
     """On random paths through the cell, near its bodies and far from them."""
     world, rng, groups = CollisionWorld(cell), np.random.default_rng(4), 0
     arm = cell.arm("RIGHT-ARM")
-    slots = world._bodies.arms[arm.name].joints
+    slots = world._state.bodies.arms[arm.name].joints
     for _ in range(60):
         start = np.asarray(home[arm.name]) + rng.uniform(-1.2, 1.2, 6)
         path = start + np.outer(np.arange(30), rng.uniform(-0.025, 0.025, 6))
         world.check({**home, arm.name: start}, AS_BUILT)
-        world._widen(slots, path, GROUP, STRAIGHT)
+        world._groups.widen(slots, path, GROUP, STRAIGHT)
         for n in range(1, len(path), GROUP):
             group = path[n : n + GROUP]
-            world._q[slots] = group[len(group) // 2]
-            if not world._wider.touch(world._data, world._q):
+            world._state.q[slots] = group[len(group) // 2]
+            if not world._groups.touches_any():
                 groups += 1
                 assert all(world.check({**home, arm.name: q}, AS_BUILT) is None for q in group)
     assert groups > 100

@@ -23,15 +23,15 @@ def test_boxes_hold_each_piece_at_every_posture_of_the_interval(world, cell, sce
     check = world.compare_arms(*ARMS, scene)
     middles, turns = random.uniform(-2.0, 2.0, (6, 6)), random.uniform(0.0, 0.15, (6, 6))
     boxes = check.swept[0].boxes(middles, turns)
-    model, geometry = world._bodies.model, world._bodies.geometry
-    mine = np.flatnonzero(world._table.carriers(scene) == world._table.number["RIGHT-ARM"]).tolist()
+    model, geometry = world._state.bodies.model, world._state.bodies.geometry
+    mine = np.flatnonzero(world._state.table.carriers(scene) == world._state.table.number["RIGHT-ARM"]).tolist()
     assert boxes.low.shape == (6, len(mine), 3)
     data, geometry_data, q = model.createData(), geometry.createData(), pin.neutral(model)
-    for name, slots in world._bodies.arms.items():
+    for name, slots in world._state.bodies.arms.items():
         q[slots.fingers] = 0.5 * cell.arm(name).gripper.max_opening_m
     for n in range(6):
         for _ in range(20):
-            q[world._bodies.arms["RIGHT-ARM"].joints] = middles[n] + random.uniform(-1.0, 1.0, 6) * turns[n]
+            q[world._state.bodies.arms["RIGHT-ARM"].joints] = middles[n] + random.uniform(-1.0, 1.0, 6) * turns[n]
             pin.updateGeometryPlacements(model, data, geometry, geometry_data, q)
             for at, piece in enumerate(mine):
                 low, high = _extent(geometry.geometryObjects[piece].geometry, geometry_data.oMg[piece])
@@ -99,9 +99,9 @@ def test_two_arms_are_apart_if_their_nearest_pieces_are(world, arms, home, scene
     """The check has a collision model of its own; the distances are those of the whole cell's."""
     random = np.random.default_rng(7)
     check = world.compare_arms(*ARMS, scene)
-    carrier = world._table.carriers(scene)
-    one, two = (carrier == world._table.number[arm] for arm in ARMS)
-    pairs = np.flatnonzero(world._table.between(one, two)).tolist()
+    carrier = world._state.table.carriers(scene)
+    one, two = (carrier == world._state.table.number[arm] for arm in ARMS)
+    pairs = np.flatnonzero(world._state.table.between(one, two)).tolist()
     found = set()
     for _ in range(12):
         y_m = random.uniform(-0.1, 0.1, 2)
@@ -109,9 +109,9 @@ def test_two_arms_are_apart_if_their_nearest_pieces_are(world, arms, home, scene
             arms[arm].ik([0.48, y + side, 0.95, 0.0, 2**-0.5, 0.0, 2**-0.5], home[arm], 0.06)[0]
             for arm, y, side in zip(ARMS, y_m, (-0.1, 0.1), strict=True)
         ]
-        world._set(dict(zip(ARMS, postures, strict=True)), scene)
-        world._place()
-        distance_m = min(world._describe(pair).distance_m for pair in pairs)
+        world._state.update(dict(zip(ARMS, postures, strict=True)), scene)
+        world._state.place()
+        distance_m = min(world._state.describe(pair).distance_m for pair in pairs)
         for clearance_m in (0.01, 0.05):
             expected = distance_m > clearance_m
             assert check.apart(postures[0], np.zeros(6), postures[1], np.zeros(6), clearance_m) == expected

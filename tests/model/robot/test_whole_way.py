@@ -93,7 +93,7 @@ def test_a_way_with_a_door_in_the_hand_is_free_between_its_configurations(boxes)
     joints = {one.name: np.asarray(one.home_rad, dtype=float) for one in cell.arms}
     hung = AttachedBody(arm, home, (0.0, 0.0, -1.0), (0.0, math.radians(110.0)), door.grasp_points[0].frame.xyz)
     scene = Scene(moving=arm, hung={door.name: hung}, clearance_m=0.01, ignore=((door.name, "BAY-2"),))
-    others = {piece.owner for piece in world._bodies.pieces} - {door.name}
+    others = {piece.owner for piece in world._state.bodies.pieces} - {door.name}
     free = hits = 0
     for _ in range(30):
         start = rng.uniform(*world_limits(world, arm))
@@ -112,7 +112,7 @@ def test_a_way_with_a_door_in_the_hand_is_free_between_its_configurations(boxes)
 
 
 def world_limits(world: CollisionWorld, arm: str) -> tuple[np.ndarray, np.ndarray]:
-    slots, model = world._bodies.arms[arm].joints, world._bodies.model
+    slots, model = world._state.bodies.arms[arm].joints, world._state.bodies.model
     return model.lowerPositionLimit[slots], model.upperPositionLimit[slots]
 
 

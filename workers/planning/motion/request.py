@@ -9,9 +9,10 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from rtc.model.robot.collision import Collision, CollisionWorld, PathCollision
+from rtc.model.robot.collision import CollisionWorld, PathCollision
 from rtc.model.robot.collision_scene import AS_BUILT, Scene
 from rtc.model.robot.kinematics import ArmModel
+from rtc.model.robot.scene_state import Collision
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal
 from rtc.protocol.primitive import Load
 from rtc.spatial.geometry import Array, Floats
