@@ -48,7 +48,7 @@ print(json.dumps(dict(per_s=run.commands_per_s, cpu_us=run.cpu_us)))
 #: stage -> parts of the names of the files and functions that belong to it; the first that fits counts
 STAGES = {
     "inverse kinematics": ("puma_ik", "numeric_ik", "ik_along"),
-    "collision": ("collision", "_boxes", "boxes.py", "coal", "separation", "swept"),
+    "collision": ("collision", "_boxes", "boxes.py", "coal", "separation"),
     "timing": ("timing.py", "toppra", "rest_to_rest", "quintic", "blended"),
     "torques": ("torques", "rnea", "crba"),
     "path": ("motion/path.py", "spline.py", "smooth.py", "curves.py", "sampl"),

@@ -6,7 +6,7 @@ Computed from the URDF and SRDF texts of a cell. This package knows neither task
 import warnings
 from functools import cache
 
-KERNEL = 3  # version of the compiled code: as in `_boxes.cpp`
+KERNEL = 4  # version of the compiled code: as in `_boxes.cpp`
 
 
 @cache

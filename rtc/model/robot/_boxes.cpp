@@ -9,10 +9,11 @@
 #include "_kinematics.hpp"
 #include "_pace.hpp"
 #include "_puma.hpp"
+#include "_separation.hpp"
 #include "_trees.hpp"
 
 PYBIND11_MODULE(_boxes, module) {
-    module.attr("VERSION") = 3;  // `KERNEL` of __init__.py: another one when a function is added or changes its arguments
+    module.attr("VERSION") = 4;  // `KERNEL` of __init__.py: another one when a function is added or changes its arguments
     module.def("squared_pace", &squared_pace);
     py::class_<Arm>(module, "Arm").def(py::init<Ints, Ints, Doubles, Doubles, Doubles>()).def("turned_to", &Arm::turned_to);
     py::class_<Puma>(module, "Puma")
@@ -28,6 +29,9 @@ PYBIND11_MODULE(_boxes, module) {
         .def("way", &Boxes::way)
         .def("line", &Boxes::line)
         .def("space", &Boxes::space);
+    py::class_<Separation>(module, "Separation")
+        .def(py::init<Boxes&, Doubles, Ints, const Slots&, Doubles, const Slots&, Doubles, double>(), py::keep_alive<1, 2>())
+        .def("open", &Separation::open);
     py::class_<Growth>(module, "Growth")
         .def(py::init<double, double, double, double, double, double, double, double, int, int>(), py::arg("reach"),
              py::arg("least"), py::arg("back"), py::arg("vain"), py::arg("projected"), py::arg("onward"),

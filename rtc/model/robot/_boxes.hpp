@@ -176,6 +176,23 @@ class Boxes {
         return all_left().empty();
     }
 
+    const Solid& solid(int box) const { return boxes_.at(box).solid; }
+
+    double lever(int box, int slot) const { return boxes_.at(box).levers.at(slot); }
+
+    // Where some boxes are at a configuration, in the world.
+    std::vector<Pose> places(const std::vector<double>& q, const std::vector<int>& boxes) {
+        if (q.size() != joints_.size()) throw std::invalid_argument("a value for each joint");
+        sorted_ = false;  // it moves what stands still on a way
+        std::vector<char> used(joints_.size());
+        for (int box : boxes)
+            for (int joint = boxes_.at(box).joint; joint >= 0; joint = joints_[joint].parent) used[joint] = true;
+        move(q.data(), &used);
+        std::vector<Pose> found;
+        for (int box : boxes) found.push_back(placed(box));
+        return found;
+    }
+
     // Boxes in the axes of the world around `boxes` on a way, [boxes][6]: low corner, high corner (m). `rows` as for
     // `way`. No point of them moves farther than `step` (m) between two tested configurations.
     Doubles space(Doubles q, Ints slots, Doubles rows, Ints boxes, double step) {

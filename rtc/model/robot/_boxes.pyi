@@ -26,6 +26,20 @@ class Boxes:
     def line(self, q: Any, slots: Any, start: Any, end: Any, steps: int, halvings: int) -> tuple[int, list[int]]: ...
     def space(self, q: Any, slots: Any, rows: Any, boxes: Any, step: float) -> Any: ...
 
+class Separation:
+    def __init__(
+        self,
+        boxes: Boxes,
+        q: Any,
+        pairs: Any,
+        slots: Any,
+        rows: Any,
+        their_slots: Any,
+        their_rows: Any,
+        clearance: float,
+    ) -> None: ...
+    def open(self, known: int, first: int, last: int, their_first: int, their_last: int) -> int: ...
+
 class Growth:
     def __init__(
         self,

@@ -124,6 +124,13 @@ class Boxes:
         made = _boxes.Trees(self._proof, q, slots, *ends, limits, weights, figures, arm, attitude)
         return made if made.ends_are_free() else None
 
+    def separation(
+        self, q: Array, pairs: Array, slots: tuple[list[int], list[int]], ways: tuple[Array, Array], clearance_m: float
+    ) -> _boxes.Separation:
+        """The proof that two ways stay apart, while no body is placed anew. `pairs`: [pairs][2] pieces of either way.
+        `ways`: values of the configuration at the `slots` of each; the other values are those of `q`."""
+        return _boxes.Separation(self._proof, q, pairs, slots[0], ways[0], slots[1], ways[1], clearance_m)
+
     def space(self, q: Array, slots: list[int], rows: Array, pieces: list[int]) -> Array:
         """Boxes in the axes of the world around these pieces on a way, [pieces][6]: low corner, high corner (m).
 

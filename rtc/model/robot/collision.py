@@ -238,12 +238,14 @@ class CollisionWorld:
         """Checks of the distance between two arms, each with what it holds in this scene. Both hands count as open."""
         if scene is not self._state.scene:
             self._state.arrange(scene)
-        carrier = self._state.table.carriers(scene)
-        one, two = carrier == self._state.table.number[arm], carrier == self._state.table.number[other]
+        table, carrier = self._state.table, self._state.table.carriers(scene)
+        one, two = carrier == table.number[arm], carrier == table.number[other]
+        between = np.flatnonzero(table.between(one, two))
+        pairs = np.column_stack((table.first[between], table.second[between]))
+        pairs = np.where(one[pairs[:, :1]], pairs, pairs[:, ::-1])
         openings_m = {name: self.cell.arm(name).gripper.max_opening_m for name in self._state.bodies.arms}
-        self._state.tell_coal()
-        self._apart = self._apart or SeparationCheck(self._state.bodies)
-        self._apart.compare(arm, other, (one, two), self._state.levers, openings_m)
+        self._apart = self._apart or SeparationCheck(self._state)
+        self._apart.compare(arm, other, pairs, openings_m)
         return self._apart
 
     def deepest_contact(self, name: str, joints: Mapping[str, Floats]) -> Collision | None:

@@ -22,8 +22,7 @@ import numpy as np
 
 from rtc.model.robot.collision_scene import in_hands
 from rtc.model.robot.quintic import Hermite, control_points, fine_times
-from rtc.model.robot.separation import SeparationCheck
-from rtc.model.robot.swept import Boxes, Swept
+from rtc.model.robot.separation import Interval, SeparationCheck
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import MAX_FURTHER, MAX_S, Box, JointTrajectory, Primitive, StartAfter, apart
 from rtc.protocol.primitive_id import command_of
@@ -35,9 +34,7 @@ SPACE_M = 0.01  # minimum distance of two moving arms from each other's path
 STEP_M = 0.02  # smallest interval of a path: no point of the arm moves farther in it
 FINE_S = 0.03  # distance of the times at which a path is evaluated; a hand at 5 m/s^2 is 0.6 mm off the line
 SAME_RAD = 1e-9  # tolerance of a line in joint space
-MAX_BLOCKS = 48  # of a course, each with its own boxes
-SHORT_BLOCKS = 6  # boxes sort out intervals of at least so many blocks
-MAX_CHECKS = 3000  # beyond it what is not decided counts as meeting; some 60 ms
+MAX_CHECKS = 6000  # beyond it what is not decided counts as meeting; some 20 ms, without compiled boxes 100 ms
 SOFT_M = 0.1  # greatest distance of a compliant arm from its path that is taken into account
 LAG_S = 0.05  # an arm is at most this far behind its command
 CUTS = MAX_FURTHER  # parts of a path that may be followed closely; it may wait between two of them
@@ -50,17 +47,6 @@ class Course(NamedTuple):
 
     time_s: Array
     postures: Array
-
-
-class Interval(NamedTuple):
-    """From the posture `first` of a course to the posture `last`."""
-
-    first: int
-    last: int
-
-    @property
-    def length(self) -> int:
-        return self.last - self.first
 
 
 class Wait(NamedTuple):
@@ -211,22 +197,19 @@ def waits(check: SeparationCheck, mine: Course, theirs: Course, clearance_m: flo
     needed at the latest there; a wait that the start includes (`Wait.start_s`) is left out. None: their end is not
     clear of my path.
     """
-    my_swept, their_swept = check.swept
-    my_parts, their_parts = Parts(mine, my_swept), Parts(theirs, their_swept)
+    ways = check.ways(mine.postures, theirs.postures, clearance_m)
     end, count = len(theirs.time_s) - 1, len(mine.time_s) - 1
     found: list[Wait] = []
     mine_to, start = count, 0.0  # of my course: the rest is in `found`; and of theirs, when I start
-    open_ = [(-end, Interval(0, end), Interval(0, count))]  # their latest interval first
+    open_ = [(-end, Interval(0, end), Interval(0, count), 0)]  # their latest interval first
     for _ in range(MAX_CHECKS):
         if not open_ or (found and theirs.time_s[-open_[0][0]] <= start):
             return found
-        _, late, part = heapq.heappop(open_)
+        _, late, part, known = heapq.heappop(open_)
         if part.first >= mine_to:
             continue
-        short = my_parts.is_short(part) and their_parts.is_short(late)
-        if not short and my_parts.boxes(part).apart(their_parts.boxes(late), clearance_m):
-            continue
-        if check.apart(*my_parts.middle(part), *their_parts.middle(late), clearance_m):
+        near = ways.open(known, part, late)
+        if near < 0:
             continue
         if late.length <= 1 and part.length <= 1:
             if late.last == end:
@@ -235,61 +218,20 @@ def waits(check: SeparationCheck, mine: Course, theirs: Course, clearance_m: flo
             found.append(Wait(float(mine.time_s[mine_to]), float(theirs.time_s[late.last])))
             start = max(start, found[-1].start_s)
         elif late.length > part.length:
-            for half in their_parts.halves(late):
-                heapq.heappush(open_, (-half.last, half, part))
+            for half in _halves(late):
+                heapq.heappush(open_, (-half.last, half, part, near))
         else:
-            for half in my_parts.halves(part):
-                heapq.heappush(open_, (-late.last, late, half))
-    latest = max((late.last for _, late, part in open_ if part.first < mine_to), default=0)
+            for half in _halves(part):
+                heapq.heappush(open_, (-late.last, late, half, near))
+    latest = max((late.last for _, late, part, _ in open_ if part.first < mine_to), default=0)
     if latest == end:
         return None
     return [*found, Wait(0.0, float(theirs.time_s[latest]))] if latest else found
 
 
-class Parts:
-    """The intervals of a course, with what the search needs of each."""
-
-    def __init__(self, course: Course, swept: Swept) -> None:
-        self._postures = course.postures
-        count = len(course.time_s) - 1
-        self._block = -(-count // MAX_BLOCKS)  # intervals of the course that share a box
-        starts = np.arange(0, count, self._block)
-        ends = np.minimum(starts + self._block, count)
-        low, high = (
-            extreme(extreme.reduceat(course.postures, starts), course.postures[ends])
-            for extreme in (np.minimum, np.maximum)
-        )
-        self._blocks = swept.boxes(0.5 * (low + high), 0.5 * (high - low))
-        self._boxes: dict[Interval, Boxes] = {}
-        self._middles: dict[Interval, tuple[Array, Array]] = {}
-
-    def boxes(self, part: Interval) -> Boxes:
-        """Boxes around the pieces of the arm at all postures of the interval."""
-        found = self._boxes.get(part)
-        if found is None:
-            found = self._blocks.between(part.first // self._block, -(-part.last // self._block))
-            self._boxes[part] = found
-        return found
-
-    def is_short(self, part: Interval) -> bool:
-        """Whether an exact check proves more than boxes do, mostly."""
-        return part.length < SHORT_BLOCKS * self._block
-
-    def halves(self, part: Interval) -> tuple[Interval, Interval]:
-        """Two intervals; a long one is divided between two blocks."""
-        middle = (part.first + part.last) // 2
-        if part.length > self._block:
-            middle = max(middle - middle % self._block, part.first - part.first % self._block + self._block)
-        return Interval(part.first, middle), Interval(middle, part.last)
-
-    def middle(self, part: Interval) -> tuple[Array, Array]:
-        """A posture of the interval, and how far its other postures turn away from it at most, by joint (rad)."""
-        found = self._middles.get(part)
-        if found is None:
-            rows = self._postures[part.first : part.last + 1]
-            low, high = rows.min(axis=0), rows.max(axis=0)
-            found = self._middles[part] = (0.5 * (low + high), 0.5 * (high - low))
-        return found
+def _halves(part: Interval) -> tuple[Interval, Interval]:
+    middle = (part.first + part.last) // 2
+    return Interval(part.first, middle), Interval(middle, part.last)
 
 
 def course(path: JointTrajectory, reach: Array) -> Course:
