@@ -6,8 +6,9 @@ crash of the operating system ends the run, and its journal is not continued, so
 of the whole state bound the time of a restart and the size of the journal: events before the last but one are deleted.
 The events between the last two are kept so that the jobs of recent commands can be repeated (`rtc replay`).
 
-The table `records` holds the records of the `RECORDS_KEPT` commands that ended last. They are written some at a time.
-Unwritten records are recovered by replay: their events are kept until the next snapshot, which writes the records.
+The table `records` holds the records of about `RECORDS_KEPT` commands that ended last. One row has many of them, which
+is cheaper than a row for each. The newest row is written again until it is full. Replay recovers unwritten records:
+their events are kept until the next snapshot, which writes the records.
 """
 
 from __future__ import annotations
@@ -17,33 +18,33 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Literal
 
+import msgspec
+
 from broker.decisions.events import AnyEvent, Event
 from broker.decisions.state import State
 from rtc.protocol import wire
 from rtc.protocol.messages import CommandRecord
 from rtc.protocol.outcomes import WireError
 
-RECORDS_KEPT = 20_000  # maximum number of records of ended commands
-RECORDS_AT_ONCE = 64  # unwritten records that are written together
+RECORDS_KEPT = 20_000  # records of ended commands
+RECORDS_AT_ONCE = 64  # records in a full row
 DELETED_AT_ONCE = 400  # batches; to delete all those of a snapshot together would delay the loop
 CHECKPOINT_PAGES = 128  # of the WAL, copied to the database in small parts for the same reason
 SNAPSHOTS_KEPT = 2
-SNAPSHOT = 2  # layout of the stored state; one of another layout is refused, because it would be read wrongly
+SNAPSHOT = 3  # layout of state and records; one of another layout is refused, because it would be read wrongly
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT);
 CREATE TABLE IF NOT EXISTS turns (n INTEGER PRIMARY KEY, events BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS snapshots (n INTEGER PRIMARY KEY, state BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS records (ended INTEGER PRIMARY KEY, n INTEGER UNIQUE NOT NULL, record BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS records (n INTEGER PRIMARY KEY, commands TEXT NOT NULL, records BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS programs (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 """
-# A record that is written again keeps its place.
-KEEP_RECORD = """
-INSERT INTO records (n, record) VALUES (?, ?) ON CONFLICT (n) DO UPDATE SET record = excluded.record;
-"""
+FIND_RECORD = "SELECT commands, records FROM records WHERE instr(' ' || commands || ' ', ?) ORDER BY n DESC LIMIT 1"
 
 read_events = wire.decoder(list[AnyEvent])
-read_snapshot = wire.decoder(tuple[Literal[2], State])  # SNAPSHOT, and the state
+read_snapshot = wire.decoder(tuple[Literal[3], State])  # SNAPSHOT, and the state
 read_record = wire.decoder(CommandRecord)
+read_records = wire.decoder(list[msgspec.Raw])
 
 
 class Journal:
@@ -51,7 +52,9 @@ class Journal:
         self.db = db
         self.written: Callable[[int], None] = lambda batch: None  # called with the number of each written batch
         self.events_since_snapshot = 0
-        self._records: dict[str, CommandRecord] = {}  # not written yet
+        self._row = 1  # number of the newest row of records
+        self._records: dict[str, CommandRecord] = {}  # of that row
+        self._unwritten = False  # the row lacks some of them
         self._forget_before = 0  # batches that a snapshot has made unnecessary
 
     @staticmethod
@@ -74,6 +77,7 @@ class Journal:
                     db.execute(statement)
                 db.execute("INSERT INTO about VALUES ('run', ?)", (run,))
             journal.snapshot(first)
+        journal._row = db.execute("SELECT coalesce(max(n), 0) + 1 FROM records").fetchone()[0]
         return journal
 
     @staticmethod
@@ -92,9 +96,7 @@ class Journal:
         self.written(batch or 0)
         self.events_since_snapshot += len(events)
         if records:
-            self._records.update((record.command, record) for record in records)
-            if len(self._records) >= RECORDS_AT_ONCE:
-                self._write_records()
+            self._add_records(records)
 
     def snapshot(self, state: State) -> None:
         """Write the state as it is now; a restart does not need the events up to now any more."""
@@ -120,18 +122,27 @@ class Journal:
         self.db.execute(f"DELETE FROM turns WHERE n IN ({some})", (self._forget_before, DELETED_AT_ONCE))
 
     def keep_records(self, records: Iterable[CommandRecord]) -> None:
-        """Write the records that a replay has made; some may have been written before."""
-        self._records.update((record.command, record) for record in records)
+        """Write the records that a replay has made, but those that were written before."""
+        written = {name for (names,) in self.db.execute("SELECT commands FROM records") for name in names.split()}
+        for record in records:
+            if record.command not in written:
+                self._add_records([record])
         self._write_records()
 
+    def _add_records(self, records: list[CommandRecord]) -> None:
+        self._records.update((record.command, record) for record in records)
+        self._unwritten = True
+        if len(self._records) >= RECORDS_AT_ONCE:
+            self._write_records()
+            self._row, self._records = self._row + 1, {}
+
     def _write_records(self) -> None:
-        records, self._records = self._records, {}
-        if records:
-            rows = [(number(record.command), wire.encode(record)) for record in records.values()]
+        if self._unwritten:
+            row = (self._row, " ".join(self._records), wire.encode([*self._records.values()]))
             with self.transaction():
-                self.db.executemany(KEEP_RECORD, rows)
-                newest = self.db.execute("SELECT max(ended) FROM records").fetchone()[0]
-                self.db.execute("DELETE FROM records WHERE ended <= ?", (newest - RECORDS_KEPT,))
+                self.db.execute("INSERT OR REPLACE INTO records VALUES (?, ?, ?)", row)
+                self.db.execute("DELETE FROM records WHERE n <= ?", (self._row - RECORDS_KEPT // RECORDS_AT_ONCE,))
+            self._unwritten = False
 
     def last_snapshot(self) -> tuple[int, State]:
         """(number of its last batch, state)."""
@@ -163,8 +174,10 @@ class Journal:
     def record(self, command: str) -> CommandRecord | None:
         if command in self._records:
             return self._records[command]
-        row = self.db.execute("SELECT record FROM records WHERE n = ?", (number(command),)).fetchone()
-        return None if row is None else read_record(row[0])
+        row = self.db.execute(FIND_RECORD, (f" {command} ",)).fetchone()
+        if row is None or command not in (names := row[0].split()):
+            return None
+        return read_record(read_records(row[1])[names.index(command)])
 
     def keep_program(self, digest: str, body: bytes) -> None:
         self.db.execute("INSERT OR IGNORE INTO programs VALUES (?, ?)", (digest, body))
@@ -175,9 +188,3 @@ class Journal:
     def close(self) -> None:
         self._write_records()
         self.db.close()
-
-
-def number(command: str) -> int:
-    """7 for C-7; -1 for other text."""
-    number = command.removeprefix("C-")
-    return int(number) if number.isascii() and number.isdigit() and len(number) < 18 else -1

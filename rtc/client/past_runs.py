@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+import msgspec
+
 from rtc.protocol import wire
 from rtc.protocol.messages import CommandRecord
 from rtc.protocol.outcomes import RtcError, WireError
@@ -22,10 +24,10 @@ from rtc.runtime.settings import LAST_WORDS
 JOURNAL = "journal.db"  # in the run directory of a cluster
 PREVIOUS = "previous"  # a directory in it: the same of the run before
 OLDER = ("previous-2", "previous-3")
-NEWEST_FIRST = "SELECT record FROM records ORDER BY n DESC LIMIT ?"
-ONE = "SELECT record FROM records WHERE n = ?"
+RECORDS = "SELECT commands, records FROM records ORDER BY n"
 
 _read = wire.decoder(CommandRecord)
+_read_row = wire.decoder(list[msgspec.Raw])
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,13 @@ class Past:
 
     def last(self, most: int) -> list[CommandRecord]:
         """The newest commands, oldest first. Raises RtcError when the file cannot be read."""
-        return [_read(row[0]) for row in self._rows(NEWEST_FIRST, most)][::-1]
+        records = self._records()
+        return [_read(records[n]) for n in sorted(records)[-most:]]
 
     def command(self, number: int) -> CommandRecord | None:
         """One command by its number. Raises RtcError when the file cannot be read."""
-        return next((_read(row[0]) for row in self._rows(ONE, number)), None)
+        record = self._records().get(number)
+        return None if record is None else _read(record)
 
     @property
     def title(self) -> str:
@@ -52,12 +56,14 @@ class Past:
         boot = time.time() - time.monotonic()
         return boot + at_s if self.ended_at >= boot else None
 
-    def _rows(self, query: str, argument: int) -> list[tuple[bytes]]:
+    def _records(self) -> dict[int, msgspec.Raw]:
+        """Command number -> encoded record."""
         try:
             with contextlib.closing(sqlite3.connect(f"file:{self.journal}?mode=ro", uri=True)) as db:
-                return db.execute(query, (argument,)).fetchall()
+                rows = [(names.split(), _read_row(records)) for names, records in db.execute(RECORDS)]
         except (sqlite3.Error, WireError) as error:
             raise RtcError(f"the journal {self.journal} cannot be read: {error}") from None
+        return {int(name.removeprefix("C-")): one for row in rows for name, one in zip(*row, strict=True)}
 
 
 def runs(run_dir: Path) -> Iterator[Past]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from broker.decisions.decide import decide
@@ -113,6 +114,7 @@ def test_a_record_not_written_yet_is_rebuilt_by_the_replay(path):
 
 def test_no_more_stories_are_kept_than_the_newest(path, monkeypatch):
     monkeypatch.setattr("broker.persistence.journal.RECORDS_KEPT", 2)
+    monkeypatch.setattr("broker.persistence.journal.RECORDS_AT_ONCE", 1)
     s = Journalled(Journal.open(path, "run", State()))
     for n in range(1, 5):
         s.analyzing()
@@ -121,8 +123,27 @@ def test_no_more_stories_are_kept_than_the_newest(path, monkeypatch):
     assert [s.journal.record(f"C-{n}") is not None for n in range(1, 5)] == [False, False, True, True]
 
 
+def test_the_records_of_many_commands_share_a_row_also_after_a_restart(path, monkeypatch):
+    monkeypatch.setattr("broker.persistence.journal.RECORDS_AT_ONCE", 3)
+    s = Journalled(Journal.open(path, "run", State()))
+    for n in range(1, 8):
+        s.analyzing()
+        s.answers(f"C-{n}", go_on())
+        s.journal.tidy()
+    stories = [s.journal.record(f"C-{n}") for n in range(1, 8)]
+    s.journal.db.close()  # killed
+    journal = Journal.open(path, "run", State())
+    journal.keep_records(replay.replay(journal)[1].values())
+    rows = journal.db.execute("SELECT commands FROM records ORDER BY n").fetchall()
+    assert [names for (names,) in rows] == ["C-1 C-2 C-3", "C-4 C-5 C-6", "C-7"]
+    journal.keep_records([msgspec.structs.replace(stories[0], command="C-8")])
+    assert [journal.record(f"C-{n}") for n in range(1, 8)] == stories
+    assert journal.record("C-8").text == stories[0].text
+
+
 def test_of_a_command_that_lived_long_the_story_is_kept_as_long_as_any_others(path, monkeypatch):
     monkeypatch.setattr("broker.persistence.journal.RECORDS_KEPT", 2)
+    monkeypatch.setattr("broker.persistence.journal.RECORDS_AT_ONCE", 1)
     s = Journalled(Journal.open(path, "run", State()))
     s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
     for n in range(2, 6):
@@ -173,13 +194,10 @@ def test_the_command_finds_a_changed_story(path, capsys):
     s.answers("C-1", go_on())
     story = s.journal.record("C-1")
     s.journal.tidy()
-    s.journal.db.execute("UPDATE records SET record = ?", (wire.encode(type(story)(**{**dump(story), "text": "Y"})),))
+    changed = msgspec.structs.replace(story, text="Y")
+    s.journal.db.execute("UPDATE records SET records = ?", (wire.encode([changed]),))
     assert replay.main([str(path)]) == 1
     assert "DIFFERENT decisions: C-1" in capsys.readouterr().out
-
-
-def dump(story):
-    return {name: getattr(story, name) for name in story.__struct_fields__}
 
 
 def test_the_command_says_so_when_there_is_nothing_to_decide_again_or_no_journal(path, tmp_path, capsys):
