@@ -7,8 +7,9 @@ Sentences run in the cluster of `benchmarks.throughput` as far as a bound motion
 the same is measured in a checkout of another commit, in alternation (other, this, this, other), so that a busy machine
 affects both; the ratio is that of the medians.
 
-The second table is made in one process, with the profiler on, of the planners' jobs of other sentences (grasp, carry,
-place): the share of each stage in the time of elaborator and binder. It is for comparing stages, not for adding up.
+The second table has shares of stages. Those of the workers are from one process, with the profiler on: their jobs of
+other sentences (grasp, carry, place), each sentence parsed anew. Those of the broker are from a cluster as above whose
+broker has the profiler on, without its waits and its start. They are for comparing stages, not for adding up.
 """
 
 from __future__ import annotations
@@ -27,14 +28,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from benchmarks.load.scenarios import Scenario, Workers, sentences
 from benchmarks.report import finish, question
-from benchmarks.throughput import spread
+from benchmarks.throughput import PLANNERS, SATURATING, flood, motion, spread
 from rtc.model.cells.cell import Cell
 from rtc.protocol import wire
-from rtc.protocol.messages import WorkerKind
 
+Function = tuple[str, int, str]  # of a profile: file, line, name
 HERE = Path(__file__).parent.parent
 SEED = 20
 REPEATED = 5  # times that each job is done under the profiler
@@ -46,18 +48,29 @@ run = flood(3, {seconds}, SATURATING, real=PLANNERS, text=motion)
 print(json.dumps(dict(per_s=run.commands_per_s, cpu_us=run.cpu_us)))
 """
 #: stage -> parts of the names of the files and functions that belong to it; the first that fits counts
-STAGES = {
-    "inverse kinematics": ("puma_ik", "numeric_ik", "ik_along"),
-    "collision": ("collision", "_boxes", "boxes.py", "coal", "separation"),
-    "timing": ("timing.py", "toppra", "rest_to_rest", "quintic", "blended"),
+WORKER_STAGES = {
+    "parsing": ("workers/parser", "rtc/language"),
+    "inverse kinematics": ("puma_ik", "numeric_ik", "ik_along", "_boxes.along", "_boxes.within", "_boxes.turned_to"),
+    "timing": ("timing.py", "toppra", "rest_to_rest", "quintic", "blended", "pace"),
+    "collision": ("collision", "boxes.py", "coal", "separation", "scene_state"),
     "torques": ("torques", "rnea", "crba"),
     "path": ("motion/path.py", "spline.py", "smooth.py", "curves.py", "sampl"),
     "kinematics": ("kinematics.py", "pinocchio"),
     "cameras": ("sensing", "sight"),
     "programs": ("rtc/programs", "conditions", "ast.py"),
     "encoding": ("msgspec", "wire.py"),
+    "analysis": ("workers/analyzer",),
     "planning": ("workers/planning", "workers/elaborator", "workers/binder"),
 }
+IDLE = "waits and start"
+BROKER_STAGES = {
+    IDLE: ("zmq/sugar/poll.py", "<module>", "importlib", "ast.py", "inspect.py"),
+    "journal": ("journal.py", "sqlite3"),
+    "encoding": ("msgspec", "wire.py"),
+    "decisions": ("broker/decisions", "rtc/programs"),
+    "messages": ("broker/", "zmq", "rtc/runtime"),
+}
+OUTWARDS = 6  # callers after which the time of a built-in function is not assigned any more
 
 
 def main() -> None:
@@ -75,11 +88,12 @@ def main() -> None:
                 found = measure(HERE if name == "this" else other or HERE, given.seconds)
                 runs[name].append(found)
                 print(f"  round {number}: {name}: {found['per_s']:.0f}/s, {found['sum']:.2f} ms a sentence", flush=True)
-    shares = stages()
+    shares = {f"stage of workers: {name}": share for name, share in worker_stages().items()}
+    shares |= {f"stage of the broker: {name}": share for name, share in broker_stages(given.seconds).items()}
     metrics = {"sentences_per_s": _middle(runs["this"], "per_s"), "sentence_ms": _middle(runs["this"], "sum")}
     if runs["other"]:
         metrics["vs_other"] = metrics["sentence_ms"] / _middle(runs["other"], "sum")
-    finish("sentences", metrics, [*rows(runs), *((f"stage {name}", f"{share:.0%}") for name, share in shares.items())])
+    finish("sentences", metrics, [*rows(runs), *((name, f"{share:.0%}") for name, share in shares.items())])
 
 
 def rows(runs: dict[str, list[dict[str, float]]]) -> Iterator[tuple[str, str]]:
@@ -151,24 +165,49 @@ def _run(*command: str) -> None:
         raise SystemExit(f"{' '.join(command)}: {done.stderr[-2000:]}")
 
 
-def stages() -> dict[str, float]:
-    """The share of each stage in the time of elaborator and binder, the greatest first."""
+def worker_stages() -> dict[str, float]:
+    """The share of each stage in the time of all workers, the greatest first."""
     rng, workers = random.Random(SEED), Workers(Cell.load("swapout"))
     scenario = Scenario(workers, rng)
     for sentence in sentences(rng):
         scenario.run(sentence)
-    jobs = [job for job in scenario.jobs if job.kind in (WorkerKind.ELABORATOR, WorkerKind.BINDER)]
     profile = cProfile.Profile()
     profile.enable()
-    for job in jobs * REPEATED:
+    for job in scenario.jobs * REPEATED:
         wire.raw(workers.do(job))
     profile.disable()
+    return shares(pstats.Stats(profile), WORKER_STAGES)
+
+
+def broker_stages(seconds: float) -> dict[str, float]:
+    """The share of each stage in the time of the broker's loop, the greatest first."""
+    with tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
+        file = Path(folder) / "broker.profile"
+        flood(3, seconds, SATURATING, real=PLANNERS, text=motion, profile=file)
+        return shares(pstats.Stats(str(file)), BROKER_STAGES)
+
+
+def shares(profile: pstats.Stats, stages: dict[str, tuple[str, ...]]) -> dict[str, float]:
+    """The share of each stage. What fits no stage, such as a built-in function, counts for those that call it."""
+    stats: dict[Function, Any] = profile.stats  # type: ignore[attr-defined]
     spent: dict[str, float] = {}
-    for (file, _, function), (_, _, own_s, _, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
-        stage = next((name for name, parts in STAGES.items() if any(p in f"{file} {function}" for p in parts)), "other")
-        spent[stage] = spent.get(stage, 0.0) + own_s
-    whole = sum(spent.values())
-    return {name: own_s / whole for name, own_s in sorted(spent.items(), key=lambda one: -one[1])}
+
+    def add(function: Function, own_s: float, outwards: int) -> None:
+        file, _, name = function
+        stage = next((stage for stage, parts in stages.items() if any(p in f"{file} {name}" for p in parts)), "")
+        callers = {caller: own for caller, (_, _, own, _) in stats[function][4].items()} if function in stats else {}
+        whole = sum(callers.values())
+        if stage or not outwards or whole <= 0.0:
+            spent[stage or "other"] = spent.get(stage or "other", 0.0) + own_s
+            return
+        for caller, own in callers.items():
+            add(caller, own_s * own / whole, outwards - 1)
+
+    for function, (_, _, own_s, _, _) in stats.items():
+        add(function, own_s, OUTWARDS)
+    spent.pop(IDLE, None)
+    whole_s = sum(spent.values())
+    return {name: own_s / whole_s for name, own_s in sorted(spent.items(), key=lambda one: -one[1])}
 
 
 if __name__ == "__main__":
