@@ -43,7 +43,7 @@ struct Mover {
     int box;
     Open pairs;
     std::vector<double> centre[3], half[3];
-    std::vector<char> near;  // scratch
+    std::vector<double> room;  // between the two along the axis where it is widest, scratch
 
     void clear() {
         pairs.clear();
@@ -311,7 +311,7 @@ class Boxes {
                 mover.half[i].push_back(half[3 * other + i] + pair.margin + ROUNDING_M);
             }
         }
-        for (Mover& mover : movers_) mover.near.resize(mover.pairs.size());
+        for (Mover& mover : movers_) mover.room.resize(mover.pairs.size());
         sorted_ = true;
     }
 
@@ -380,12 +380,12 @@ class Boxes {
             const size_t count = mover.pairs.size();
             const double *x = mover.centre[0].data(), *y = mover.centre[1].data(), *z = mover.centre[2].data();
             const double *a = mover.half[0].data(), *b = mover.half[1].data(), *c = mover.half[2].data();
-            char* near = mover.near.data();
-            for (size_t n = 0; n < count; ++n)  // without branches, so that it is compiled to vectors
-                near[n] = (std::fabs(pose.p[0] - x[n]) <= half[0] + a[n]) & (std::fabs(pose.p[1] - y[n]) <= half[1] + b[n]) &
-                          (std::fabs(pose.p[2] - z[n]) <= half[2] + c[n]);
+            double* __restrict room = mover.room.data();
+            for (size_t n = 0; n < count; ++n)  // without branches or aliases, so that it is compiled to vectors
+                room[n] = std::max(std::max(std::fabs(pose.p[0] - x[n]) - a[n] - half[0], std::fabs(pose.p[1] - y[n]) - b[n] - half[1]),
+                                   std::fabs(pose.p[2] - z[n]) - c[n] - half[2]);
             for (size_t n = 0; n < count; ++n)
-                if (near[n] && !is_apart(pairs_[mover.pairs[n]], reach)) kept.push_back(mover.pairs[n]);
+                if (room[n] <= 0.0 && !is_apart(pairs_[mover.pairs[n]], reach)) kept.push_back(mover.pairs[n]);
         }
         return kept;
     }
