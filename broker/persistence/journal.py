@@ -27,19 +27,23 @@ from rtc.protocol.messages import CommandRecord
 from rtc.protocol.outcomes import WireError
 
 RECORDS_KEPT = 20_000  # records of ended commands
-RECORDS_AT_ONCE = 64  # records in a full row
+RECORDS_AT_ONCE, RECORD_BYTES = 64, 16_384  # a row with so many records, or of this size, is full
 DELETED_AT_ONCE = 400  # batches; to delete all those of a snapshot together would delay the loop
-CHECKPOINT_PAGES = 128  # of the WAL, copied to the database in small parts for the same reason
+PAGE_BYTES = 8192  # of a new journal; most batches under load are larger than SQLite's usual page
+CHECKPOINT_PAGES = 64  # of the WAL, copied to the database in small parts for the same reason
 SNAPSHOTS_KEPT = 2
 SNAPSHOT = 3  # layout of state and records; one of another layout is refused, because it would be read wrongly
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT);
 CREATE TABLE IF NOT EXISTS turns (n INTEGER PRIMARY KEY, events BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS snapshots (n INTEGER PRIMARY KEY, state BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS records (n INTEGER PRIMARY KEY, commands TEXT NOT NULL, records BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS records (n INTEGER PRIMARY KEY, commands TEXT UNIQUE NOT NULL, records BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS programs (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 """
-FIND_RECORD = "SELECT commands, records FROM records WHERE instr(' ' || commands || ' ', ?) ORDER BY n DESC LIMIT 1"
+# The sign lets SQLite search the index of the commands, which is small, and not the table.
+FIND_RECORD = """
+SELECT commands, records FROM records WHERE n = (SELECT max(+n) FROM records WHERE instr(' ' || commands || ' ', ?))
+"""
 
 read_events = wire.decoder(list[AnyEvent])
 read_snapshot = wire.decoder(tuple[Literal[3], State])  # SNAPSHOT, and the state
@@ -52,7 +56,7 @@ class Journal:
         self.db = db
         self.written: Callable[[int], None] = lambda batch: None  # called with the number of each written batch
         self.events_since_snapshot = 0
-        self._row = 1  # number of the newest row of records
+        self._row = 1  # number of the first record of the newest row, in order of their ends
         self._records: dict[str, CommandRecord] = {}  # of that row
         self._unwritten = False  # the row lacks some of them
         self._forget_before = 0  # batches that a snapshot has made unnecessary
@@ -63,6 +67,7 @@ class Journal:
         state of a new run."""
         journal = Journal(sqlite3.connect(path, isolation_level=None))
         db = journal.db
+        db.execute(f"PRAGMA page_size={PAGE_BYTES}")
         db.execute("PRAGMA journal_mode=WAL")
         db.execute("PRAGMA synchronous=OFF")
         db.execute("PRAGMA secure_delete=OFF")
@@ -77,7 +82,8 @@ class Journal:
                     db.execute(statement)
                 db.execute("INSERT INTO about VALUES ('run', ?)", (run,))
             journal.snapshot(first)
-        journal._row = db.execute("SELECT coalesce(max(n), 0) + 1 FROM records").fetchone()[0]
+        for row, commands in db.execute("SELECT n, commands FROM records ORDER BY n DESC LIMIT 1"):
+            journal._row = row + len(commands.split())
         return journal
 
     @staticmethod
@@ -134,15 +140,18 @@ class Journal:
         self._unwritten = True
         if len(self._records) >= RECORDS_AT_ONCE:
             self._write_records()
-            self._row, self._records = self._row + 1, {}
 
     def _write_records(self) -> None:
-        if self._unwritten:
-            row = (self._row, " ".join(self._records), wire.encode([*self._records.values()]))
-            with self.transaction():
-                self.db.execute("INSERT OR REPLACE INTO records VALUES (?, ?, ?)", row)
-                self.db.execute("DELETE FROM records WHERE n <= ?", (self._row - RECORDS_KEPT // RECORDS_AT_ONCE,))
-            self._unwritten = False
+        if not self._unwritten:
+            return
+        commands, body = " ".join(self._records), wire.encode([*self._records.values()])
+        following = self._row + len(self._records)
+        with self.transaction():
+            self.db.execute("INSERT OR REPLACE INTO records VALUES (?, ?, ?)", (self._row, commands, body))
+            self.db.execute("DELETE FROM records WHERE n < ?", (following - RECORDS_KEPT,))
+        self._unwritten = False
+        if len(self._records) >= RECORDS_AT_ONCE or len(body) >= RECORD_BYTES:
+            self._row, self._records = following, {}
 
     def last_snapshot(self) -> tuple[int, State]:
         """(number of its last batch, state)."""
