@@ -143,6 +143,18 @@ class DecisionContext:
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1
 
+    def note(
+        self,
+        command: Command,
+        text: str = "",
+        *,
+        warning: bool = False,
+        compared: Compared | None = None,
+        trim: int = 0,
+    ) -> None:
+        """Write a note. The phase stays."""
+        self.enter(command, command.phase, text, compared=compared, warning=warning, trim=trim)
+
     def enter(
         self,
         command: Command,
@@ -152,28 +164,18 @@ class DecisionContext:
         expected_s: float = 0,
         measured: Measured | None = None,
         compared: Compared | None = None,
-    ) -> None:
-        """Change the phase and write a note."""
-        command.phase = phase
-        self.note(command, text, expected_s, measured, compared=compared)
-
-    def note(
-        self,
-        command: Command,
-        text: str = "",
-        expected_s: float = 0,
-        measured: Measured | None = None,
         warning: bool = False,
-        compared: Compared | None = None,
         trim: int = 0,
     ) -> None:
+        """Change the phase and write a note."""
         state, notes = self.state, command.notes
         state.seq += 1
+        command.phase = phase
         note = ProgressNote(
             seq=state.seq,
             at_s=self.now,
             command=command.id,
-            phase=command.phase,
+            phase=phase,
             step=command.step_words,
             node=self.node,
             took_s=self.took_s,

@@ -61,6 +61,8 @@ from rtc.protocol.primitive_id import command_of
 MAX_COMMANDS = 10_000  # maximum number of live commands; more are declined
 LIVE_PER_CLIENT = 2_000  # maximum per client, so that one client cannot use up MAX_COMMANDS
 MAX_TEXT = 4_000  # characters kept of a sentence; the parser refuses shorter ones already and names the place
+# A constant, because Python 3.11 takes as long to find a member of an enumeration as to call a function.
+PRODUCT, PARSER = Stimulus.PRODUCT, WorkerKind.PARSER
 CLIENTS_KEPT = 1024  # clients whose latest command is stored, for AFTER LAST
 
 
@@ -99,7 +101,8 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
     """Accept a sentence and begin with it, or decline it. A request that is known is answered as before."""
     state, sentence = context.state, event.sentence
     halt = halt_scope(sentence.text)
-    if known := state.requests.get(request_key(event.client, sentence.request)):
+    key = request_key(event.client, sentence.request)
+    if known := state.requests.get(key):
         accepted = Accepted(request=sentence.request, command=known)
         context.effects.append(TellClient(client=event.client, message=accepted))
         if known in state.ended:
@@ -111,6 +114,7 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
         context.effects.append(TellClient(client=event.client, message=declined))
         return
     command = _accept(context, event)
+    state.requests[key] = command.id
     if lost:
         journal_loss.end_lost(context, command)
     elif halt:
@@ -183,7 +187,6 @@ def _accept(context: DecisionContext, event: CommandReceived) -> Command:
         context.count("unwatched")
     state.commands[command.id] = command
     state.live[event.client] = state.live.get(event.client, 0) + 1
-    state.requests[request_key(event.client, sentence.request)] = command.id
     accepted = Accepted(request=sentence.request, command=command.id)
     context.effects.append(TellClient(client=event.client, message=accepted))
     return command
@@ -212,9 +215,10 @@ def _pending(context: DecisionContext, event: JobFinished | JobDeclined | JobLos
 
     None if a deferred analysis waits for it, which is handled here, or if the answer is stale, which is counted.
     """
-    if deferred_analysis.handle_answer(context, event):
+    state = context.state
+    if state.deferred_analyses and deferred_analysis.handle_answer(context, event):
         return None
-    command = context.state.commands.get(event.job.partition("/")[0])
+    command = state.commands.get(event.job.partition("/")[0])
     pending = command.job if command is not None else None
     if command is None or pending is None or pending.id != event.job or pending.attempt != event.attempt:
         context.count("stale")
@@ -230,8 +234,8 @@ def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
     command.job = None
     program_rollout.on_job_done(context, job)
     try:
-        stimulate(context, command, Stimulus.PRODUCT, event.product)
-        if job.kind is WorkerKind.PARSER:
+        stimulate(context, command, PRODUCT, event.product)
+        if job.kind is PARSER:
             parsed_before.keep(context.state, job.program, command.text, event.product)
     except WireError as error:
         message = f"the {job.kind.value} returned an invalid product: {error}"

@@ -55,8 +55,6 @@ def on_broker_restarted(context: DecisionContext, event: BrokerRestarted) -> Non
 
 def handle_answer(context: DecisionContext, event: JobFinished | JobDeclined | JobLost) -> bool:
     """Handle a job event of a deferred analysis. False: the event belongs to another job."""
-    if not context.state.deferred_analyses:  # the usual case
-        return False
     command = event.job.partition("/")[0]
     found = context.state.deferred_analyses.get(command)
     if found is None or (found.job.id, found.job.attempt) != (event.job, event.attempt):

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+import msgspec
 
 DEAD_KEPT = 1_000  # entries of the heap that no longer count, before it is made anew
 MAX_SLOWED = 60.0  # a subsystem slower than this, as a factor, is late nevertheless
 LOOK_AGAIN_S = 0.1  # least time between two looks at the same timer; signs of life arrive every 0.25 s
 
 
-@dataclass(slots=True)
-class Count:
+class Count(msgspec.Struct, frozen=True, gc=False):
     """What a timer counts beyond our clock."""
 
     limit_s: float

@@ -178,8 +178,8 @@ class WorkerRegistry:
         worker = self.workers.get(name)
         if worker is None:
             return False
-        worker.last_seen_s = self.active_at_s[worker.queue] = now
-        worker.begin_job(now)
+        worker.last_seen_s = worker.since_s = worker.progress_at_s = self.active_at_s[worker.queue] = now
+        worker.worked_s = 0.0  # the next of its jobs is in progress
         assigned = worker.assigned.get(job)
         if assigned is None or assigned.attempt != attempt:  # a late result of an earlier attempt
             return False
@@ -211,7 +211,7 @@ class WorkerRegistry:
                 jobs = queue.take(min(worker.batch_size, worker.free_slots))
                 if not worker.assigned:
                     worker.begin_job(now)
-                worker.assigned.update((job.job, job) for job in jobs)
+                worker.assigned.update({job.job: job for job in jobs})
                 yield worker.name, jobs
 
     def waiting_s(self, queue: str, now: float) -> float | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 
-class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """A struct whose unknown keys make the whole message invalid.
 
     Other parts of messages ignore unknown keys. Here such a key may delay, limit or stop a motion, so an older process

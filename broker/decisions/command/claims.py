@@ -42,7 +42,8 @@ def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> b
     assert command.head is not None
     resources = context.state.resources
     result = resources.take(command.id, claim)
-    context.check_space_lines()
+    if context.state.space_lines:
+        context.check_space_lines()
     if isinstance(result, list):
         context.grant(result)
         return True

@@ -28,6 +28,7 @@ from broker.decisions.state import Command, State
 from rtc.protocol.messages import Phase
 
 S, P = Stimulus, Phase
+PARSING = P.PARSING  # a constant, as in `broker.decisions.decide`
 STEP = (P.BINDING, P.PAUSED, P.ENDED)  # the next step is bound, or the command pauses, or no step is left
 FROM_ELABORATION = (P.ELABORATING, P.HELD, P.ENDED)  # the resources are granted, or the command waits, or it is refused
 
@@ -169,7 +170,7 @@ def stimulate(context: DecisionContext, command: Command, stimulus: Stimulus, pa
     found.action(context, command, payload)
     if command.phase not in found.following:
         raise InvalidTransition(_with_trace(command, before, stimulus))
-    if before is Phase.PARSING and command.phase is not Phase.PARSING:
+    if before is PARSING and command.phase is not PARSING:
         context.leave_intake(command)
 
 

@@ -53,16 +53,19 @@ def end(
     if defer_analysis:
         deferred_analysis.defer(context, command)
     command.job = None
-    surrendered = surrender.surrender(context, command, ending)
-    if kind is OutcomeKind.SUCCEEDED and state.surrenders:
-        surrender.taken_up(context, command)
-    surrender.let_go(context, command.id)
+    surrendered = surrender.surrender(context, command, ending) if ending.refusal is not None else []
+    if state.surrenders:
+        if kind is OutcomeKind.SUCCEEDED:
+            surrender.taken_up(context, command)
+        surrender.let_go(context, command.id)
     words = f"{kind}: {ending.message}" if ending.message else f"{kind}"
     context.enter(command, Phase.ENDED, words, compared=compared)
-    in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
+    doubt = kind in UNCONFIRMED and not command.at_rest
+    in_doubt = Quarantine(command.subsystem, command.primitive) if doubt else None
     granted = state.resources.release(command.id, in_doubt, command.performers)
-    context.leave_space_line(command)
-    context.check_space_lines()
+    if state.space_lines:
+        context.leave_space_line(command)
+        context.check_space_lines()
     if command.operated:
         settle_answers(context, command.primitive, f"{command.id} has ended before the answer", "")
     for waiting in state.awaiting.pop(command.id, ()):
@@ -70,14 +73,15 @@ def end(
     for waiting in state.joining.pop(command.id, ()):
         context.enqueue_stimulus(waiting, Stimulus.RELEASE, False)
     context.grant([*surrendered, *granted])  # last, so that commands that came AFTER it precede those given later
-    context.count(kind.value)
+    context.count(kind)
     ended = _report_end(context, command, outcome)
     del state.commands[command.id]
     state.live[command.client] -= 1
     if not state.live[command.client]:
         del state.live[command.client]
     _remember(context, command, ended)
-    context.forget_motions()
+    if state.motions:
+        context.forget_motions()
 
 
 def _report_end(context: DecisionContext, command: Command, outcome: Outcome) -> CommandEnded:
@@ -106,10 +110,6 @@ def _report_end(context: DecisionContext, command: Command, outcome: Outcome) ->
     )
     context.effects.append(ReportEnd(client=command.client, ended=ended, record=record))
     return ended
-
-
-def _in_doubt(command: Command, kind: OutcomeKind) -> bool:
-    return kind in UNCONFIRMED and not command.at_rest
 
 
 def _remember(context: DecisionContext, command: Command, ended: CommandEnded) -> None:

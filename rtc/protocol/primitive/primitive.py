@@ -78,9 +78,8 @@ class Primitive(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="Prim
                 raise ValueError(f"{self.performer} cannot be its own partner")
             if not isinstance(self.trajectory, JointTrajectory):
                 raise ValueError("only a motion along a path has a partner")
-        if any(condition.further for condition in self.start_after) and (
-            self.partner is not None or not isinstance(self.trajectory, JointTrajectory)
-        ):
+        one_path = self.partner is None and isinstance(self.trajectory, JointTrajectory)
+        if self.start_after and not one_path and any(condition.further for condition in self.start_after):
             raise ValueError("only a motion of one arm along a path waits on its way")
 
     @property
