@@ -60,7 +60,11 @@ FIGURES = (
 )
 HAND_LIMITS = ("opening_m", "max_grip_n")  # those of them that may limit others
 #: roles that the resources of a script may name
-ROLES = ("active_arm", "partner_arm", "active_object", "its_seat", "target", "camera", "its_holder", "its_content")
+ROLES = (
+    *("active_arm", "partner_arm", "active_object", "its_seat", "target", "camera", "its_holder"),
+    "its_content",  # of a seat
+    "its_parts",  # what is mounted on a body, and what is in seats there
+)
 #: placeholders (in braces) in the texts of a script; `camera` and `body` are for steps that look; the last two are for
 #: SET only
 PLACEHOLDERS = (

@@ -30,7 +30,8 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Displaced(Fault, frozen=True, kw_only=True, tag="displaced"):
-    """An object, with the seat it sits in, or an empty seat, is elsewhere than the world database states."""
+    """An object is elsewhere than the world database states, with the seat it sits in, or with what is mounted on it
+    and what sits there. Or an empty seat is."""
 
     verb = "displace"
     object: Word
@@ -42,7 +43,8 @@ class Displaced(Fault, frozen=True, kw_only=True, tag="displaced"):
 
 
 class Drifting(Fault, frozen=True, kw_only=True, tag="drifting"):
-    """An object, with the seat it sits in, moves by itself, steadily and whatever is in its way. In a hand it rests."""
+    """An object moves by itself, steadily and whatever is in its way, with what moves with a displaced one. In a hand
+    it rests."""
 
     verb = "drift"
     object: Word

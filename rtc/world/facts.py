@@ -134,6 +134,27 @@ class Facts:
         assert hinge is not None, thing
         return hinges.turned(self.frame(thing), hinge.axis, -self.angle(thing))
 
+    @cached_property
+    def displaced(self) -> set[str]:
+        """The fixed objects that are elsewhere than in the cell description. A bolt is fixed but for its thread."""
+        fixed = [thing.name for thing in self.cell.objects if thing.fixed and thing.thread is None]
+        values = {name: self.world.value(f"{name}.frame") for name in fixed}
+        return {n for n, at in values.items() if at is not None and at != self.cell.object_pose(n).tolist()}
+
+    @cached_property
+    def bodies(self) -> dict[str, str]:
+        """By seat or object: the body that it is mounted on."""
+        every: list[parts.Seat | parts.Object] = [*self.cell.seats, *self.cell.objects]
+        return {part.name: part.mounted_on for part in every if part.mounted_on is not None}
+
+    def mount(self, part: parts.Seat | parts.Object) -> Array:
+        """Where the body that a part is mounted on carries it, wherever that body is believed to be: the frame of the
+        part, of one with a hinge at angle 0, of a bolt tight. Of what is mounted on nothing: as in the cell."""
+        if part.mounted_on is None or part.mounted_on not in self.displaced:
+            return part.frame.pose
+        on_body = geometry.relative(self.cell.object_pose(part.mounted_on), part.frame.pose)
+        return geometry.compose(self.frame(part.mounted_on), on_body)
+
     def thread(self, thing: str) -> parts.Thread | None:
         """The thread of a bolt; None if it has none, or is not an object."""
         return next((one.thread for one in self.cell.objects if one.name == thing), None)

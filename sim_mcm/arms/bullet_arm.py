@@ -39,12 +39,11 @@ from sim_mcm.arms.detents import Detents
 from sim_mcm.arms.hand import Hand
 from sim_mcm.arms.hand_weight import HandWeight, PadTwist
 from sim_mcm.arms.joint_torques import JointTorques
-from sim_mcm.arms.kinematic_arm import displaced
+from sim_mcm.arms.kinematic_arm import displaced, home_on, moves_along
 from sim_mcm.arms.servo import Servo
 
 FINGER_FRICTION = 1.0
 SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
-SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
 GRIPS_N = 1.0  # a hand whose fingers press less holds nothing
 LOCKED_N = 1e4  # N or N.m, of a joint that is stuck or braked: more than any servo exerts
 NOTHING: Mapping[str, float] = {}
@@ -389,8 +388,11 @@ class BulletCell:
         for name, seat in self.world.seats.items():
             seat.home = np.array(state.poses[name])
             self.world.place(seat, seat.home)
-        for name in self.world.movable | self.world.threaded:
-            self.world.place(self.world.objects[name], state.poses[name])
+        for name, body in self.world.objects.items():
+            thing = self.cell.object(name)
+            if thing.mounted_on is not None:
+                body.home = home_on(self.cell, thing, state.poses[thing.mounted_on])
+            self.world.place(body, state.poses[name])
         for name, arm in self.arms.items():
             arm.restore(state.arms[name])
         self.bolts.look()
@@ -405,18 +407,21 @@ class BulletCell:
             return ""
         if name not in self.world.objects:
             return unknown("object or seat", name, [*self.world.objects, *self.world.seats])
-        holders = [arm for arm, names in self.held().items() if name in names]
-        if holders:
-            return f"{name} is held by {', '.join(holders)}"
-        seat = self.cell.object(name).seat
-        along = self.world.seats[seat] if seat is not None and self._sits_in(name, seat) else None
-        before = self.world.pose(name)
+        poses = {one: self.world.pose(one) for one in self.world.objects}
+        poses |= {seat: body.home for seat, body in self.world.seats.items()}
+        along, held = moves_along(self.cell, name, poses), self.held().items()
+        for one in (name, *along):
+            if holders := [arm for arm, names in held if one in names]:
+                return f"{one} is held by {', '.join(holders)}"
+        before = poses[name]
         after = displaced(before, offset)
         self._detents.let_go(name)
         self.world.place(self.world.objects[name], after)
-        if along is not None:
-            along.home = geometry.compose(after, geometry.relative(before, along.home))
-            self.world.place(along, along.home)
+        for one in along:
+            self._detents.let_go(one)
+            body = self.world.seats.get(one) or self.world.objects[one]
+            body.home = geometry.compose(after, geometry.relative(before, body.home))
+            self.world.place(body, geometry.compose(after, geometry.relative(before, poses[one])))
         return ""
 
     def stick(self, arm: str, joint: int, stuck: bool) -> None:
@@ -441,10 +446,6 @@ class BulletCell:
 
     def close(self) -> None:
         self.world.close()
-
-    def _sits_in(self, name: str, seat: str) -> bool:
-        place = geometry.compose(self.world.seats[seat].home, self.cell.seat(seat).module_frame.pose)
-        return geometry.distance(self.world.pose(name), place) < SEATED_M
 
 
 def _no_wrench(reading: tuple[float, ...]) -> list[float]:

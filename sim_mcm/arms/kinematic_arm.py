@@ -46,6 +46,7 @@ from sim_mcm.arms.kinematic_watch import Watch
 SPRING_N_M = 50_000.0  # 1 mm of depth gives 50 N; at 20 mm/s each tick adds 1 N
 PRESSED_N = 1.0  # force of a contact of two arms, which exact arms do not feel
 REACH_M = 0.16  # greatest distance of a part of the hand from the tcp
+SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
 
 
 class PlacedShape(msgspec.Struct):
@@ -145,6 +146,10 @@ class KinematicCell:
         self.poses |= {name: np.array(pose) for name, pose in state.poses.items()}
         self.carried.clear()
         self.carried |= {name: (arm, np.array(grasp)) for name, (arm, grasp) in state.carried.items()}
+        for name in self._homes:
+            thing = self.cell.object(name)
+            if thing.mounted_on is not None:
+                self._homes[name] = home_on(self.cell, thing, self.poses[thing.mounted_on])
         self._hang()
         for owner in self.pieces:
             self._place(owner)
@@ -158,12 +163,15 @@ class KinematicCell:
             return f"{name} is held by {self.carried[name][0]}"
         before = self.poses[name]
         after = displaced(before, offset)
-        objects = {thing.name for thing in self.cell.objects}
-        for owner in (name, self.cell.object(name).seat if name in objects else None):
-            if owner is not None:
-                moved = geometry.compose(after, geometry.relative(before, self.poses[owner]))
-                self.poses[owner] = geometry.normalise(moved)  # else errors grow with each displacement
-                self._place(owner)
+        along = moves_along(self.cell, name, self.poses)
+        if held := [other for other in along if other in self.carried]:
+            return f"{held[0]} is held by {self.carried[held[0]][0]}"
+        for owner in (name, *along):
+            moved = geometry.compose(after, geometry.relative(before, self.poses[owner]))
+            self.poses[owner] = geometry.normalise(moved)  # else errors grow with each displacement
+            if owner in along and owner in self._homes:
+                self._homes[owner] = geometry.compose(after, geometry.relative(before, self._homes[owner]))
+            self._place(owner)
         self._hang()
         for arm in self.arms.values():
             arm.forget_clearance()
@@ -198,6 +206,30 @@ def displaced(pose: Array, offset: Sequence[float]) -> Array:
     """`pose` moved by x y z (m) and turned by roll pitch yaw (rad), in world axes, about its own origin."""
     turned = geometry.compose(geometry.from_rpy((0, 0, 0), offset[3:]), (0.0, 0.0, 0.0, *pose[3:].tolist()))
     return geometry.make_pose(pose[:3] + np.asarray(offset[:3]), turned[3:])
+
+
+def home_on(cell: cells.Cell, thing: parts.Object, body: geometry.Floats) -> Array:
+    """The frame of an object that is mounted on another one with this pose: at angle 0, or tight."""
+    assert thing.mounted_on is not None
+    return geometry.compose(body, geometry.relative(cell.object_pose(thing.mounted_on), thing.frame.pose))
+
+
+def moves_along(cell: cells.Cell, name: str, poses: Mapping[str, Array]) -> list[str]:
+    """What moves with an object that is displaced: the seat that it sits in, what is mounted on it, and what sits in
+    the seats there. With a seat alone nothing moves. `poses`: of all objects and seats, world."""
+    objects = {thing.name: thing for thing in cell.objects}
+    if name not in objects:
+        return []
+    mounted = [part.name for part in cell.mounted(name)]
+    seats = [seat.name for seat in cell.seats if seat.name in mounted]
+    inside = [one for one in objects if any(_sits_in(cell, one, seat, poses) for seat in seats)]
+    own = objects[name].seat
+    return [*([own] if own is not None and _sits_in(cell, name, own, poses) else []), *mounted, *inside]
+
+
+def _sits_in(cell: cells.Cell, name: str, seat: str, poses: Mapping[str, Array]) -> bool:
+    place = geometry.compose(poses[seat], cell.seat(seat).module_frame.pose)
+    return geometry.distance(poses[name], place) < SEATED_M
 
 
 class KinematicArm:

@@ -23,7 +23,7 @@ from workers.planning.world_query import WorldQuery
 Changes = list[WorldChange]
 Values = Mapping[str, float]
 
-HINGE_OFF_M = 0.05  # maximum error of a hinge's place in the cell file
+HINGE_OFF_M = 0.05  # maximum error of a hinge's place on its body in the cell file
 HINGE_OFF_RAD = 0.1  # maximum error of its axis, and of an angle at a stop
 
 
@@ -132,12 +132,12 @@ def _unplaced(thing: str, query: WorldQuery) -> Changes:
 def _off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:
     """Why an object with a hinge cannot be at this frame; empty if it can, or has no hinge.
 
-    Its hinge is where the cell file has it, up to an error of the survey.
+    Its hinge is where the body that it is mounted on has it, up to an error of the survey.
     """
     known = query.cell.object(thing)
     if known.hinge is None:
         return ""
-    home, (least, most) = known.frame.pose, known.hinge.range_rad
+    home, (least, most) = query.mount(known), known.hinge.range_rad
     angle = hinges.angle_of(home, known.hinge.axis, frame)
     place = hinges.turned(home, known.hinge.axis, angle)
     off_m, tilt_rad = geometry.distance(place, frame), geometry.angle(place, frame)

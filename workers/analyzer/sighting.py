@@ -2,6 +2,8 @@
 
 Figures are args of the step: `seen_m` and `seen_rad` are the accuracy of cameras and of their places in the cell file;
 `play_m` is the play of an object in its seat. `seated_m` is the distance from a seat at which an object is still in it.
+A step with `play_m` also states where the seat of the object is, and what is mounted on the body. A TRACK without it
+reserves none of them, so a body that carries them stays where it is believed to be, and is in doubt if it is elsewhere.
 """
 
 from __future__ import annotations
@@ -16,8 +18,9 @@ from rtc.protocol.outcomes import Sighting, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.spread import even, widened
+from workers.analyzer import joined
 from workers.analyzer.analyze_task import AnalyzeTask
-from workers.analyzer.reported_facts import moves_with, seat_at
+from workers.analyzer.reported_facts import seat_at
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
@@ -38,12 +41,15 @@ def sighted(task: AnalyzeTask, validity: Validity) -> Changes:
     if _doubt(task, sighting):
         validity = Validity.SUSPECT
     frame, spread = geometry.normalise(sighting.pose), spread_of(sighting, task)
-    changes = [
-        WorldChange(key=f"{body}.frame", value=frame.tolist(), validity=validity, spread=spread),
-        WorldChange(key=f"{body}.sighting", value=_evidence(sighting, task.report.performer)),
-    ]
-    if any(seat.name == body for seat in task.query.cell.seats):
-        return [*changes, *_content(task.query, body, frame, spread, validity)]
+    change = WorldChange(key=f"{body}.frame", value=frame.tolist(), validity=validity, spread=spread)
+    evidence = WorldChange(key=f"{body}.sighting", value=_evidence(sighting, task.report.performer))
+    if _only_watched(task):
+        return [WorldChange(key=change.key, keep_value=True, validity=validity), evidence]
+    changes = [change, evidence]
+    if task.query.cell.mounted(body):
+        return [*changes, *joined.mounted(task.query, change)]
+    if task.query.is_seat(body):
+        return [*changes, *joined.content(task.query, body, frame, spread, validity)]
     if task.query.held_by(body):
         return [*changes, *_in_hand(task.query, body, frame, spread, validity)]
     return [*changes, *_seated(task, frame, spread, validity)]
@@ -88,8 +94,23 @@ def _doubt(task: AnalyzeTask, sighting: Sighting) -> str:
     """
     if moves(sighting):
         return "it moves"
+    if _only_watched(task) and _is_elsewhere(task, sighting):
+        return f"LOCATE {task.evaluation.body} states where it is, and what is mounted on it"
     rests = task.report.reason is StopReason.FOUND and task.query.held_by(task.evaluation.body)
     return "" if rests or sighting.age_s <= OLD_S else f"it was seen {sighting.age_s:.1f} s ago"
+
+
+def _only_watched(task: AnalyzeTask) -> bool:
+    """Whether the body carries others, which the step does not place with it."""
+    return task.step.figures.play_m is None and bool(task.query.cell.mounted(task.evaluation.body))
+
+
+def _is_elsewhere(task: AnalyzeTask, sighting: Sighting) -> bool:
+    """Whether the body is farther from where it is believed to be than both poses may be wrong."""
+    believed, frame = task.query.frame(task.evaluation.body), geometry.normalise(sighting.pose)
+    off = [*geometry.relative(believed, frame)[:3], *geometry.rotation_vector(believed, frame)]
+    bounds = widened(spread_of(sighting, task), task.query.spread(f"{task.evaluation.body}.frame"))
+    return any(abs(error) > bound for error, bound in zip(off, bounds, strict=True))
 
 
 def moves(sighting: Sighting) -> bool:
@@ -106,21 +127,6 @@ def _speeds(sighting: Sighting | None) -> tuple[float, float]:
     """m/s and rad/s; 0 if nothing has measured them."""
     velocity = sighting.velocity if sighting is not None else None
     return (math.hypot(*velocity[:3]), math.hypot(*velocity[3:])) if velocity is not None else (0.0, 0.0)
-
-
-def _content(query: WorldQuery, seat: str, frame: Array, spread: list[float], validity: Validity) -> Changes:
-    """Objects in a seat move with it."""
-    changes = []
-    for thing in query.cell.objects:
-        if query.seat(thing.name) == seat and moves_with(thing.name, seat, frame, query):
-            inside = geometry.relative(query.seat_frame(seat), query.frame(thing.name))
-            wider = widened(pose_spread.spread_at(spread, inside), query.spread(f"{thing.name}.frame"))
-            value = geometry.normalise(geometry.compose(frame, inside)).tolist()
-            key = f"{thing.name}.frame"
-            fact = query.world.get(key)
-            valid = fact.validity if fact is not None and validity is Validity.VALID else validity
-            changes.append(WorldChange(key=key, value=value, validity=valid, spread=wider))
-    return changes
 
 
 def is_in_hand(task: AnalyzeTask, arm: str) -> bool:

@@ -99,14 +99,16 @@ def landed(task: AnalyzeTask, validity: Validity) -> Changes:
 
 
 def angles(query: WorldQuery, changes: Changes) -> Changes:
-    """The changes, with the angle of each object with a hinge whose frame they state."""
+    """The changes, with the angle of each object with a hinge whose frame they state. It counts from the place of the
+    hinge on the body that the object is mounted on."""
     found = []
     for change in changes:
         thing, _, attribute = change.key.rpartition(".")
         hinge = query.hinge(thing) if attribute == "frame" else None
         if hinge is None:
             continue
-        angle = None if change.keep_value else hinges.angle_of(query.hinge_home(thing), hinge.axis, change.value)
+        home = query.after(changes).mount(query.cell.object(thing))
+        angle = None if change.keep_value else hinges.angle_of(home, hinge.axis, change.value)
         found.append(msgspec.structs.replace(change, key=f"{thing}.angle", value=angle, spread=None))
     return [*changes, *found]
 

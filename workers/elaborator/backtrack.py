@@ -67,10 +67,10 @@ def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, se
     doubtful: list[str] = []
     for key in relies_on:
         distrusted = trust.distrusted(candidate.query, key, candidate.program.clears)
-        if distrusted is not None and not can_be_seen(key, candidate):
+        if distrusted is not None and not can_be_seen(distrusted.where, candidate):
             raise Refused(distrusted)
-        if distrusted is not None:
-            doubtful.append(location(key))
+        if distrusted is not None and location(distrusted.where) not in doubtful:
+            doubtful.append(location(distrusted.where))
     joints, notes, ways, end = _search(script, steps, candidate, lines, {*sensed, *doubtful})
     chosen = any(line.solve and lines[line.name].joints is None for line in script.plan)
     return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways, doubtful, end)

@@ -269,11 +269,9 @@ def names_by_role(candidate: TaskCandidate) -> dict[str, list[str]]:
     stands_for = {name: [role] for name, role in candidate.roles.items()}
     stands_for["its_seat"] = [query.seat(thing)] if thing else []
     stands_for["its_holder"] = [query.held_by(thing)] if thing else []
-    stands_for["its_content"] = [
-        one.name
-        for one in query.cell.objects
-        if candidate.seat is not None and query.seat(one.name) == candidate.seat.name
-    ]
+    seat = candidate.seat.name if candidate.seat is not None else ""
+    stands_for["its_content"] = [one.name for one in query.cell.objects if seat and query.seat(one.name) == seat]
+    stands_for["its_parts"] = with_seats(candidate, [thing]) if query.cell.mounted(thing) else []
     return stands_for
 
 
@@ -284,7 +282,8 @@ def names_of(roles: list[str], stands_for: dict[str, list[str]], held: str) -> l
 
 
 def with_seats(candidate: TaskCandidate, doubtful: list[str]) -> list[str]:
-    """These objects with the seats that they are in, and these seats with what is in them."""
+    """These bodies with what is mounted on them, their seats, and what is in these seats."""
     query = candidate.query
-    inside = [thing.name for thing in query.cell.objects if query.seat(thing.name) in doubtful]
-    return [name for body in doubtful for name in (body, query.seat(body)) if name] + inside
+    bodies = [name for body in doubtful for name in (body, *(part.name for part in query.cell.mounted(body)))]
+    inside = [thing.name for thing in query.cell.objects if query.seat(thing.name) in bodies]
+    return [name for body in bodies for name in (body, query.seat(body)) if name] + inside

@@ -44,6 +44,7 @@ def scene_of(
     """
     held: dict[str, Held] = {}
     hung: dict[str, AttachedBody] = {}
+    ignore: list[tuple[str, str]] = []
     moved_seats = [seat.name for seat in query.cell.seats if query.world.get(f"{seat.name}.frame") is not None]
     poses: dict[str, Array] = {name: query.seat_frame(name) for name in moved_seats}
     for thing in query.cell.objects:
@@ -52,9 +53,11 @@ def scene_of(
             held[thing.name] = Held(holder, grasp)
         elif thing.thread is not None:
             poses[thing.name] = query.frame(thing.name)
-        elif not thing.fixed:
+        elif not thing.fixed or thing.name in query.displaced:
             if holder and grasp is not None and thing.hinge is not None:
                 grip = geometry.inverse(grasp)[:3]
+                if thing.mounted_on is not None:  # its stops say how far it turns there
+                    ignore.append((thing.name, thing.mounted_on))
                 hung[thing.name] = AttachedBody(
                     holder, query.hinge_home(thing.name), thing.hinge.axis, thing.hinge.range_rad, grip
                 )
@@ -62,7 +65,6 @@ def scene_of(
     openings = {a.name: query.hand_width(a.name) for a in query.cell.arms}
     if opening_m is not None:
         openings[arm] = opening_m
-    ignore: list[tuple[str, str]] = []
     carried = query.holding(arm)
     close = [name for name in dict.fromkeys((touching, *exempt)) if name and name not in held]
     if touching:

@@ -34,14 +34,16 @@ def distrusted(query: WorldQuery, key: str, clears: Mapping[str, str], own: str 
     """The refusal for a fact that is not trusted; None if it is trusted.
 
     `own`: the id of the running command. A fact that this command itself made suspect is accepted, because its
-    script is about to correct it. A fact that another arm changes now is waited for (`IN_THE_WAY`).
+    script is about to correct it. A fact that another arm changes now is waited for (`IN_THE_WAY`). What is mounted on
+    a body is trusted no more than the frame of that body, which is `where` then.
     """
     if arm := query.mover_of(key):
         return _changing(key, arm)
+    location, _, attribute = key.rpartition(".")
     fact = query.world.get(key)
     if fact is None or fact.validity in TRUSTED or (own and fact.source.partition("/")[0] == own):
-        return None
-    location, _, attribute = key.rpartition(".")
+        body = query.bodies.get(location) if attribute == "frame" else None
+        return distrusted(query, f"{body}.frame", clears, own) if body is not None else None
     return Refusal(
         reason=RefusalReason.SUSPECT,
         message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source.partition('/')[0]}",

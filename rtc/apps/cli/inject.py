@@ -29,7 +29,8 @@ Arm = Annotated[str, typer.Argument(help="An arm, by its name: rtc names arms.")
 @app.command()
 def displace(
     object: Annotated[
-        str, typer.Argument(help="An object of the cell, with the seat in which it sits; or a seat that is empty.")
+        str,
+        typer.Argument(help="An object of the cell, with its seat or what is mounted on it; or a seat that is empty."),
     ],
     by: Annotated[str, typer.Option(help="X,Y,Z in metres, world axes.")] = "0,0,0",
     turn: Annotated[str, typer.Option(help="ROLL,PITCH,YAW in degrees, world axes, about the object.")] = "0,0,0",
@@ -47,7 +48,9 @@ def displace(
 
 @app.command()
 def drift(
-    object: Annotated[str, typer.Argument(help="An object of the cell; the seat in which it sits moves with it.")],
+    object: Annotated[
+        str, typer.Argument(help="An object of the cell; its seat and what is mounted on it move with it.")
+    ],
     by: Annotated[str, typer.Option(help="X,Y,Z in metres per second, world axes.")] = "0,0,0",
     turn: Annotated[str, typer.Option(help="X,Y,Z in degrees per second, world axes, about the object.")] = "0,0,0",
     run_dir: RunDir = None,

@@ -169,6 +169,11 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
             return found.frame.pose
         return geometry.compose(self.seated_pose(found.seat), found.frame.pose)
 
+    def mounted(self, body: str) -> list[Seat | Object]:
+        """The seats and objects that are mounted on an object."""
+        every: list[Seat | Object] = [*self.seats, *self.objects]
+        return [part for part in every if part.mounted_on == body]
+
     def names(self) -> Iterator[str]:
         """All names in this cell that a sentence may use."""
         for arm in self.arms:
@@ -292,6 +297,7 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
                     f"places[{n}].joints_deg.{name}",
                     "a joint that slides needs metres, one that turns degrees, as home",
                 )
+    yield from _wrong_mounts(cell)
     yield from _wrong_subsystems(cell)
     regions = [region.name for region in cell.regions]
     for field in ("safe_work_range", "avoid_task_region"):
@@ -313,6 +319,19 @@ def _wrong_hinge(thing: Object, hinge: Hinge) -> Iterator[tuple[str, str]]:
         yield "hinge.at_deg", f"{hinge.at_deg:g} is not within {least:g} to {most:g}"
     if thing.fixed or thing.seat is not None:
         yield "hinge", "an object with a hinge is neither fixed nor in a seat"
+
+
+def _wrong_mounts(cell: Cell) -> Iterator[tuple[str, str]]:
+    bodies = [t.name for t in cell.objects if t.fixed and t.thread is None and t.mounted_on is None]
+    for group in ("seats", "objects"):
+        for n, part in enumerate(getattr(cell, group)):
+            if part.mounted_on is None:
+                continue
+            place = f"{group}[{n}].mounted_on"
+            if part.mounted_on not in bodies:
+                yield place, unknown("fixed object that is mounted on nothing", part.mounted_on, bodies)
+            elif isinstance(part, Object) and (part.seat is not None or not (part.fixed or part.hinge)):
+                yield place, "an object that is mounted is fixed or has a hinge, and is in no seat"
 
 
 def _blind_cameras(cell: Cell, arms: Collection[str]) -> Iterator[tuple[str, str]]:

@@ -188,11 +188,13 @@ class Seat(CellPart, frozen=True, kw_only=True):
     detent_n: NotNegative = 0.0  # holding force of the catch; 0: no catch
     needs_within: KnownWithin | None = None  # maximum spread of a held module for insertion
     bolts: list[Name] = []  # objects with a thread: a module in the seat is fastened until all are turned out
+    mounted_on: Name | None = None  # a fixed object: where that is, the seat goes with it
     shapes: list[AnyShape] = []
 
 
 class Hinge(CellPart, frozen=True, kw_only=True):
-    """A hinge between an object and the world, through the object's origin. `frame` of the object: at angle 0."""
+    """A hinge between an object and what it is `mounted_on`, or the world. It goes through the object's origin. `frame`
+    of the object: at angle 0."""
 
     axis: Vec3 = (0.0, 0.0, 1.0)  # unit vector, object's axes; a positive angle turns about it
     range_deg: tuple[float, float]  # the stops
@@ -228,6 +230,7 @@ class Object(CellPart, frozen=True, kw_only=True):
     kind: str
     frame: Frame = Frame()
     seat: Name | None = None
+    mounted_on: Name | None = None  # a fixed object that carries this one, which is fixed or has a hinge
     # None: the pose is exact; "unknown": it is a guess, and a camera or SET must state it before a step relies on it
     known_within: KnownWithin | Literal["unknown"] | None = None
     fixed: bool = False

@@ -92,3 +92,18 @@ def test_a_wrong_hinge_is_refused(tmp_path, hinge, words) -> None:
 def test_a_hinge_and_a_seat_exclude_each_other(tmp_path) -> None:
     with pytest.raises(ProgramError, match="neither fixed nor in a seat"):
         load(tmp_path, "name: mine\nextends: servicing\nobjects: [{name: DOOR-2, seat: RACK-2}]\n")
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ("seats: [{name: BAY-2, mounted_on: SATTELITE}]", "SATTELITE"),
+        ("seats: [{name: RACK-1, mounted_on: MACS-OLD}]", "mounted on nothing MACS-OLD"),
+        ("objects: [{name: DOOR-2, mounted_on: BOLT-1}]", "mounted on nothing BOLT-1"),
+        ("objects: [{name: POWER-DRIVER, mounted_on: SATELLITE}]", "is fixed or has a hinge"),
+        ("objects: [{name: SATELLITE, mounted_on: SATELLITE}]", "mounted on nothing SATELLITE"),
+    ],
+)
+def test_a_wrong_mount_is_refused(tmp_path, part, words) -> None:
+    with pytest.raises(ProgramError, match=words):
+        load(tmp_path, f"name: mine\nextends: servicing\n{part}\n")

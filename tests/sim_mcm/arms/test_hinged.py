@@ -88,3 +88,36 @@ def test_a_door_follows_the_exact_hand_that_holds_it_about_its_hinge() -> None:
         arm._pose = None
         cell.step()
         assert hinges.angle_of(HOME, HINGE.axis, cell.poses[DOOR]) == pytest.approx(angle)
+
+
+@pytest.mark.parametrize("make", [KinematicCell, pytest.param(BulletCell, marks=pytest.mark.physics)])
+def test_a_displaced_satellite_takes_along_what_is_mounted_on_it_and_is_restored_there(make) -> None:
+    """The door stays at its angle: its hinge has moved. So it does when the state is restored."""
+    cell = make(CELL)
+    opened = hinges.turned(HOME, HINGE.axis, 0.7)
+    assert not cell.displace(DOOR, [*(opened[:3] - HOME[:3]), *geometry.to_rpy(opened)])
+    before = cell.truth()
+    assert not cell.displace("SATELLITE", [0.005, -0.004, 0.003, 0.01, -0.02, 0.03])
+    after = cell.truth()
+    moved = geometry.compose(after["poses"]["SATELLITE"], geometry.inverse(before["poses"]["SATELLITE"]))
+    along = {DOOR, "BOLT-1", "BOLT-2", "MACS-OLD", "SATELLITE"}
+    for name, pose in before["poses"].items():
+        expected = geometry.compose(moved, pose) if name in along else pose
+        assert np.allclose(after["poses"][name], expected, atol=1e-6), name
+    assert np.allclose(after["seats"]["BAY-2"], geometry.compose(moved, before["seats"]["BAY-2"]), atol=1e-9)
+    assert after["seats"]["RACK-1"] == before["seats"]["RACK-1"]
+
+    other = make(CELL)
+    other.restore(cell.state())
+    home = geometry.compose(moved, HOME)
+    for one in (cell, other):
+        assert np.allclose(one.truth()["poses"]["SATELLITE"], after["poses"]["SATELLITE"], atol=1e-9)
+        assert hinges.angle_of(home, HINGE.axis, one.truth()["poses"][DOOR]) == pytest.approx(0.7, abs=1e-6)
+        hung = one.world.objects[DOOR].home if make is BulletCell else one._homes[DOOR]
+        assert np.allclose(hung, home, atol=1e-9)
+
+
+def test_a_satellite_whose_door_is_in_a_hand_is_not_displaced() -> None:
+    cell = KinematicCell(CELL)
+    cell.carried[DOOR] = (ARM, HOME)
+    assert cell.displace("SATELLITE", [0.01, 0.0, 0.0, 0.0, 0.0, 0.0]) == f"{DOOR} is held by {ARM}"
