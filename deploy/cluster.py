@@ -46,6 +46,7 @@ STANDBY = "twin-template"  # standby fork server: a start takes seconds, so each
 PREVIOUS = "previous"
 RUNS_KEPT = 3  # in previous, previous-2, previous-3
 MAX_DOWN_S = 120.0  # for a supervisor to end all, on a busy machine
+ERROR = "the cluster did not come up:"  # the line of a detached process before its error
 REST_S = 1.5  # limit for the arms to come to rest when the cluster ends
 # Of the supervisor: it needs little time, and work of a dead process waits for it. Real-time if permitted.
 RANK, NICENESS = 1, -10
@@ -230,7 +231,7 @@ def _start(supervisor: Supervisor, settings: Settings) -> None:
 def up_detached(settings: Settings, show: Callable[[str], None]) -> None:
     """Runs `up` in a forked process with its own session; returns when the cluster is ready.
 
-    Passes its output to `show`. Raises ClusterError when it does not start.
+    Passes its output to `show`. Raises ClusterError when it does not start, with the error of that process.
     """
     read, write = os.pipe()
     pid = os.fork()
@@ -239,16 +240,21 @@ def up_detached(settings: Settings, show: Callable[[str], None]) -> None:
         _be_detached(settings, show, write)
     os.close(write)
     ready = False
+    error = ""
     try:
         with open(read) as lines:
             for line in lines:  # ends when the child redirects its output or dies
+                if line.rstrip() == ERROR:
+                    error = lines.read().rstrip()
+                    break
                 show(line.rstrip())
                 ready = ready or line.startswith("ready in")
     except KeyboardInterrupt:
         os.kill(pid, signal.SIGTERM)
         raise
     if not ready:
-        raise ClusterError(f"the cluster did not come up (status {os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])})")
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        raise ClusterError(error or f"the cluster did not come up (status {status})")
 
 
 def _be_detached(settings: Settings, show: Callable[[str], None], output: int) -> NoReturn:
@@ -263,7 +269,7 @@ def _be_detached(settings: Settings, show: Callable[[str], None], output: int) -
         up(settings, show, detach_output=True)
         status = 0
     except RtcError as error:
-        print(error, file=sys.stderr)
+        print(ERROR, error, sep="\n", file=sys.stderr)
     except BaseException:
         traceback.print_exc()
     finally:
@@ -357,7 +363,8 @@ def _lock(run_dir: Path) -> Iterator[int]:
         except BlockingIOError:
             end = shell_command("rtc down", run_dir)
             raise ClusterError(
-                f"a cluster is already running in {run_dir}: {_owner(run_dir)}; end it with: {end}"
+                f"a cluster is already running in {run_dir}: {_owner(run_dir)}; end it with: {end}; "
+                "or start another one beside it, with another --run-dir"
             ) from None
         yield lock.fileno()
 

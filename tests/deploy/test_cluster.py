@@ -113,7 +113,9 @@ def test_a_second_cluster_in_the_directory_is_refused_and_one_elsewhere_is_indep
     before = report(run_dir)
     second = up(run_dir)
     assert second.returncode == 1
-    assert f"already running in {run_dir}: supervisor pid {before['pid']}" in second.stdout + second.stderr
+    (message,) = (second.stdout + second.stderr).splitlines()
+    assert message.startswith(f"rtc: a cluster is already running in {run_dir}: supervisor pid {before['pid']}")
+    assert f"rtc down --run-dir {run_dir}" in message
     assert report(run_dir) == before
     assert (run_dir / "front.sock").exists()
 
