@@ -49,11 +49,12 @@ class DecisionContext:
     def leave_intake(self, command: Command) -> None:
         """Remove a command that was taken up or has ended. Its client's next command is taken up if it is parsed."""
         line = self.state.intake_order[command.client]
-        was_next = next(iter(line)) == command.id
+        names = iter(line)  # one search: the first name is behind those of all removed commands
+        was_next, following = next(names) == command.id, next(names, "")
         del line[command.id]
         if not line:
             del self.state.intake_order[command.client]
-        elif was_next and line[following := next(iter(line))]:
+        elif was_next and line[following]:
             self.enqueue_stimulus(following, Stimulus.RELEASE)
 
     def grant(self, commands: list[str]) -> None:
@@ -197,7 +198,7 @@ class DecisionContext:
         command: Command,
         kind: WorkerKind,
         data: Any,
-        locations: list[str] | None = None,
+        locations: tuple[str, ...] | None = None,
         *,
         rehearses: bool = False,
     ) -> None:
@@ -215,23 +216,23 @@ class DecisionContext:
             since_s=self.now,
             rehearses=rehearses,
         )
-        self.dispatch(job, command.client, command.programs if rehearses else {})
+        self.dispatch(job, command.client, command.programs if rehearses else NO_PROGRAMS)
 
     def _motions_beside(self, command: Command) -> dict[str, Any]:
         """The motions of other commands, as a field of a planner's input; what the job knows is kept in the command."""
         state = self.state
         command.motions_seen = (state.motions_begun, state.motions_ended)
         if not state.motions:  # the usual case
-            command.beside = []
+            command.beside = ()
             return {}
         others = {motion.primitive: motion.body for motion in state.motions.values() if motion.command != command.id}
-        command.beside = list(others)
+        command.beside = tuple(others)
         return {"moving": list(others.values())} if others else {}
 
     def dispatch_again(self, command: Command) -> None:
         """Dispatch the job of a command once more: jobs are stateless."""
         assert command.job is not None
-        self.dispatch(command.job, command.client, command.programs if command.job.rehearses else {})
+        self.dispatch(command.job, command.client, command.programs if command.job.rehearses else NO_PROGRAMS)
 
     def dispatch(self, job: PendingJob, client: str = "", programs: dict[str, str] = NO_PROGRAMS) -> None:
         """`client`: the client of its command; empty for a command that has ended. `programs`: of a rehearsal."""

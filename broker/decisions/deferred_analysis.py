@@ -117,7 +117,7 @@ def retry_or_give_up(context: DecisionContext, name: str, loss: JobLost) -> None
         give_up(context, name, loss)
         return
     if loss.blamed:
-        job.deaths.append(f"{loss.node}: {loss.evidence}")
+        job.deaths += (f"{loss.node}: {loss.evidence}",)
     retry(context, name, loss)
 
 
@@ -127,7 +127,7 @@ def give_up(context: DecisionContext, name: str, event: object) -> None:
     if not analysis.job.doubt:
         context.count("analyses_given_up")
         analysis.job.doubt = f"the analysis of {name} was given up"
-        analysis.job.locations = sorted({*(analysis.job.locations or ()), *analysis.names})
+        analysis.job.locations = (*sorted({*(analysis.job.locations or ()), *analysis.names}),)
     schedule_retry(context, name, event)
 
 

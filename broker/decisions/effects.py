@@ -35,7 +35,7 @@ class DispatchJob(Effect, frozen=True, kw_only=True, gc=False):
     program: str
     cell: str
     input: msgspec.Raw
-    locations: list[str] | None = None  # names in the lease that is sent with the job
+    locations: tuple[str, ...] | None = None  # names in the lease that is sent with the job
     client: str = ""  # client of its command: the jobs of all clients are assigned in turn
     programs: dict[str, str] = {}
     doubt: str = ""  # why the facts of `locations` become suspect, instead of an analysis

@@ -59,7 +59,7 @@ def on_strayed(context: DecisionContext, event: ArmStrayed) -> None:
         kind=WorkerKind.ANALYZER,
         program=state.programs.get(WorkerKind.ANALYZER, ""),
         input=wire.raw(None),
-        locations=[event.arm],
+        locations=(event.arm,),
         since_s=context.now,
         doubt=words,
     )

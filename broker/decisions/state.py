@@ -1,5 +1,6 @@
 """The state of the Decision Unit: plain data that one `encode` turns into a snapshot.
 
+What every live command has is a tuple rather than a list where it can be: an empty one takes neither memory nor time.
 Contexts, steps, values and primitives stay `msgspec.Raw`, the bytes as received: the Decision Unit must not read them.
 The *Head types below declare the few fields of a product that it reads.
 """
@@ -65,7 +66,7 @@ class TrimHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 
     n: int
     label: str
-    steps: list[msgspec.Raw]
+    steps: tuple[msgspec.Raw, ...]
     then: str = "retry_step"
 
 
@@ -74,13 +75,13 @@ class ScriptHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 
     context: msgspec.Raw
     case: int
-    steps: list[msgspec.Raw]
-    trims: list[TrimHead] = []
+    steps: tuple[msgspec.Raw, ...]
+    trims: tuple[TrimHead, ...] = ()
     bindings: dict[str, msgspec.Raw] = {}
-    resources: list[str] = []
-    writes: list[str] = []
-    reads: list[str] = []
-    notes: list[str] = []
+    resources: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    reads: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep", gc=False):
@@ -104,7 +105,7 @@ class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"
     reason: StopReason
     message: str = ""
     trim: int = 0
-    further: list[int] = []
+    further: tuple[int, ...] = ()
     keep: dict[str, msgspec.Raw] = {}
     clears: str = ""
     by_operator: str = ""
@@ -165,11 +166,11 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """Digest of the program that the worker uses."""
     input: msgspec.Raw
     """The encoded input of the worker function."""
-    locations: list[str] | None = None
+    locations: tuple[str, ...] | None = None
     """Names that an analyzer may write; None for the other kinds, which write nothing."""
     since_s: float = 0.0
     """Time when the job was created."""
-    deaths: list[str] = []
+    deaths: tuple[str, ...] = ()
     """Evidence of each worker that died while it processed this job."""
     rehearses: bool = False
     """It is for a rehearser, with the programs of all kinds."""
@@ -190,7 +191,7 @@ class ArmMotion(msgspec.Struct, kw_only=True, gc=False):
     """The encoded primitive, input of the binders of other arms."""
     space: list[Box] = []
     """The space of the primitive."""
-    beside: list[str] = []
+    beside: tuple[str, ...] = ()
     """Ids of the motions of other arms that its binder knew."""
     started_s: float = 0.0
     """Time when the subsystem reported its start; 0: it has not."""
@@ -280,7 +281,7 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """The encoded primitive until its end report, because it may be sent again."""
     subsystem: str = ""
     """Name of the subsystem that executes the latest primitive."""
-    performers: list[str] = []
+    performers: tuple[str, ...] = ()
     """Arms or hands of that subsystem that move."""
     operated: bool = False
     """The operator performs the latest primitive."""
@@ -310,7 +311,7 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """The preceding command of the same client, for AFTER LAST."""
     measured: Measured | None = None
     """Values at the end of the latest primitive that REPORT asks for."""
-    beside: list[str] = []
+    beside: tuple[str, ...] = ()
     """Ids of the motions of other arms that its latest job of an elaborator or a binder knows."""
     motions_seen: tuple[int, int] = (0, 0)
     """`motions_begun` and `motions_ended` when that job was created."""

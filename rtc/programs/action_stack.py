@@ -60,15 +60,14 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
     """The variables of the script with their present values."""
     trims_used: dict[str, list[int]] = {}
     """Step, as "trim/index" -> numbers of the trims already used for it; each is used once per step."""
-    trim_labels: list[str] = []
+    trim_labels: tuple[str, ...] = ()
     """Labels of all trims used, in order; for the outcome."""
     moved_s: float = 0.0
     """Duration of all primitives so far, in the time of the arms: it counts against the time limit of the command."""
 
     def restart(self) -> None:
         """Put all nominal steps on the stack, with the values that the script begins with."""
-        self.refs = [(NOMINAL, index) for index in reversed(range(len(self.script.steps)))]
-        self.bindings = self.script.bindings
+        self.refs, self.bindings = _nominal(self.script), self.script.bindings
 
     def pop(self) -> None:
         """Make the next step the current one. The stack must not be empty."""
@@ -113,7 +112,7 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
         if len(self.trim_labels) + len(trims) > MAX_TRIMS and then != "give_up":
             return None
         used += numbers
-        self.trim_labels += [trim.label for trim in trims]
+        self.trim_labels += tuple(trim.label for trim in trims)
         if then == "retry_step":
             self.refs.append(self.step)
         elif then == "restart_script":
@@ -147,6 +146,8 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
 
 def begin(script: ScriptT) -> ActionStack[ScriptT, Any]:
     """The Action_Stack of a new command: all nominal steps, none done."""
-    stack: ActionStack[ScriptT, Any] = ActionStack(script=script)
-    stack.restart()
-    return stack
+    return ActionStack(script=script, refs=_nominal(script), bindings=script.bindings)
+
+
+def _nominal(script: ScriptLike) -> list[StepRef]:
+    return [(NOMINAL, index) for index in reversed(range(len(script.steps)))]

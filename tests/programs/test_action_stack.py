@@ -47,7 +47,7 @@ def test_several_trims_follow_one_another_and_the_last_decides_what_comes_then()
     assert actions.push_trim(1, [1]) is None
     assert actions.push_trim(1, [2]).n == 2
     assert labels(actions) == ["mend", "mend", "mend", "step 2"]
-    assert actions.trim_labels == ["trim 1", "trim 2"]
+    assert actions.trim_labels == ("trim 1", "trim 2")
 
 
 def test_a_restart_of_the_script_restores_its_values():
@@ -66,7 +66,7 @@ def test_a_trim_is_used_once_per_step_and_unknown_ones_are_refused():
     actions.pop()
     assert actions.analyzer_input(None, None)["trims_used"] == [1]
     assert actions.push_trim(1) is None
-    assert actions.trim_labels == ["trim 1"]
+    assert actions.trim_labels == ("trim 1",)
 
 
 def test_above_the_limit_only_a_trim_that_gives_up_is_pushed():

@@ -122,8 +122,8 @@ def _branch(done: Performance, moment: Moment, reason: StopReason) -> FaultBranc
         return FaultBranch(
             step=step,
             reason=reason.value,
-            trims=actions.trim_labels[used:],
+            trims=[*actions.trim_labels[used:]],
             message=problem.message,
             clears=problem.clears,
         )
-    return FaultBranch(step=step, reason=reason.value, trims=actions.trim_labels[used:], recovered=True)
+    return FaultBranch(step=step, reason=reason.value, trims=[*actions.trim_labels[used:]], recovered=True)

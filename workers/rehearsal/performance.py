@@ -191,7 +191,6 @@ def copied(actions: ActionStack[Script, Any]) -> ActionStack[Script, Any]:
         actions,
         refs=list(actions.refs),
         trims_used={step: list(used) for step, used in actions.trims_used.items()},
-        trim_labels=list(actions.trim_labels),
     )
 
 

@@ -84,7 +84,7 @@ def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) ->
     job = command.job
     assert job is not None
     if loss.blamed:
-        job.deaths.append(f"{loss.node}: {loss.evidence}")
+        job.deaths += (f"{loss.node}: {loss.evidence}",)
     if len(job.deaths) < deferred_analysis.MAX_DEATHS:
         job.attempt += 1
         context.count("jobs_again")

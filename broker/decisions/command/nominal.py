@@ -157,7 +157,7 @@ def begin(context: DecisionContext, command: Command, result: BoundHead, primiti
     command.primitives += 1
     command.primitive = primitive.id
     command.primitive_body = result.primitive
-    command.performers = primitive.performers
+    command.performers = (*primitive.performers,)
     command.subsystem = result.subsystem
     command.operated = isinstance(primitive.trajectory, Operated)
     command.evaluation = result.evaluation

@@ -45,7 +45,7 @@ def end(
         stop=ending.stop,
         refusal=ending.refusal,
         step=command.step_words if kind is not OutcomeKind.SUCCEEDED else "",
-        trims=command.actions.trim_labels if command.actions else [],
+        trims=[*command.actions.trim_labels] if command.actions else [],
         steps_done=command.steps_done,
         measured=command.measured,
         rehearsal=ending.rehearsal,

@@ -43,7 +43,7 @@ def test_an_analysis_that_the_world_did_not_get_is_repeated_without_blame():
         assert away(s) == ["timer C-1", "note C-1 analyzing"]
         assert s.answers("C-1", go_on(), attempt=attempt) == []  # late
         assert s.rings("C-1") == [f"job C-1/4 analyzer #{attempt + 1} lease RIGHT-ARM"]
-    assert s.state.commands["C-1"].job.deaths == []
+    assert s.state.commands["C-1"].job.deaths == ()
     assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "job C-1/5 binder #1", "note C-1 binding"]
 
 

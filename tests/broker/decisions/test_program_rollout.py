@@ -41,7 +41,7 @@ def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_aga
     fail(s, "C-1")
     assert fail(s, "C-2") == ["note C-2 parsing", "job C-2/1 parser #2"]
     assert s.state.commands["C-2"].job.program == "old"
-    assert s.state.commands["C-2"].job.deaths == []
+    assert s.state.commands["C-2"].job.deaths == ()
     assert "C-1" in s.state.rollouts["parser"].why  # it names the first
     assert fail(s, "C-2")[0] == ("note C-2 parsing" if fail is Harness.loses_worker else "note C-2 ended")
     assert s.state.counts["programs_rolled_back"] == 1

@@ -19,7 +19,7 @@ def test_a_trim_goes_on_the_stack_and_the_step_is_tried_again():
     s.reports("C-1")
     s.answers("C-1", go_on())
     assert s.state.commands["C-1"].actions.step == (0, 0)  # the step itself, once more
-    assert s.state.commands["C-1"].actions.trim_labels == ["trim 1"]
+    assert s.state.commands["C-1"].actions.trim_labels == ("trim 1",)
 
 
 @pytest.mark.parametrize(
