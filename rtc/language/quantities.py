@@ -61,9 +61,9 @@ CONSTRAINTS: dict[str, QuantityRule] = {
 }
 
 MEASURES: dict[str, QuantityRule] = {
-    "FORCE": QuantityRule(("N",), "not negative"),
-    "TORQUE": QuantityRule(("N.m",), "not negative"),
-    "GRIP-FORCE": QuantityRule(("N",), "not negative"),
+    "FORCE": QuantityRule(("N",)),
+    "TORQUE": QuantityRule(("N.m",)),
+    "GRIP-FORCE": QuantityRule(("N",)),
     "DISTANCE": QuantityRule(("m",), "not negative"),
     "CLEARANCE": QuantityRule(("m",)),
     "TURN": QuantityRule(("rad", "turn")),

@@ -221,6 +221,38 @@ def test_a_body_that_may_be_elsewhere_by_now_has_a_suspect_pose_and_the_outcome_
     assert words in judged.message
 
 
+def tilted(by_rad: float) -> dict[str, object]:
+    """A sighting of BAY-2 that is tilted by this angle, and as uncertain."""
+    x, y, z = CELL.seat("BAY-2").frame.pose[:3]
+    pose = geometry.from_rpy((x, y, z), (0.0, by_rad, 0.0)).tolist()
+    return {
+        "ambiguous": True,
+        "pose": pose,
+        "covariance": np.diag([1e-4, 1e-4, 1e-4, 1e-6, 0.04, 1e-6]).ravel().tolist(),
+    }
+
+
+@pytest.mark.parametrize("sentence", ["LOCATE BAY-2 VIA CAMERA-3", "TRACK BAY-2 FOR 0.3 SEC VIA CAMERA-3"])
+def test_a_look_that_allows_two_attitudes_keeps_a_pose_that_is_known_better(bench, sentence) -> None:
+    judged = judged_with(bench, sentence, **tilted(0.6))
+    assert "BAY-2.frame" not in [one.key for one in judged.changes]
+    if sentence.startswith("LOCATE"):
+        assert (judged.verdict, judged.reason) == ("abort", StopReason.NOT_SEEN)
+        assert "two attitudes" in judged.message
+
+
+def test_a_look_that_allows_two_attitudes_counts_if_it_contradicts_what_is_known(bench) -> None:
+    judged = judged_with(bench, "LOCATE BAY-2 VIA CAMERA-3", **tilted(1.5))
+    assert "BAY-2.frame" in [one.key for one in judged.changes]
+
+
+def test_a_look_that_allows_two_attitudes_counts_if_the_pose_is_not_trusted(bench) -> None:
+    bench.set_fact("BAY-2.frame", CELL.seat("BAY-2").frame.pose.tolist(), Validity.SUSPECT)
+    judged = judged_with(bench, "LOCATE BAY-2 VIA CAMERA-3", **tilted(0.6))
+    assert judged.verdict == "continue"
+    assert "BAY-2.frame" in [one.key for one in judged.changes]
+
+
 def test_a_track_that_ends_before_any_picture_shows_the_body_is_a_failure(bench) -> None:
     """A short TRACK by a dark camera: its time is over before `unseen_s`."""
     script = bench.elaborate(f"TRACK {MODULE} FOR 0.3 SEC")

@@ -22,7 +22,17 @@ from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
 from workers.analyzer.held_object import held_object_changes, interrupted_grasp, moved_in_hand, with_spread
-from workers.analyzer.post_conditions import MOVES, SEEN, TURNING, UNMET, dropped, squeezed, unmoved_joint, violated
+from workers.analyzer.post_conditions import (
+    MOVES,
+    SEEN,
+    TURNING,
+    UNMET,
+    VAGUE,
+    dropped,
+    squeezed,
+    unmoved_joint,
+    violated,
+)
 from workers.analyzer.step_changes import (
     arm_changes,
     merged,
@@ -106,6 +116,9 @@ def _assessed(task: AnalyzeTask) -> Assessment:
         reason = StopReason.FOLLOWING_ERROR
         words = f"{still} of {task.evaluation.arm} has not moved while others have; {report.message}".rstrip("; ")
         report = msgspec.structs.replace(report, message=words)
+        task = AnalyzeTask(task.program, task.query, msgspec.structs.replace(task.data, report=report))
+    if wrong == VAGUE and report.sighting is not None:
+        report = msgspec.structs.replace(report, message=sighting.vagueness_in_words(report.sighting))
         task = AnalyzeTask(task.program, task.query, msgspec.structs.replace(task.data, report=report))
     cells = task.program.outcomes[row]
     behind = task.program.unmet if wrong == UNMET else task.program.squeezed if squeezed(task) else ""

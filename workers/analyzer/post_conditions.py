@@ -17,6 +17,9 @@ SEEN = "sighted"  # effect of steps that look
 MOVES = "moves"  # finding of a look that needs the body at rest
 
 
+VAGUE = "vague"  # finding of a look that has measured the body worse than it is known
+
+
 ENDS = "ends"  # word of a step that the condition of UNTIL ends
 
 
@@ -46,12 +49,15 @@ def violated(task: AnalyzeTask) -> str:
     if evaluation.width_m is not None:
         least, most = evaluation.width_m
         return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
+    vague = evaluation.step.words.effect == SEEN and sighting.is_vague(task)
     if evaluation.body_pose is not None:
-        return "displaced" if _is_displaced(task) else ""
+        return "" if not _is_displaced(task) else VAGUE if vague else "displaced"
     if evaluation.step.words.effect == SEEN and report.reason is StopReason.GOAL and report.sighting is None:
         return "unseen"
     if evaluation.step.figures.at_rest and report.sighting is not None and sighting.moves(report.sighting):
         return MOVES
+    if vague and report.reason is StopReason.FOUND:
+        return VAGUE
     within_m = evaluation.step.figures.within_m
     if within_m is not None:  # instead of the tolerance of the program
         return "elsewhere" if distance_off_m(task) > within_m else ""

@@ -34,9 +34,9 @@ WIDEST_RAD = math.pi
 
 
 def sighted(task: AnalyzeTask, validity: Validity) -> Changes:
-    """The body is where the camera has seen it; nothing changes if it has not."""
+    """The body is where the camera has seen it; nothing changes if it has not, or if it is known better."""
     sighting, body = task.report.sighting, task.evaluation.body
-    if sighting is None:
+    if sighting is None or is_vague(task):
         return []
     if _doubt(task, sighting):
         validity = Validity.SUSPECT
@@ -53,6 +53,26 @@ def sighted(task: AnalyzeTask, validity: Validity) -> Changes:
     if task.query.held_by(body):
         return [*changes, *_in_hand(task.query, body, frame, spread, validity)]
     return [*changes, *_seated(task, frame, spread, validity)]
+
+
+def is_vague(task: AnalyzeTask) -> bool:
+    """Whether two attitudes explain the pictures, and the trusted pose is one that they allow and is known better."""
+    sighting, body = task.report.sighting, task.evaluation.body
+    if sighting is None or not sighting.ambiguous or not task.query.trusts(f"{body}.frame"):
+        return False
+    frame, spread, known = (
+        geometry.normalise(sighting.pose),
+        spread_of(sighting, task),
+        task.query.spread(f"{body}.frame"),
+    )
+    turned = geometry.rotation_vector(frame, task.query.pose(body))
+    off = [*geometry.relative(frame, task.query.pose(body))[:3], *geometry.rotate(geometry.inverse(frame), turned)]
+    return all(abs(d) <= seen and least <= seen for d, seen, least in zip(off, spread, known, strict=True))
+
+
+def vagueness_in_words(sighting: Sighting) -> str:
+    degrees, tags = math.degrees(deviations(sighting)[1]), ", ".join(map(str, sighting.tags))
+    return f"not well enough: two attitudes, some {degrees:.0f} deg apart, fit tags {tags}; its pose is known better"
 
 
 def _evidence(sighting: Sighting, camera: str) -> dict[str, Any]:
