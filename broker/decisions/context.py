@@ -144,17 +144,9 @@ class DecisionContext:
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1
 
-    def note(
-        self,
-        command: Command,
-        text: str = "",
-        *,
-        warning: bool = False,
-        compared: Compared | None = None,
-        trim: int = 0,
-    ) -> None:
+    def note(self, command: Command, text: str = "", *, warning: bool = False) -> None:
         """Write a note. The phase stays."""
-        self.enter(command, command.phase, text, compared=compared, warning=warning, trim=trim)
+        self.enter(command, command.phase, text, warning=warning)
 
     def enter(
         self,

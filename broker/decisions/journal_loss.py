@@ -42,7 +42,7 @@ def unknown_number(state: State, sentence: CommandText) -> Refusal | None:
     outcome is no longer kept. The record of the command with that number must not be replaced."""
     if not sentence.known_as or state.lost:
         return None
-    if 0 < _digits(sentence.known_as) <= state.accepted:
+    if 0 < number_of(sentence.known_as) <= state.accepted:
         message = f"{sentence.known_as} is another request, or its outcome is no longer kept; nothing is begun"
         clears = f"`rtc trace {sentence.known_as}` shows that command; without known_as the sentence is a new one"
     else:
@@ -51,7 +51,7 @@ def unknown_number(state: State, sentence: CommandText) -> Refusal | None:
     return Refusal(reason=RefusalReason.STATE, message=message, where="known_as", clears=clears)
 
 
-def _digits(name: str) -> int:
+def number_of(name: str) -> int:
     """n of the command number C-n; 0 if it is none."""
     digits = name.removeprefix("C-")
     number = int(digits[:18]) if digits.isascii() and digits.isdigit() else 0
@@ -60,7 +60,7 @@ def _digits(name: str) -> int:
 
 def new_number(state: State, sentence: CommandText) -> str:
     """The next command number; after a loss the one known to the client, if it is free."""
-    name, number = sentence.known_as, _digits(sentence.known_as) if state.lost else 0
+    name, number = sentence.known_as, number_of(sentence.known_as) if state.lost else 0
     taken = name in state.commands or name in state.ended
     free = 0 < number <= state.accepted + MAX_NUMBER_AHEAD and not taken
     if not free:

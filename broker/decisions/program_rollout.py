@@ -16,7 +16,6 @@ from broker.decisions.state import Command, PendingJob, Rollout, RolloutPhase, S
 PROVEN_KEPT = 16  # proven programs stored per worker kind
 HISTORY_KEPT = 32  # programs per worker kind in `rtc programs`, with at most
 CHANGES_KEPT = 20  # changes of each
-TRIAL = RolloutPhase.TRIAL  # a constant, as in `broker.decisions.decide`
 
 
 class RolloutStimulus(StrEnum):
@@ -55,7 +54,7 @@ def is_on_trial(state: State, job: PendingJob) -> bool:
 
 def on_job_done(context: DecisionContext, job: PendingJob) -> None:
     rollout = context.state.rollouts.get(job.kind) if not job.rehearses else None
-    if rollout is not None and rollout.phase is TRIAL and is_on_trial(context.state, job):
+    if rollout is not None and rollout.fallback and is_on_trial(context.state, job):
         ROLLOUT.run(context, job.kind, RolloutStimulus.JOB_DONE)
 
 

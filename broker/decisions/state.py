@@ -216,7 +216,7 @@ class DeferredAnalysis(msgspec.Struct, kw_only=True):
     """Row of its transition table."""
 
 
-class PendingOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
+class PendingOutcome(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
     """How a command ends, or will end (HALTING, CLOSING)."""
 
     kind: OutcomeKind

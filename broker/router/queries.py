@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Any
 
-from broker.decisions import program_rollout
+from broker.decisions import journal_loss, program_rollout
 from broker.decisions.command.nominal import read_primitive
 from broker.decisions.state import ArmMotion, Command, State, Surrender
 from broker.dispatch.worker_registry import Worker
@@ -175,15 +175,9 @@ def trace(
         return m.TraceReply(request=query.request, record=record)
     if (kept := ended(query.command)) is not None:
         return m.TraceReply(request=query.request, record=kept)
-    if state.lost and 0 < _number(query.command) <= state.accepted:
+    if state.lost and 0 < journal_loss.number_of(query.command) <= state.accepted:
         words = f"{query.command} is not in the journal: {state.lost}"
     else:
         last = f"the last one accepted is C-{state.accepted}" if state.accepted else "none was accepted yet"
         words = f"there is no command {query.command}; {last}"
     return m.Declined(request=query.request, refusal=Refusal(reason=RefusalReason.NAME, message=words))
-
-
-def _number(command: str) -> int:
-    """7 for C-7; -1 for other text."""
-    number = command.removeprefix("C-")
-    return int(number) if number.isascii() and number.isdigit() and len(number) < 18 else -1

@@ -270,4 +270,5 @@ def _note_judged(
 ) -> None:
     """Note the verdict. What has drifted is a warning: a person may act before a step fails of it."""
     words = f"{words}; {assessment.drift}" if assessment.drift else words
-    context.note(command, words, warning=bool(assessment.drift), compared=assessment.compared, trim=trim)
+    warning = bool(assessment.drift)
+    context.enter(command, command.phase, words, compared=assessment.compared, warning=warning, trim=trim)
