@@ -28,7 +28,7 @@ from rtc.apps.cli.offers import CellNames
 from rtc.apps.cli.output import console, errors
 from rtc.apps.cli.progress import Board, print_result
 from rtc.apps.cli.sentence_files import LABEL, Labels, Line, line_of, unknown_label
-from rtc.apps.cli.sentences import LeftRunning, Signalled, asked_on_interrupt, gone_away, show_silence
+from rtc.apps.cli.sentences import HALTED, LeftRunning, Signalled, asked_on_interrupt, gone_away, show_silence
 from rtc.apps.cli.teach import with_taught
 from rtc.client.client import Client
 from rtc.language.completion import Names, complete
@@ -78,6 +78,9 @@ def obey_lines(lines: Iterable[str], run_dir: Path | None, key: Path | None = No
             if line.lower() in LEAVE:
                 break
             shell.obey(line, f"line {n}")
+            if shell.halted:
+                errors.print(Text(f"line {n} was halted: the lines after it are not sent"))
+                break
 
 
 @contextmanager
@@ -142,6 +145,7 @@ class Shell:
         self._rtc, self._background = rtc, background
         self._labels = Labels()
         self._grammar: tuple[str, Grammar] = ("", default_grammar())  # with the digest of the cluster's
+        self.halted = False  # whether a command that it waited for was halted
 
     def obey(self, written: str, place: str = "") -> None:
         """A line of the operator, or of a program, whose `place` is printed with errors. Raises NoCluster."""
@@ -186,7 +190,8 @@ class Shell:
             self._background.watch(command)
         else:
             self._echo(text)
-            command = _run(self._rtc, text, line.label)
+            ended = _run(self._rtc, text, line.label)
+            command, self.halted = ended.command, ended.outcome.kind in HALTED
         if line.label:
             self._labels.numbers[line.label] = command
 
@@ -215,15 +220,15 @@ def _own_word(line: str) -> Callable[[Client, list[str]], None] | None:
     return WORDS.get(f":{first}") or (_help if first == "?" else None)
 
 
-def _run(rtc: Client, text: str, label: str) -> str:
-    """The number of the command; empty if it became none."""
+def _run(rtc: Client, text: str, label: str) -> m.CommandEnded:
+    """The end of the command; its number is empty if it became none."""
     board = Board([text], [label])
     try:
         with board, asked_on_interrupt(rtc, board):
             (ended,) = rtc.run_many([text], on_accept=board.accepted, on_progress=board.progress, on_end=board.ended)
     except Signalled as gone:
         sys.exit(gone_away(gone, board, 1))
-    return ended.command
+    return ended
 
 
 def _status(rtc: Client, _: list[str]) -> None:

@@ -40,6 +40,8 @@ from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
 
+HALTED = (OutcomeKind.HALTED, OutcomeKind.HALT_NOT_CONFIRMED)  # after these the rest of a program is not sent
+
 
 class LeftRunning(Exception):
     """The operator chose to leave commands running."""
@@ -57,7 +59,9 @@ def do(
     sentences: Annotated[list[str] | None, typer.Argument(help="Sentences, each in quotes.")] = None,
     file: Annotated[Path | None, typer.Option(help="Read sentences from a file, one a line; - is stdin.")] = None,
     parallel: Annotated[bool, typer.Option("--parallel", help="Send all at once.")] = False,
-    keep_going: Annotated[bool, typer.Option("--keep-going", "-k", help="Go on after one that fails.")] = False,
+    keep_going: Annotated[
+        bool, typer.Option("--keep-going", "-k", help="Go on after one that fails, not after a halt.")
+    ] = False,
     no_wait: Annotated[bool, typer.Option("--no-wait", help="Return once they are accepted.")] = False,
     if_tested: Annotated[
         str, typer.Option(metavar="DIGEST", help="Only as `rtc test` found it: refuse what is stale.")
@@ -69,9 +73,9 @@ def do(
 ) -> None:
     """Submit sentences, show their progress and one result for each.
 
-    They run one after the other, until one does not succeed (-k continues). With --parallel all are sent at once, and
-    the cluster decides which can run at the same time. A file has one sentence a line, comments (# or --), and labels:
-    after `C3: LOCATE DOOR-2`, AFTER C3 in a later line names its command.
+    They run one after the other, until one does not succeed (-k continues, except after a halt). With --parallel all
+    are sent at once, and the cluster decides which can run at the same time. A file has one sentence a line, comments
+    (# or --), and labels: after `C3: LOCATE DOOR-2`, AFTER C3 in a later line names its command.
 
     Exit status: 0 all succeeded, 1 a failure, 2 a refusal, 3 halted, 4 no cluster, 130 left running. Ctrl-C asks: leave
     them running, or halt. If stdout is closed (`| head`) or full, or this process gets SIGTERM (exit status 143) or
@@ -128,17 +132,18 @@ def _see_through(
                     kind, result = _one(rtc, program, n)
                     kinds.append(kind)
                     results.append(result)
-                    if kind != OutcomeKind.SUCCEEDED and not keep_going:
+                    if kind in HALTED or (kind != OutcomeKind.SUCCEEDED and not keep_going):
                         break
     except LeftRunning:
         console.print("left running; `rtc status` shows them, `rtc halt` stops them")
         return LEFT_RUNNING, results
     except (OutputClosed, Signalled) as gone:
         return gone_away(gone, board, len(lines)), results
+    why = "after a halt no further sentence is sent" if kinds[-1] in HALTED else "use -k to go on"
     for line in lines[len(results) :]:
         results.append({"text": line.text, **_label(line), "kind": "not_sent"})
         if not json:
-            words = Text(f"  {quoted(line.text)}  ") + Text("(use -k to go on)", style="dim")
+            words = Text(f"  {quoted(line.text)}  ") + Text(f"({why})", style="dim")
             console.print(Text("NOT SENT", style="bold") + words)
     return exit_code(kinds), results
 

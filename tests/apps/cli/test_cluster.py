@@ -363,6 +363,26 @@ def test_the_shell_obeys_a_pipe_and_reports_what_was_sent_with_an_ampersand(run_
     assert len(last_json(rtc("log", "-n", "1000", "--json"))["commands"]) == before + 2  # `help` is none
 
 
+@pytest.mark.parametrize(
+    ("words", "typed"),
+    [(["do", "-k", "HOLD LEFT-ARM", "STOW LEFT-ARM"], ""), (["shell"], "HOLD LEFT-ARM\nSTOW LEFT-ARM\n")],
+)
+def test_a_program_ends_with_a_halt(run_dir: Path, tmp_path: Path, words: list[str], typed: str) -> None:
+    lines = tmp_path / "lines.txt"
+    lines.write_text(typed)
+    with lines.open() as given, Client(run_dir) as client:
+        program = subprocess.Popen(
+            [*RTC, *words, "--run-dir", str(run_dir)], stdin=given, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+        until(lambda: [one["text"] for one in client.status()["commands"]] == ["HOLD LEFT-ARM"])
+        client.halt()
+        printed = program.communicate(timeout=60)[0].decode()
+
+    assert "HALTED" in printed
+    assert "not sent" in printed.lower()
+    assert "SUCCEEDED" not in printed
+
+
 def test_the_shell_takes_a_program_with_labels(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     obey_lines(["C1: STOW LEFT-ARM -- first", "STOW RIGHT-ARM AFTER C-1", "ABORT C9", "STOW LEFT-LEG"], run_dir)
     printed, errors = capsys.readouterr()
