@@ -82,6 +82,25 @@ def test_a_door_turns_about_the_hinge_of_the_located_satellite(looks, offset) ->
     assert angle_deg(bench) == pytest.approx(0.0, abs=2.1)
 
 
+@pytest.mark.parametrize("offset", [YAW, ALL_AXES], ids=["yaw", "all axes"])
+def test_a_held_door_hangs_on_the_hinge_of_the_satellite_that_is_located_then(offset) -> None:
+    bench = bench_with(offset)
+    home = bench.subsystem.poses[DOOR]
+    assert bench.do(GRASP).succeeded  # beside the middle of the bar
+    assert bench.do(LOCATE).succeeded
+    query = WorldQuery(MODEL, bench.world)
+    assert geometry.distance(query.hinge_home(DOOR), home) < 1e-6
+    assert geometry.angle(query.hinge_home(DOOR), home) < 1e-6
+    in_hand = geometry.compose(query.tcp("LEFT-ARM"), query.grasp(DOOR))
+    assert geometry.distance(in_hand, query.frame(DOOR)) < 1e-6
+    assert fact(bench, DOOR).validity is Validity.VALID
+    assert max(fact(bench, DOOR).spread[3:]) > abs(query.angle(DOOR))  # in truth it is closed
+    run = bench.do(OPEN)
+    assert run.succeeded, (run.refusal, run.failure)
+    frame = hinges.turned(home, HINGE.axis, math.radians(angle_deg(bench)))
+    assert geometry.distance(bench.world.value(f"{DOOR}.frame"), frame) < 1e-6
+
+
 def test_what_is_mounted_on_a_located_satellite_and_what_is_in_its_bay_goes_with_it() -> None:
     bench = bench_with(ALL_AXES)
     assert off_m(bench, BOLT) > 0.004

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from rtc.model.cells import parts
 from rtc.protocol.messages import Fact, Validity, WorldChange
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
-from rtc.world.spread import EXACT, Spread, widened
+from rtc.world.spread import EXACT, Spread, even, widened
 from workers.analyzer.reported_facts import moves_with
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
@@ -32,9 +34,9 @@ def content(query: WorldQuery, seat: str, frame: Array, spread: Spread, validity
 def mounted(query: WorldQuery, body: WorldChange) -> Changes:
     """What is mounted on a body is where the body has it, after this change of the body's frame.
 
-    What a hand holds stays where the hand has it. So does what was measured by itself, as well as the body or better,
-    and is where the body has it as far as both are known. Of an object with a hinge the angle counts from the hinge on
-    the body in either case.
+    What was measured by itself, as well as the body or better, stays where it is, if the body has it there as far as
+    both are known. Of an object with a hinge the angle counts from the hinge on the body in either case. One in a hand
+    turns about that hinge to where the hand has it.
     """
     changes: Changes = []
     after, name = query.after([body]), body.key.rpartition(".")[0]
@@ -45,7 +47,10 @@ def mounted(query: WorldQuery, body: WorldChange) -> Changes:
         on_body = pose_spread.spread_at(body.spread or EXACT, geometry.relative(after.frame(name), place))
         spread = widened(on_body, surveyed)
         validity = fact.validity if fact is not None and body.validity is Validity.VALID else body.validity
-        if fact is not None and (query.held_by(part.name) or _is_known_there(after, part, fact, spread, surveyed)):
+        if isinstance(part, parts.Object) and query.held_by(part.name):
+            changes += _in_hand(after, part, spread)
+            continue
+        if fact is not None and _is_known_there(after, part, fact, spread, surveyed):
             changes.append(WorldChange(key=key, value=fact.value, validity=fact.validity, spread=fact.spread))
             continue
         place = geometry.normalise(place)
@@ -53,6 +58,31 @@ def mounted(query: WorldQuery, body: WorldChange) -> Changes:
         if isinstance(part, parts.Seat):
             changes += content(query, part.name, place, spread, validity)
     return changes
+
+
+def _in_hand(query: WorldQuery, part: parts.Object, spread: list[float]) -> Changes:
+    """A held object with a hinge: its hand has the bar, and the body has the hinge. It is unsure by as much as they
+    disagree."""
+    grasp = query.grasp(part.name)
+    if part.hinge is None or grasp is None:
+        return []
+    bar = hinges.bar((point.frame.xyz for point in part.grasp_points), grasp)
+    where = geometry.transform_point(query.frame(part.name), bar)
+    place = hinges.at_hand(query.mount(part), part.hinge.axis, part.hinge.range_rad, bar, where)
+    inside = geometry.relative(query.tcp(query.held_by(part.name)), place)
+    off_m = float(np.linalg.norm(geometry.transform_point(place, bar) - where))
+    lever_m = float(np.linalg.norm(np.cross(part.hinge.axis, bar)))
+    spread = widened(spread, even(off_m, off_m / lever_m))
+    values = {"frame": place, "grasp": inside}
+    return [
+        WorldChange(
+            key=f"{part.name}.{name}",
+            value=geometry.normalise(pose).tolist(),
+            validity=query.world.facts[f"{part.name}.{name}"].validity,
+            spread=spread,
+        )
+        for name, pose in values.items()
+    ]
 
 
 def _in_place(query: WorldQuery, part: parts.Seat | parts.Object, angle: float) -> Array:
