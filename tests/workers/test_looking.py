@@ -219,6 +219,7 @@ def test_a_body_that_may_be_elsewhere_by_now_has_a_suspect_pose_and_the_outcome_
     assert change.validity is Validity.SUSPECT
     assert "suspect" in judged.message
     assert words in judged.message
+    assert words in judged.remark
 
 
 def tilted(by_rad: float) -> dict[str, object]:

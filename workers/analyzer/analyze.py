@@ -171,10 +171,12 @@ def _success_changes(task: AnalyzeTask) -> Changes:
 
 
 def _remark(task: AnalyzeTask) -> str:
-    """What the outcome of a command states after this step: an answer, or how far the object is from free of the seat
-    that it leaves."""
+    """What the outcome of a command states after this step: an answer, that a body was seen but may not be there, or
+    how far the object is from free of the seat that it leaves."""
     if task.step.words.says:
         return task.step.words.says
+    if task.step.words.effect == SEEN:
+        return sighting.doubt_in_words(task)
     leaves = task.step.words.leaves == "seat"
     return in_seat.remark_on_slot(task.query, task.evaluation.arm, task.report.tcp_pose) if leaves else ""
 

@@ -133,6 +133,12 @@ def _is_elsewhere(task: AnalyzeTask, sighting: Sighting) -> bool:
     return any(abs(error) > bound for error, bound in zip(off, bounds, strict=True))
 
 
+def doubt_in_words(task: AnalyzeTask) -> str:
+    """That the pose of the body is suspect although it was seen; empty if it is not."""
+    doubt = _doubt(task, task.report.sighting) if task.report.sighting is not None else ""
+    return f"the pose of {task.evaluation.body} is suspect: {doubt}" if doubt else ""
+
+
 def moves(sighting: Sighting) -> bool:
     metres, radians = _speeds(sighting)
     return metres > MOVES_M_S or radians > MOVES_RAD_S
