@@ -39,12 +39,13 @@ def end(
     `compared`: of the step that has failed.
     """
     state, kind = context.state, ending.kind
+    succeeded = kind is OutcomeKind.SUCCEEDED
     outcome = Outcome(
         kind=kind,
         message=ending.message,
         stop=ending.stop,
         refusal=ending.refusal,
-        step=command.step_words if kind is not OutcomeKind.SUCCEEDED else "",
+        step="" if succeeded else command.step_words,
         trims=[*command.actions.trim_labels] if command.actions else [],
         steps_done=command.steps_done,
         measured=command.measured,
@@ -55,7 +56,7 @@ def end(
     command.job = None
     surrendered = surrender.surrender(context, command, ending) if ending.refusal is not None else []
     if state.surrenders:
-        if kind is OutcomeKind.SUCCEEDED:
+        if succeeded:
             surrender.taken_up(context, command)
         surrender.let_go(context, command.id)
     words = f"{kind}: {ending.message}" if ending.message else f"{kind}"
@@ -69,7 +70,7 @@ def end(
     if command.operated:
         settle_answers(context, command.primitive, f"{command.id} has ended before the answer", "")
     for waiting in state.awaiting.pop(command.id, ()):
-        context.enqueue_stimulus(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
+        context.enqueue_stimulus(waiting, Stimulus.RELEASE, succeeded)
     for waiting in state.joining.pop(command.id, ()):
         context.enqueue_stimulus(waiting, Stimulus.RELEASE, False)
     context.grant([*surrendered, *granted])  # last, so that commands that came AFTER it precede those given later
@@ -79,7 +80,7 @@ def end(
     state.live[command.client] -= 1
     if not state.live[command.client]:
         del state.live[command.client]
-    _remember(context, command, ended)
+    _remember(context, command, ended, succeeded)
     if state.motions:
         context.forget_motions()
 
@@ -102,7 +103,7 @@ def _report_end(context: DecisionContext, command: Command, outcome: Outcome) ->
         source=command.source,
         request=command.request,
         accepted_at_s=command.accepted_at_s,
-        phase=Phase.ENDED,
+        phase=command.phase,
         notes=command.notes,
         outcome=outcome,
         ended_at_s=context.now,
@@ -112,10 +113,9 @@ def _report_end(context: DecisionContext, command: Command, outcome: Outcome) ->
     return ended
 
 
-def _remember(context: DecisionContext, command: Command, ended: CommandEnded) -> None:
+def _remember(context: DecisionContext, command: Command, ended: CommandEnded, succeeded: bool) -> None:
     """Store the result for a client that asks again, and delete the oldest ones."""
     state = context.state
-    succeeded = ended.outcome.kind is OutcomeKind.SUCCEEDED
     state.ended[command.id] = Result(wire.raw(ended), succeeded, request_key(command.client, command.request))
     if len(state.ended) < ENDED_KEPT + FORGOTTEN_AT_ONCE:
         return
