@@ -106,5 +106,5 @@ def _is_known_there(
     hinge = part.hinge if isinstance(part, parts.Object) else None
     angle = hinges.angle_of(query.mount(part), hinge.axis, fact.value) if hinge is not None else 0.0
     place = _in_place(query, part, angle)
-    off = [*geometry.relative(place, fact.value)[:3], *geometry.rotation_vector(place, fact.value)]
+    off = pose_spread.error_of(place, fact.value)
     return all(abs(error) <= bound for error, bound in zip(off, widened(spread, own), strict=True))

@@ -18,6 +18,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial import geometry, hinges
 from rtc.world.model import LOOSE, initial_facts, location, problem
 from rtc.world.spread import even
+from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
 Changes = list[WorldChange]
@@ -209,8 +210,7 @@ def moves_with(thing: str, seat: str, frame: Any, query: WorldQuery) -> bool:
     if max(fact.spread[:3]) >= max(was[:3]):
         return True
     before = query.seat_frame(seat)
-    off = [*geometry.relative(before, frame)[:3], *geometry.rotation_vector(before, frame)]
-    return any(abs(error) > bound for error, bound in zip(off, was, strict=True))
+    return any(abs(error) > bound for error, bound in zip(pose_spread.error_of(before, frame), was, strict=True))
 
 
 def seat_at(frame: Any, query: WorldQuery, within_m: float, within_rad: float = math.pi) -> str:

@@ -65,8 +65,7 @@ def is_vague(task: AnalyzeTask) -> bool:
         spread_of(sighting, task),
         task.query.spread(f"{body}.frame"),
     )
-    turned = geometry.rotation_vector(frame, task.query.pose(body))
-    off = [*geometry.relative(frame, task.query.pose(body))[:3], *geometry.rotate(geometry.inverse(frame), turned)]
+    off = pose_spread.error_of(frame, task.query.pose(body))
     return all(abs(d) <= seen and least <= seen for d, seen, least in zip(off, spread, known, strict=True))
 
 
@@ -127,8 +126,8 @@ def _only_watched(task: AnalyzeTask) -> bool:
 
 def _is_elsewhere(task: AnalyzeTask, sighting: Sighting) -> bool:
     """Whether the body is farther from where it is believed to be than both poses may be wrong."""
-    believed, frame = task.query.frame(task.evaluation.body), geometry.normalise(sighting.pose)
-    off = [*geometry.relative(believed, frame)[:3], *geometry.rotation_vector(believed, frame)]
+    believed = task.query.frame(task.evaluation.body)
+    off = pose_spread.error_of(believed, geometry.normalise(sighting.pose))
     bounds = widened(spread_of(sighting, task), task.query.spread(f"{task.evaluation.body}.frame"))
     return any(abs(error) > bound for error, bound in zip(off, bounds, strict=True))
 

@@ -30,6 +30,12 @@ def spread_at(spread: Spread, offset: Floats) -> list[float]:
     return metres + radians
 
 
+def error_of(pose: Floats, true: Floats) -> list[float]:
+    """How far a pose is from another one, along and about its own axes, to be compared with its spread."""
+    turned = geometry.rotate(geometry.inverse(pose), geometry.rotation_vector(pose, true))
+    return [*geometry.relative(pose, true)[:3].tolist(), *turned.tolist()]
+
+
 def spread_after_measurement(
     before: Floats, after: Floats, spread: Spread, at: Floats, measured: Mapping[int, float]
 ) -> list[float]:

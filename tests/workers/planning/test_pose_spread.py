@@ -11,7 +11,7 @@ import pytest
 from rtc.model.cells.parts import Numbers
 from rtc.spatial import geometry
 from rtc.world.spread import even
-from workers.planning.pose_spread import crept_spread, spread_after_measurement, spread_at, struck_spread
+from workers.planning.pose_spread import crept_spread, error_of, spread_after_measurement, spread_at, struck_spread
 
 NUMBERS = Numbers(creep_m_s=0.0025 / 60, creep_rad_s=math.radians(1) / 60)
 VALUES = {"struck_n": 40.0, "struck_m": 0.01, "struck_rad": 0.1}
@@ -68,3 +68,9 @@ def test_what_is_held_creeps_and_what_is_struck_turns():
     assert np.allclose(crept_spread(even(0.001, 0.0), -5.0, NUMBERS), even(0.001, 0.0))
     assert struck_spread(even(0.001, 0.0), 41.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
     assert struck_spread(even(0.001, 0.0), 5.0, VALUES) == even(0.001, 0.0)
+
+
+def test_an_error_is_along_and_about_the_own_axes_of_the_pose() -> None:
+    pose = geometry.from_rpy((1.0, 2.0, 3.0), (0.0, 0.0, 0.5 * math.pi))  # its x is the world's y
+    true = geometry.compose(pose, geometry.from_rpy((0.001, 0.0, 0.0), (0.01, 0.0, 0.0)))
+    assert error_of(pose, true) == pytest.approx([0.001, 0.0, 0.0, 0.01, 0.0, 0.0], abs=1e-9)
