@@ -50,6 +50,7 @@ def read(file: Path) -> list[Line]:
     except (OSError, UnicodeDecodeError) as error:
         raise cli_error(f"cannot read {file}: {error}", 2) from None
     name = "stdin" if str(file) == "-" else file.name
+    text = text.removeprefix("\ufeff")  # some editors begin a file with this mark
     lines = [line_of(one, f"{name}:{n}") for n, one in enumerate(text.splitlines(), 1)]
     return checked([line for line in lines if line is not None])
 

@@ -94,7 +94,7 @@ def do(
     need_broker = not all(halts)
     with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=show_silence, key=key) as rtc:
         if no_wait:
-            code, results = _hand_in(rtc, lines, if_tested)
+            code, results = hand_in(rtc, lines, json, if_tested)
         else:
             code, results = _see_through(rtc, lines, parallel and not any(halts), keep_going, json, if_tested)
     if hint := quotes_forgotten(texts, results):
@@ -140,12 +140,17 @@ def _see_through(
     except (OutputClosed, Signalled) as gone:
         return gone_away(gone, board, len(lines)), results
     why = "after a halt no further sentence is sent" if kinds[-1] in HALTED else "use -k to go on"
-    for line in lines[len(results) :]:
+    _leave_out(lines[len(results) :], results, why, quiet=json)
+    return exit_code(kinds), results
+
+
+def _leave_out(lines: list[Line], results: list[dict[str, Any]], why: str, *, quiet: bool) -> None:
+    """Show the sentences that are not sent, and add them to the results."""
+    for line in lines:
         results.append({"text": line.text, **_label(line), "kind": "not_sent"})
-        if not json:
+        if not quiet:
             words = Text(f"  {quoted(line.text)}  ") + Text(f"({why})", style="dim")
             console.print(Text("NOT SENT", style="bold") + words)
-    return exit_code(kinds), results
 
 
 def gone_away(why: OutputClosed | Signalled, board: Board, sentences: int) -> int:
@@ -176,7 +181,7 @@ def _one(rtc: Client, program: SentenceProgram, n: int) -> tuple[OutcomeKind, di
     return ended.outcome.kind, _result(ended, line, board)
 
 
-def _hand_in(rtc: Client, lines: list[Line], if_tested: str) -> tuple[int, list[dict[str, Any]]]:
+def hand_in(rtc: Client, lines: list[Line], json: bool, if_tested: str) -> tuple[int, list[dict[str, Any]]]:
     """Submit without waiting for outcomes."""
     results: list[dict[str, Any]] = []
     out, labels = console, Labels(lines)
@@ -195,6 +200,7 @@ def _hand_in(rtc: Client, lines: list[Line], if_tested: str) -> tuple[int, list[
                 errors.print(Text(words))
             refusal = msgspec.to_builtins(declined.refusal)
             results.append({"text": text, **_label(line), "kind": "refused", "refusal": refusal})
+            _leave_out(lines[len(results) :], results, "one before it was refused", quiet=json)
             return 2, results
         labels.numbers[line.label] = command
         accepted = Text(f"{command} accepted  {quoted(text)}")

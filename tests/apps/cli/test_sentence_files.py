@@ -41,6 +41,12 @@ def test_a_comment_may_follow_a_sentence(written: str, text: str) -> None:
     assert line.text == text
 
 
+def test_the_byte_order_mark_of_some_editors_is_no_part_of_the_first_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "plan.txt"
+    file.write_bytes(b"\xef\xbb\xbfC1: STOW LEFT-ARM\r\n")
+    assert [(line.label, line.text) for line in read(file)] == [("C-1", "STOW LEFT-ARM")]
+
+
 def test_a_file_that_is_not_there_is_reported_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(typer.Exit) as left:
         read(tmp_path / "none.txt")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.apps.cli.sentences import quotes_forgotten
+from rtc.apps.cli.sentence_files import Line
+from rtc.apps.cli.sentences import hand_in, quotes_forgotten
+from rtc.protocol.outcomes import Refusal, RefusalReason, RequestDeclined
 
 
 @pytest.mark.parametrize(
@@ -24,3 +26,24 @@ def test_single_words_that_are_refused_may_be_a_sentence_without_its_quotes(
     hint = quotes_forgotten(texts, [{"text": text, "kind": kind} for text, kind in zip(texts, kinds, strict=False)])
 
     assert hint.endswith(f'rtc do "{" ".join(texts)}"') if hinted else hint == ""
+
+
+class FullCluster:
+    """A client of a cluster that accepts one command."""
+
+    def __init__(self) -> None:
+        self.number = ""
+
+    def submit(self, text: str, **_: object) -> FullCluster:
+        if self.number:
+            raise RequestDeclined(Refusal(reason=RefusalReason.OVERLOAD, message="2000 commands are live"))
+        self.number = "C-1"
+        return self
+
+
+def test_what_is_handed_in_to_a_full_cluster_says_what_was_not_sent(capsys: pytest.CaptureFixture[str]) -> None:
+    texts = ["STOW LEFT-ARM", "STOW RIGHT-ARM", "LOCATE MACS-NEW"]
+    code, results = hand_in(FullCluster(), [Line("", text) for text in texts], json=False, if_tested="")
+    assert code == 2
+    assert [one["kind"] for one in results] == ["accepted", "refused", "not_sent"]
+    assert "NOT SENT  LOCATE MACS-NEW" in capsys.readouterr().out
