@@ -209,7 +209,7 @@ class Client:
         Raises RequestDeclined if the cluster does not accept it.
         """
         handle = self.begin(
-            text, on_progress=on_progress, progress=progress, traceparent=traceparent, if_tested=if_tested
+            text, on_progress=on_progress, progress=progress, traceparent=traceparent, if_tested=if_tested, saved=saved
         )
         self.receive_until(lambda: handle.answered, ANSWER_S + self.round_trip_s, "the sentence was not accepted")
         if not handle.number:
@@ -229,13 +229,14 @@ class Client:
         if_tested: str = "",
         after_test: str = "",
         label: str = "",
+        saved: m.SavedWorld | None = None,
     ) -> CommandHandle:
         """Send one sentence and do not wait: its handle has no number yet. `on_change` is called, while messages are
         received, when it has got one, and when it has ended: also when it was not accepted. The rest as in `run`."""
         handle = CommandHandle(self, text, on_progress, on_change)
         noted = handle.take_note if progress or on_progress is not None else None
         about = AboutTest(if_tested=if_tested, after_test=after_test, label=label)
-        self._submit(text, noted, handle.take_number, traceparent, handle.take_end, about)
+        self._submit(text, noted, handle.take_number, traceparent, handle.take_end, about, saved)
         return handle
 
     def run(

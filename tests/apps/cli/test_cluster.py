@@ -304,6 +304,19 @@ def test_a_version_of_the_world_that_is_still_to_come_is_2(rtc: Run) -> None:
     assert f"no version 99999999 of the world yet; the newest is {newest}" in done.stderr
 
 
+def test_the_facts_of_a_file_are_those_of_the_world_again(rtc: Run, tmp_path: Path) -> None:
+    file = str(tmp_path / "before.json")
+    assert rtc("world", "save", file).returncode == 0
+    assert rtc("do", "SET MACS-NEW MASS 1.5 KG").returncode == 0
+    changed = last_json(rtc("world", "diff", file, "--json"))["differences"]
+    restored = rtc("world", "restore", file)
+    left = last_json(rtc("world", "diff", file, "--json"))["differences"]
+
+    assert restored.returncode == 0, restored.stdout + restored.stderr
+    assert "MACS-NEW.mass" in [one["key"] for one in changed]
+    assert "MACS-NEW.mass" not in [one["key"] for one in left]
+
+
 @pytest.mark.parametrize("mode", [[], ["--parallel"], ["--no-wait"]])
 def test_a_program_names_its_commands_by_labels(rtc: Run, tmp_path: Path, mode: list[str]) -> None:
     plan = tmp_path / "plan.txt"
