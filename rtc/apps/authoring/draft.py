@@ -20,6 +20,7 @@ import pinocchio as pin
 from rtc.apps.authoring import self_collisions
 from rtc.apps.authoring.adapt import TCP, AdaptedArm, adapt
 from rtc.apps.authoring.robot_file import RobotFile
+from rtc.apps.authoring.words_and_keys import misnamed
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Arm, Box, Frame, GraspPoint, Gripper, Object, Place, Seat, Vec3
 from rtc.model.cells.urdf import number
@@ -63,6 +64,8 @@ class Draft:
 
 def draft(urdf: Path, name: str = "", tip: str = "") -> Draft:
     """The first cell for the arm of a URDF file. `name`: of the arm in sentences. Raises ProgramError."""
+    if name and (problem := misnamed(name)):
+        raise ProgramError(f"--name {name}: {problem}")
     stem = _plain(name or RobotFile(urdf).name)
     adapted = adapt(urdf, f"{stem}-hulls", tip)
     files = {f"{stem}.urdf": adapted.urdf, **adapted.hulls}
@@ -82,7 +85,8 @@ def _plain(text: str) -> str:
 def _title(text: str) -> str:
     """A name for sentences: capital letters, digits and hyphens."""
     plain = _plain(text).upper()
-    return plain if plain[0].isalpha() else f"ARM-{plain}"
+    plain = plain if plain[0].isalpha() else f"ARM-{plain}"
+    return f"{plain}-1" if misnamed(plain) else plain
 
 
 def _arm(adapted: AdaptedArm, stem: str, name: str) -> Arm:

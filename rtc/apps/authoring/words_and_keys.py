@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,6 +21,18 @@ PATTERNS = {
 Row = tuple[str, str, str, str]  # place, problem, severity, expected
 
 
+def misnamed(arm: str) -> str:
+    """Why sentences cannot use this name of an arm; empty if they can."""
+    pattern = next(iter(PATTERNS))
+    if not re.match(pattern, arm):
+        return PATTERNS[pattern]
+    return "" if arm in ARM_OF_WORD or arm not in default_grammar().vocabulary.reserved else no_name(arm)
+
+
+def no_name(word: str) -> str:
+    return f"{word} is a word of the command language: no sentence can use it as a name"
+
+
 def plain_words(message: str) -> str:
     """A message of the decoder, with words instead of a pattern."""
     return next((words for pattern, words in PATTERNS.items() if pattern in message), message)
@@ -32,8 +45,7 @@ def faults(plain: Any) -> Iterator[Row]:
     reserved = default_grammar().vocabulary.reserved
     for where, name in _names(plain):
         if isinstance(name, str) and name in reserved and not (where.startswith("arms") and name in ARM_OF_WORD):
-            problem = f"{name} is a word of the command language: no sentence can use it as a name"
-            yield where, problem, "error", "another name"
+            yield where, no_name(name), "error", "another name"
     gravity = plain.get("gravity_m_s2")
     if isinstance(gravity, list) and len(gravity) == 3 and isinstance(gravity[2], int | float) and gravity[2] > 0.0:
         yield "gravity_m_s2", "it points upwards, as z does", "warning", "[0, 0, -9.81] on earth, [0, 0, 0] in orbit"

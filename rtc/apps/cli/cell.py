@@ -13,6 +13,7 @@ from rich.text import Text
 from rtc.apps.cli.output import AsJson, cli_error, console, emit_json, table
 from rtc.drawing.renderer import Renderer
 from rtc.drawing.scene import VIEWS, Panel, Picture, SceneView
+from rtc.language.hands import hand_in_words
 from rtc.model.cells.cell import CELLS, Cell
 from rtc.protocol.outcomes import RtcError
 
@@ -111,7 +112,7 @@ def new(
     console.print(Text(f"{file}: the arm is {arm}. Next:"))
     console.print(Text(f"  rtc cell check {file} -o cell.png --camera left"))
     console.print(Text(f"  rtc up -d --cell {file}"))
-    console.print(Text(f'  rtc do "STOW ARM {arm}"'))
+    console.print(Text(f'  rtc do "STOW {hand_in_words(arm)}"'))
 
 
 def _count(number: int, word: str) -> str:

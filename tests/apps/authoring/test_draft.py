@@ -109,6 +109,18 @@ def test_a_joint_with_the_name_of_its_link_is_renamed(tmp_path):
     assert sum("has the name of a link" in note for note in found.notes) == 6
 
 
+@pytest.mark.parametrize("name", ["A B", "1", "MOVE", "my-arm"])
+def test_a_name_that_no_sentence_can_use_is_refused(name):
+    with pytest.raises(ProgramError, match=f"--name {name}: "):
+        draft(ARMS["IIWA"][0], name)
+
+
+def test_a_robot_with_the_name_of_a_word_of_the_language_gets_another_one(tmp_path):
+    file = tmp_path / "arm.urdf"
+    file.write_text(small_arms.urdf("arm", small_arms.SIX))
+    assert draft(file).cell.arms[0].name == "ARM-1"
+
+
 def test_the_same_urdf_gives_the_same_cell(first_cell):
     urdf, tip = ARMS["PANDA"]
     assert draft(urdf, "PANDA", tip).yaml == first_cell("PANDA").read_text()
