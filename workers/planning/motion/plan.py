@@ -39,6 +39,7 @@ MORE_M = (0.020, 0.008)  # clearance of a freely chosen way beyond that of the r
 BACK_M = (0.05, 0.10, 0.15)  # lines back along the tool, to leave what is near
 STRAIGHT = 0.8  # share of such a line that stays straight
 CLOSER = 0.5  # share of the distance at the goal that is kept on the way there from a body that a later step touches
+SOON = 1.5  # times the distance that such a body needs: a goal that is farther away from it leaves room for a way
 SAME_RAD = 1e-6  # tolerance of the joint values at the end of a straight line
 DIRECT = "generated a line in joint space; tested: free"
 
@@ -131,16 +132,19 @@ def before_contact(request: PlanningRequest, goal: Array) -> PlanningRequest:
     """The request for a way to where contact may begin: the bodies that a later step touches are obstacles like others.
 
     The goal may be nearer to them than they are uncertain, but not nearer than the clearance. Then the way keeps
-    `CLOSER` of the distance at the goal."""
+    `CLOSER` of the distance at the goal. A goal that is hardly farther away than that would leave no way to it: there
+    the way may be nearer than the goal by as much as with one that has just that distance."""
     ours = _ours(request)
     near = set(request.scene.near) - ours
     if not near:
         return request
     scene = replace(request.scene, near=())
-    close = dict(scene.close)
-    for hit in request.world.too_near({**request.joints, request.arm.name: goal}, scene):
+    close, tolerance_m = dict(scene.close), {name: SOON * most_m for name, most_m in scene.pose_tolerance_m.items()}
+    wider = replace(scene, clearance_m=SOON * scene.clearance_m, pose_tolerance_m=tolerance_m)
+    for hit in request.world.too_near({**request.joints, request.arm.name: goal}, wider):
         for body in near & {hit.body_a.split()[0], hit.body_b.split()[0]}:
-            least_m = max(scene.clearance_m, CLOSER * hit.distance_m)
+            nearer_m = (1.0 - CLOSER) * min(hit.distance_m, hit.margin_m / SOON)
+            least_m = max(scene.clearance_m, hit.distance_m - nearer_m)
             close |= {(mine, body): min(least_m, close.get((mine, body), least_m)) for mine in ours}
     return replace(request, scene=replace(scene, close=close))
 

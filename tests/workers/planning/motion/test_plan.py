@@ -125,6 +125,20 @@ def test_a_body_that_a_later_step_touches_is_an_obstacle_on_the_way_before(setti
     assert np.array_equal(plan_joint_motion(at, goal).goal_joints, goal)
 
 
+def test_a_goal_that_is_just_far_enough_from_such_a_body_leaves_room_for_a_way(setting, right, world):
+    """What a way keeps has no step between a goal that is a little too near and one that is just far enough."""
+    at = PlanningRequest(right, world, with_joints(setting, *FRONT), Scene(openings_m={"RIGHT-ARM": 0.08}))
+    goal = right.ik(level(0.55, -0.885, 0.60), at.start)[0]
+    step_m, kept = 0.002, []
+    for most_m in np.arange(0.04, 0.12, step_m).tolist():
+        scene = replace(at.scene, clearance_m=0.005, pose_tolerance_m={"MACS-NEW": most_m}, near=["MACS-NEW"])
+        asked = before_contact(replace(at, scene=scene), goal)
+        kept.append(min([most_m, *asked.scene.close.values()]))
+    assert np.abs(np.diff(kept)).max() < 1.01 * step_m
+    assert kept[0] == 0.04  # far enough
+    assert kept[-1] < max(kept) - 0.01  # nearer than it is unsure
+
+
 def behind_a_wall(cell, right, setting):
     """A wall from floor to sky between the rack and the bay, before the arm."""
     slab, frame = Box(name="slab", size_m=(4.0, 0.02, 4.0)), Frame(xyz=(2.32, -0.45, 1.0))
