@@ -242,6 +242,13 @@ def test_a_look_that_allows_two_attitudes_keeps_a_pose_that_is_known_better(benc
         assert "two attitudes" in judged.message
 
 
+def test_a_pose_may_be_known_better_although_it_is_known_worse_along_one_axis(bench) -> None:
+    place, spread = CELL.seat("BAY-2").frame.pose.tolist(), [0.06, 0.001, 0.001, 0.01, 0.01, 0.01]
+    bench.world = bench.world.overlay([WorldChange(key="BAY-2.frame", value=place, spread=spread)])
+    judged = judged_with(bench, "LOCATE BAY-2 VIA CAMERA-3", **tilted(0.6))
+    assert judged.reason is StopReason.NOT_SEEN
+
+
 def test_a_look_that_allows_two_attitudes_counts_if_it_contradicts_what_is_known(bench) -> None:
     judged = judged_with(bench, "LOCATE BAY-2 VIA CAMERA-3", **tilted(1.5))
     assert "BAY-2.frame" in [one.key for one in judged.changes]

@@ -60,13 +60,12 @@ def is_vague(task: AnalyzeTask) -> bool:
     sighting, body = task.report.sighting, task.evaluation.body
     if sighting is None or not sighting.ambiguous or not task.query.trusts(f"{body}.frame"):
         return False
-    frame, spread, known = (
-        geometry.normalise(sighting.pose),
-        spread_of(sighting, task),
-        task.query.spread(f"{body}.frame"),
-    )
-    off = pose_spread.error_of(frame, task.query.pose(body))
-    return all(abs(d) <= seen and least <= seen for d, seen, least in zip(off, spread, known, strict=True))
+    frame, believed = geometry.normalise(sighting.pose), task.query.pose(body)
+    turned = geometry.rotate(geometry.inverse(frame), geometry.rotation_vector(frame, believed))
+    off = [*geometry.relative(frame, believed)[:3], *turned]
+    seen, known = spread_of(sighting, task), task.query.spread(f"{body}.frame")
+    better = math.hypot(*known[:3]) <= math.hypot(*seen[:3]) and math.hypot(*known[3:]) <= math.hypot(*seen[3:])
+    return better and all(abs(d) <= a + b for d, a, b in zip(off, seen, known, strict=True))
 
 
 def vagueness_in_words(sighting: Sighting) -> str:
