@@ -24,7 +24,8 @@ FLAGS = (
     *("--enable-unsafe-swiftshader", "--remote-debugging-port=0", "--window-size=1280,720", "--hide-scrollbars"),
     "about:blank",
 )
-KEYS = {"Enter": 13, "Tab": 9, "Escape": 27, " ": 32}
+KEYS = {"Enter": 13, "Tab": 9, "Escape": 27, "ArrowUp": 38}
+CODES = {" ": ("Space", 32), "/": ("Slash", 191)}
 
 
 def installed() -> str:
@@ -68,9 +69,8 @@ class Page:
 
     def press(self, key: str, modifiers: int = 0) -> None:
         """A key down and up. `modifiers`: 2 Ctrl, 8 Shift."""
-        code = {" ": "Space"}.get(key, key if key in KEYS else f"Key{key.upper()}")
-        given: dict[str, Any] = {"key": key, "code": code, "modifiers": modifiers}
-        given["windowsVirtualKeyCode"] = KEYS.get(key) or ord(key.upper())
+        code, number = (key, KEYS[key]) if key in KEYS else CODES.get(key, (f"Key{key.upper()}", ord(key.upper())))
+        given: dict[str, Any] = {"key": key, "code": code, "modifiers": modifiers, "windowsVirtualKeyCode": number}
         if key == "Enter":
             given["text"] = "\r"
         self._call("Input.dispatchKeyEvent", type="keyDown" if key == "Enter" else "rawKeyDown", **given)

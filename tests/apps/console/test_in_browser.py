@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -100,8 +100,48 @@ def at_home(page: Page) -> None:
 
 def leave_line(page: Page) -> None:
     page.press("Escape")
-    page.press("Escape")
     assert page.ask("!rtcConsole.typing(document.activeElement)")
+
+
+def slow_move(page: Page) -> str:
+    """A motion of several seconds from where the arm is."""
+    up = page.ask("rtcConsole.state.rows.size") % 2
+    return f"MOVE RIGHT-ARM BY {4 if up else -4} CM ALONG Z MAINTAIN SPEED 0.5 CM/S"
+
+
+def by_enter(page: Page) -> None:
+    page.type(slow_move(page))
+    page.press("Enter")
+
+
+def by_enter_with_an_open_list(page: Page) -> None:
+    page.type(slow_move(page) + " ")
+    page.wait("document.querySelector('.cm-tooltip-autocomplete li') !== null")
+    page.press("Enter")
+
+
+def by_the_button(page: Page) -> None:
+    page.type(slow_move(page))
+    page.click("#do")
+
+
+def as_tested(page: Page) -> None:
+    page.type(slow_move(page))
+    page.press("Enter", modifiers=8)
+    page.wait("rtcConsole.state.prediction !== null")
+    page.click("#tested button.primary")
+
+
+def by_a_repeated_sentence_of_a_page_loaded_anew(page: Page) -> None:
+    page.ask(f"sessionStorage.setItem('sentences', JSON.stringify([{slow_move(page)!r}])); location.reload()")
+    page.wait(f"performance.now() < 20000 && {READY}")
+    assert page.ask("document.activeElement === document.body")
+    page.press("/")
+    page.press("ArrowUp")
+    page.press("Enter")
+
+
+WAYS = [by_enter, by_enter_with_an_open_list, by_the_button, as_tested, by_a_repeated_sentence_of_a_page_loaded_anew]
 
 
 def test_the_scene_is_drawn_and_the_token_has_left_the_address(page: Page):
@@ -154,6 +194,63 @@ def test_space_halts_a_motion_while_the_page_is_busy(page: Page):
     assert page.ask(f"{LAST_HALT}.result.latency_s") < 0.1
     page.wait("document.querySelector('#halt-report.good') !== null")
     page.wait(ENDED.format(text=SLOW, kind="halted"))
+
+
+@pytest.mark.usefixtures("at_home")
+@pytest.mark.parametrize("submit", WAYS)
+def test_space_after_a_submission_is_halt(page: Page, submit: Callable[[Page], None]):
+    submit(page)
+    page.wait(MOVES)
+    count = page.ask("rtcConsole.halts.length")
+    assert page.ask("document.querySelector('#halt kbd').textContent") == "Space"
+    page.press(" ")
+    page.wait(f"rtcConsole.halts.length === {count} + 1 && {LAST_HALT}.result.confirmed")
+    page.wait(f"!{MOVES} && [...rtcConsole.state.rows.values()].every((row) => row.outcome)")
+    last = "[...rtcConsole.state.rows.values()].findLast((row) => row.text.startsWith('MOVE'))"
+    assert page.ask(f"{last}.outcome.kind") == "halted"
+
+
+@pytest.mark.usefixtures("at_home")
+def test_space_in_the_empty_line_is_halt_and_one_escape_leaves_a_list(page: Page):
+    count = page.ask("rtcConsole.halts.length")
+    page.press(" ")
+    page.wait(f"rtcConsole.halts.length === {count} + 1")
+    assert page.ask("document.querySelector('.cm-content').textContent.trim()") != " "
+    assert page.ask("rtcConsole.state.line") == ""
+    page.type("STOW ")
+    page.wait("document.querySelector('.cm-tooltip-autocomplete') !== null")
+    page.wait("document.querySelector('#halt kbd').textContent === 'Esc Space'")
+    leave_line(page)
+    page.wait("document.querySelector('#halt kbd').textContent === 'Space'")
+    page.press(" ")
+    page.wait(f"rtcConsole.halts.length === {count} + 2")
+    assert page.ask("rtcConsole.state.line") == "STOW "
+
+
+@pytest.mark.usefixtures("at_home")
+@pytest.mark.parametrize("field", ["#legend input", ".cameras input", ".world input", "#theme"])
+def test_space_is_halt_wherever_nothing_is_typed(page: Page, field: str):
+    page.ask("rtcConsole.choose('world')" if field.startswith(".world") else "rtcConsole.choose('cameras')")
+    page.ask(f"document.querySelector({field!r}).focus()")
+    count, was = page.ask("rtcConsole.halts.length"), page.ask(f"document.querySelector({field!r}).checked ?? 0")
+    page.press(" ")
+    page.wait(f"rtcConsole.halts.length === {count} + 1")
+    assert page.ask(f"document.querySelector({field!r}).checked ?? 0") == was
+    page.ask("rtcConsole.choose('commands')")
+
+
+@pytest.mark.usefixtures("at_home")
+def test_the_result_of_a_halt_is_gone_when_a_motion_starts(page: Page):
+    page.ask("rtcConsole.halt()")
+    page.wait("document.querySelector('#halt-report.good') !== null")
+    page.wait("document.querySelector('#halt-report').textContent.includes(' ago')")
+    by_enter(page)
+    page.wait(MOVES)
+    assert page.ask("document.querySelector('#halt-report.good')?.className ?? 'gone'") == "gone"
+    page.press("/")
+    page.type("HALT RIGHT-ARM")
+    page.press("Enter")
+    page.wait("document.querySelector('#halt-report.good b')?.textContent === 'REST CONFIRMED: RIGHT-ARM'")
 
 
 @pytest.mark.usefixtures("at_home")

@@ -3,6 +3,7 @@ import {
   acceptCompletion, autocompletion, closeCompletion, completionStatus, defaultKeymap, EditorState, EditorView, history,
   historyKeymap, keymap, moveCompletionSelection, placeholder, Prec, setDiagnostics, startCompletion,
 } from './vendor.js';
+import { leaveFields } from './halt.js';
 import { element, emit, on, post, seconds, state } from './store.js';
 
 const KEPT = 100; // sentences that the arrow keys bring back
@@ -12,8 +13,13 @@ let editor, checking = 0, earlier = JSON.parse(sessionStorage.getItem('sentences
 
 export const text = () => editor.state.doc.toString();
 
-export function write(sentence) {
+// Replace what is typed; the focus stays where it is.
+function put(sentence) {
   editor.dispatch({ changes: { from: 0, to: editor.state.doc.length, insert: sentence }, selection: { anchor: sentence.length } });
+}
+
+export function write(sentence) {
+  put(sentence);
   editor.focus();
 }
 
@@ -64,22 +70,28 @@ function say(words, kind = '', column = 0) {
   hint.style.paddingLeft = `${Math.max(38, Math.min(left, room - 520))}px`;
 }
 
-// Returns the number of its command; empty if none was accepted.
+// Returns the number of its command; empty if none was accepted. The focus is in no field then: Space is HALT.
 export async function submit(sentence, about = {}) {
   const clean = sentence.trim();
   if (!clean) return '';
+  closeCompletion(editor);
+  leaveFields();
   earlier = [...earlier.filter((one) => one !== clean), clean].slice(-KEPT);
   at = earlier.length;
   sessionStorage.setItem('sentences', JSON.stringify(earlier));
   say('sent …', 'next');
+  const sentMs = performance.now();
   const answer = await post('/sentence', { text: clean, ...about }).catch(() => ({ error: 'the gateway does not answer: it was not sent' }));
   if (answer.command) {
     state.chosen = answer.command;
-    if (text().trim() === clean) write('');
+    if (text().trim() === clean) put('');
     say(`${answer.command} accepted`, 'fine');
     emit('chosen');
-  } else if (answer.halt) emit('halted', answer.halt);
-  else {
+  } else if (answer.halt) {
+    if (text().trim() === clean) put('');
+    say('');
+    emit('halted', { scope: answer.halt.scope ?? '', result: answer.halt, tookS: (performance.now() - sentMs) / 1000 });
+  } else {
     const { message, clears } = answer.refusal ?? { message: answer.error };
     say([message, clears].filter(Boolean).join(' — '), 'wrong');
   }
@@ -92,7 +104,7 @@ export async function test(sentence) {
   if (!sentence.trim()) return;
   const kept = sentence;
   await submit(testOf(sentence));
-  if (!text()) write(kept); // the sentence stays, to be done next
+  if (!text()) put(kept); // the sentence stays, to be done next
 }
 
 function back(by) {
@@ -120,14 +132,19 @@ export function openLine() {
           { key: 'Tab', run: (view) => acceptCompletion(view) || (text() ? startCompletion(view) : false) },
           { key: 'ArrowUp', run: arrow(-1) },
           { key: 'ArrowDown', run: arrow(1) },
-          { key: 'Escape', run: (view) => { if (!closeCompletion(view)) view.contentDOM.blur(); return true; } },
+          { key: 'Escape', run: (view) => { closeCompletion(view); view.contentDOM.blur(); return true; } },
         ])),
         history(),
         keymap.of([...historyKeymap, ...defaultKeymap]),
         autocompletion({ override: [complete], activateOnTyping: true, defaultKeymap: true, icons: false, interactionDelay: 0, aboveCursor: true }),
         placeholder('GRASP RIGHT-END-EFF MACS-NEW HANDLE-A'),
         EditorView.contentAttributes.of({ 'aria-label': 'sentence', spellcheck: 'false', autocapitalize: 'off' }),
-        EditorView.updateListener.of((update) => { if (update.docChanged) later(); }),
+        EditorView.updateListener.of((update) => {
+          if (!update.docChanged) return;
+          state.line = text();
+          emit('line');
+          later();
+        }),
       ],
     }),
   });
@@ -142,7 +159,6 @@ export function openLine() {
     for (const name of ['do', 'test']) document.getElementById(name).disabled = true;
     say('this console has the role of an observer: it only looks', 'next');
   }
-  editor.focus();
 }
 
 let timer = 0;

@@ -8,6 +8,7 @@ export const state = {
   lines: [], // halts, refusals, reports
   arms: {}, facts: new Map(), status: {}, statusAt: 0, moving: [], prediction: null,
   chosen: '', // the command whose details are shown
+  line: '', // what is typed in the sentence line
   links: { poses: false, story: false, halt: false, operate: false },
   measuredAt: 0, // when the shown poses were measured, by the clock of their subsystem (s)
   clockS: 0, // what that clock is behind the one of the gateway (s); other than 0 only over tcp
