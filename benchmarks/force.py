@@ -32,6 +32,7 @@ from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.period import period
 from workers.binder import impact
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
@@ -60,8 +61,7 @@ class Station:
 
     def tick(self, ticks: int = 1) -> Iterator[m.Message]:
         for _ in range(ticks):
-            sent = self.mcm.tick(self._now_s)
-            self.world.step()
+            sent = period(self.mcm.tick, self.world, self._now_s)
             self._now_s += TICK_S
             yield from (message for _, message in sent)
 

@@ -219,9 +219,7 @@ class Scene:
     def rests(self) -> bool:
         before = self.sim.arms[self.run.arm].read().joints
         for _ in range(REST_TICKS):
-            for executor in self.subsystem.executors.values():
-                executor.tick(0.0)
-            self.sim.step()
+            self.subsystem.tick()
         after = self.sim.arms[self.run.arm].read().joints
         return max(abs(a - b) for a, b in zip(before, after, strict=True)) < REST_RAD
 

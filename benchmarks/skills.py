@@ -222,9 +222,7 @@ def rests(subsystem: Physical) -> bool:
     arms = subsystem.sim.arms
     before = {name: arm.read().joints for name, arm in arms.items()}
     for _ in range(REST_TICKS):
-        for executor in subsystem.executors.values():
-            executor.tick(0.0)
-        subsystem.sim.step()
+        subsystem.tick()
     return all(
         abs(now - then) < REST_RAD
         for name, arm in arms.items()

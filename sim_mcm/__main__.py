@@ -25,6 +25,7 @@ from rtc.subsystems.motion.arm import Simulation
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.clock import Clock
 from sim_mcm.faults import FARTHEST, Injections
+from sim_mcm.period import period
 from sim_mcm.sockets import Question, Sockets
 from sim_mcm.state_file import StateFile
 
@@ -148,8 +149,7 @@ class Station:
 
     def _move(self, now_s: float, answers: Outgoing = NOTHING) -> None:
         """One servo tick and one simulation step. `answers`: what is sent before its reports."""
-        out = [*answers, *self._subsystem.tick(now_s)]
-        self._simulation.step()
+        out = [*answers, *period(self._subsystem.tick, self._simulation, now_s)]
         if self._faults.advances and self._faults.advance():
             self._sockets.send([self._injected])
         if out:

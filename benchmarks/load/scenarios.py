@@ -31,6 +31,7 @@ from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.executor import Executor
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.period import period
 from tests.workers.eyes import Ideal
 from workers.analyzer import analyze
 from workers.binder import bind
@@ -121,9 +122,11 @@ class Scenario:
             for message in messages:
                 if isinstance(message, EndReport):
                     return message
-            self._sim.step()
-            messages = [message for executor in self._executors.values() for message in executor.tick(tick * TICK_S)]
+            messages = period(self._control, self._sim, tick * TICK_S)
         raise AssertionError(f"no end of {primitive.id} within {limit_s} s")
+
+    def _control(self, now_s: float) -> list[Any]:
+        return [message for executor in self._executors.values() for message in executor.tick(now_s)]
 
 
 def changed(job: WorkerJob, cell: Cell, rng: random.Random) -> WorkerJob:

@@ -18,6 +18,7 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
+from sim_mcm.period import period
 from tests.campaigns.displaced_seat import ARM, BeforeBay, Run, arguments, campaign
 from tests.workers.conftest import MODEL
 
@@ -82,8 +83,7 @@ class Inserter(BeforeBay):
         executor = self.subsystem.executors[ARM]
         messages = executor.accept(made, 0.0)
         while not any(isinstance(message, m.EndReport) for message in messages):
-            self.sim.step()
-            messages = executor.tick(0.0)
+            messages = period(executor.tick, self.sim, 0.0)
         return messages[-1]
 
 

@@ -36,6 +36,7 @@ from rtc.subsystems.motion.arm import TICK_S, CellState
 from rtc.subsystems.motion.profiles import STOP_ACCELERATION_RAD_S2
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.period import period
 from tests.campaigns import numbered_runs
 from tests.workers.conftest import MODEL
 from tests.workers.one_process import OneProcess
@@ -203,11 +204,10 @@ class Bench:
 
     def tick(self) -> None:
         self.ticks += 1
-        for _, message in self.mcm.tick(self.now_s):
+        for _, message in period(self.mcm.tick, self.sim, self.now_s):
             if isinstance(message, m.EndReport):
                 judge = next(one for one in self.judges.values() if one.grant and one.grant.id == message.primitive)
                 judge.ended(message, self.now_s)
-        self.sim.step()
         for judge in self.judges.values() if self.ticks > 1 else ():
             self.wrong += [f"tick {self.ticks}, {judge.arm}: {words}" for words in judge.look(self.now_s)]
 

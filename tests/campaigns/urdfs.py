@@ -27,6 +27,7 @@ from rtc.protocol.outcomes import ProgramError
 from rtc.subsystems.motion.arm import HandCommand
 from rtc.subsystems.motion.executor import Executor
 from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.period import period
 from tests.campaigns.numbered_runs import report
 
 ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
@@ -96,8 +97,7 @@ def _at_rest(cell: Cell) -> Verdict:
         for width_m in (cell.arms[0].gripper.max_opening_m, 0.0):
             arm.command_hand(HandCommand(width_m, 30.0, 0.1))
             for tick in range(TICKS):
-                executor.tick(1e-3 * tick)
-                sim.step()
+                period(executor.tick, sim, 1e-3 * tick)
                 far = max(far, float(np.abs(np.array(arm.read().joints) - at).max()))
         stands = far < STILL_RAD and executor.at_rest and not executor.strayed
         words = f"joints within {math.degrees(far):.4f} deg or {1e3 * far:.4f} mm"

@@ -16,6 +16,7 @@ from rtc.subsystems.motion.stray_watch import STRAYED
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms import hand
 from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.period import period
 from tests.apps.authoring import small_arms
 from tests.subsystems.motion.conftest import ARM, OTHER, joint_path, primitive
 
@@ -34,12 +35,12 @@ class Resting:
         last = pybullet.getNumJoints(body.body, physicsClientId=self.sim.world.client) - 1
         for _ in range(ticks):
             self.now_s += 0.001
-            self.sent += [message for to, message in self.mcm.tick(self.now_s) if to == BROKER]
             if push_n:
                 pybullet.applyExternalForce(
                     body.body, last, (0, 0, push_n), (0, 0, 0), pybullet.LINK_FRAME, self.sim.world.client
                 )
-            self.sim.step()
+            sent = period(self.mcm.tick, self.sim, self.now_s)
+            self.sent += [message for to, message in sent if to == BROKER]
             far = max(far, float(np.abs(np.array(self.joints) - at).max()))
         return far
 

@@ -42,6 +42,7 @@ from rtc.subsystems.motion.executor import Executor
 from rtc.subsystems.motion.pairs import Pairs
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.period import period
 from tests.workers.eyes import Drawn, Ideal
 from workers.analyzer import analyze as analyzer
 from workers.binder import bind as binder
@@ -181,7 +182,7 @@ class Kinematic:
         self.sim = KinematicCell(cell)
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
         self.pairs = Pairs(self.executors)
-        self.disturb: Callable[[int], None] | None = None  # called before each step, with the tick of the primitive
+        self.disturb: Callable[[int], None] | None = None  # called before each period, with the tick of the primitive
         self.eyes = Ideal(cell)
 
     @property
@@ -210,10 +211,17 @@ class Kinematic:
                 return whole[0]
             if self.disturb is not None:
                 self.disturb(tick)
-            self.sim.step()
-            messages = [m for executor in self.executors.values() for m in executor.tick(tick * 0.001)]
-            self.pairs.couple()
+            messages = self.tick(tick * 0.001)
         raise AssertionError(f"no end report of {made.id} within {bound.limit_s} s")
+
+    def tick(self, now_s: float = 0.0) -> list[Any]:
+        """One period of all arms; returns what they report."""
+        return period(self._control, self.sim, now_s)
+
+    def _control(self, now_s: float) -> list[Any]:
+        messages = [m for executor in self.executors.values() for m in executor.tick(now_s)]
+        self.pairs.couple()
+        return messages
 
 
 class Physical(Kinematic):

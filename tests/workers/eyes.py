@@ -1,10 +1,12 @@
 """The cameras of the cell for tests of the workers: the real performer of a look, on pictures of the true scene.
 
-`Ideal` projects the corners of the tags, in milliseconds. `Drawn` draws them and finds them in the pixels.
+`Ideal` projects the corners of the tags, in milliseconds. `Drawn` draws them and finds them in the pixels. Each of its
+pictures has noise of its own, as those of the product: two pictures of a body at rest differ. They are repeatable.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -60,16 +62,18 @@ class Ideal:
 
 
 class Drawn(Ideal):
-    def __init__(self, cell: Cell) -> None:
+    def __init__(self, cell: Cell, seed: int = 1) -> None:
+        """`seed`: of the noise of the first picture; each further picture has the next one."""
         from rtc.sensing.detector import TagDetector
         from sim_mcm.cameras.render import SceneRenderer
 
         super().__init__(cell)
         self.studio, self._detector = SceneRenderer(cell), TagDetector()
+        self._seeds = itertools.count(seed)
 
     def picture(self, name: str, scene: SceneView) -> Evaluated:
         self.studio.pose(scene)
-        image = self.studio.camera_picture(name, scene, seed=1)
+        image = self.studio.camera_picture(name, scene, seed=next(self._seeds))
         camera = self.cell.camera(name)
         view = optics.view(camera, scene.tcp[camera.arm] if camera.arm else None)
         return Evaluated(self.now_s, view, image, [] if self.blind else self._detector.find(image))

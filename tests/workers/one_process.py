@@ -31,6 +31,7 @@ from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from rtc.world.model import World, initial_facts
+from sim_mcm.period import period
 from tests.broker.flat_events import made
 from tests.simulation.invariants import violations
 from tests.workers.conftest import MODEL, record
@@ -138,8 +139,7 @@ class OneProcess:
         for timer in [name for name, at in self._timers.items() if at <= self.ticks]:
             del self._timers[timer]
             self._handle(events.TimerFired(at_s=self.now_s, timer=timer))
-        self.sim.step()
-        self._from_mcm(self.mcm.tick(self.now_s))
+        self._from_mcm(period(self.mcm.tick, self.sim, self.now_s))
         for name, executor in self.mcm.executors.items():
             on_path = executor.primitive is not None and isinstance(executor.primitive.trajectory, JointTrajectory)
             if executor.moving and on_path and not executor.held_back:

@@ -82,9 +82,7 @@ def test_after_a_drop_no_fact_of_hand_or_seat_is_wrong(physical) -> None:
     assert not physical.do(f"MOVE {RIGHT} BY 5 CM ALONG UP").succeeded
 
     for _ in range(300):
-        for executor in subsystem.executors.values():
-            executor.tick(0.0)
-        subsystem.sim.step()
+        subsystem.tick()
     assert disagreements(physical) == []
     assert physical.world.get(f"{MODULE}.seat").validity is not Validity.VALID
 

@@ -23,8 +23,7 @@ def test_a_held_module_rests_and_every_step_with_it_ends(physical) -> None:
     swing = []
     executor = physical.subsystem.executors["LEFT-ARM"]
     for _ in range(200):
-        physical.subsystem.sim.step()
-        executor.tick(0.0)
+        physical.subsystem.tick()
         swing.append(max(map(abs, executor.sample.velocities)))
     assert max(swing[100:]) < 0.005
     assert executor.at_rest

@@ -16,6 +16,7 @@ from rtc.subsystems.motion.arm import HandCommand
 from rtc.subsystems.motion.executor import Executor
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.hand import CENTRE_NS_M, FINGER_N_M, OPENING_NS_M, gains_of
+from sim_mcm.period import period
 from tests.apps.authoring import small_arms
 
 ARM = "SIX"
@@ -41,8 +42,7 @@ def test_an_arm_with_light_fingers_stands_still_and_closes_its_hand(tmp_path, fi
         for width_m in (cell.arm(ARM).gripper.max_opening_m, 0.02):
             arm.command_hand(HandCommand(width_m, 30.0, 0.1))
             for tick in range(800):
-                executor.tick(1e-3 * tick)
-                sim.step()
+                period(executor.tick, sim, 1e-3 * tick)
                 assert np.abs(arm.read().joints - at).max() < math.radians(0.1)
             assert executor.at_rest
             assert sum(arm.read().fingers) == pytest.approx(width_m, abs=0.001)

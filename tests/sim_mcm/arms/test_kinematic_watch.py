@@ -13,6 +13,7 @@ from rtc.protocol.outcomes import StopReason
 from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.period import period
 
 CELL = Cell.load("swapout")
 RIGHT, LEFT = "RIGHT-ARM", "LEFT-ARM"
@@ -66,8 +67,8 @@ def test_a_contact_of_two_arms_stops_both(sim):
         made = p.Primitive(id=f"C-{2 + int(sign)}.1", performer=name, trajectory=way, stop_functions=stops)
         mcm.handle(m.Execute(primitive=made, pid=1), BROKER, 0.0)
     for tick in range(6000):
-        sim.step()
-        ends |= {sent.performer: sent for _, sent in mcm.tick(0.001 * tick) if isinstance(sent, m.EndReport)}
+        sent = [message for _, message in period(mcm.tick, sim, 0.001 * tick)]
+        ends |= {message.performer: message for message in sent if isinstance(message, m.EndReport)}
         if len(ends) == 2:
             break
     assert {end.reason for end in ends.values()} == {StopReason.ARM_CONTACT}

@@ -20,11 +20,12 @@ from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.subsystems.base.subsystem import BROKER
-from rtc.subsystems.motion.arm import TICK_S, HandCommand, Motion, Near, Sample, Traits
+from rtc.subsystems.motion.arm import TICK_S, HandCommand, Motion, Near, Sample, Simulation, Traits
 from rtc.subsystems.motion.executor import Executor
 from rtc.subsystems.motion.profiles import Follow
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms import control_laws
+from sim_mcm.period import period
 
 ARM, OTHER = "RIGHT-ARM", "LEFT-ARM"
 
@@ -196,9 +197,9 @@ class Rig:
 class Bench:
     """A subsystem with the arms of a simulation, its broker's ear, and a clock."""
 
-    def __init__(self, simulation: object) -> None:
+    def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
-        self.subsystem = McmSubsystem(simulation.arms, pid=1)  # type: ignore[attr-defined]
+        self.subsystem = McmSubsystem(simulation.arms, pid=1)
         self.now_s = 100.0
         self.tick_s = TICK_S  # by our clock; more on a busy machine
         self.sent: list[tuple[bytes, m.Message]] = []
@@ -213,8 +214,7 @@ class Bench:
     def tick(self, ticks: int = 1) -> list[tuple[bytes, m.Message]]:
         sent = []
         for _ in range(ticks):
-            sent += self.subsystem.tick(self.now_s)
-            self.simulation.step()  # type: ignore[attr-defined]
+            sent += period(self.subsystem.tick, self.simulation, self.now_s)
             self.now_s += self.tick_s
         self.sent += sent
         return sent
