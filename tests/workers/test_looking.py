@@ -80,7 +80,7 @@ def test_a_module_that_moves_is_not_grasped_and_its_pose_is_not_trusted(bench) -
     assert f"TRACK {MODULE}" in run.failure.clears
     assert [made.performer for made in run.primitives] == ["CAMERA-1"]  # no arm has moved
     assert frame(bench, MODULE).validity is Validity.SUSPECT
-    assert bench.do(f"LOCATE {MODULE}").succeeded  # it measures a body that moves too
+    assert bench.do(f"LOCATE {MODULE}").failure.reason is StopReason.OUT_OF_RANGE
     assert frame(bench, MODULE).validity is Validity.SUSPECT
 
     bench.subsystem.eyes = Drifting(0.0)
@@ -220,6 +220,15 @@ def test_a_body_that_may_be_elsewhere_by_now_has_a_suspect_pose_and_the_outcome_
     assert "suspect" in judged.message
     assert words in judged.message
     assert words in judged.remark
+
+
+def test_a_locate_of_a_body_that_goes_on_moving_fails_and_says_how_fast(bench) -> None:
+    """It succeeded, and left the pose suspect: the next sentence failed."""
+    judged = judged_with(bench, f"LOCATE {MODULE}", velocity=[0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
+    assert (judged.verdict, judged.reason) == ("abort", StopReason.OUT_OF_RANGE)
+    assert "MACS-NEW moves: 10.0 mm/s" in judged.message
+    (change,) = [one for one in judged.changes if one.key == f"{MODULE}.frame"]
+    assert change.validity is Validity.SUSPECT
 
 
 def tilted(by_rad: float) -> dict[str, object]:

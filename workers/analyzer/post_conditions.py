@@ -6,6 +6,7 @@ import math
 
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import Condition
+from rtc.sensing import rest
 from rtc.spatial import geometry
 from workers.analyzer import sighting, turning
 from workers.analyzer.analyze_task import AnalyzeTask
@@ -54,7 +55,7 @@ def violated(task: AnalyzeTask) -> str:
         return "" if not _is_displaced(task) else VAGUE if vague else "displaced"
     if evaluation.step.words.effect == SEEN and report.reason is StopReason.GOAL and report.sighting is None:
         return "unseen"
-    if evaluation.step.figures.at_rest and report.sighting is not None and sighting.moves(report.sighting):
+    if evaluation.step.figures.at_rest and report.sighting is not None and rest.moves(report.sighting.velocity):
         return MOVES
     if vague and report.reason is StopReason.FOUND:
         return VAGUE

@@ -15,6 +15,7 @@ import numpy as np
 
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import Sighting, StopReason
+from rtc.sensing import rest
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.spread import even, widened
@@ -28,7 +29,6 @@ Changes = list[WorldChange]
 
 SIGMAS = 5.0  # half-width of a bound, in standard deviations; the errors of corners in one picture are not independent
 IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the middle between the fingers
-MOVES_M_S, MOVES_RAD_S = 0.002, 0.01  # a body that is faster is not there any more when the report is read
 OLD_S = 2.0  # an older sighting is not trusted, unless a hand has held the body since
 WIDEST_RAD = math.pi
 
@@ -110,7 +110,7 @@ def _doubt(task: AnalyzeTask, sighting: Sighting) -> str:
     A busy machine needs seconds to find the tags in a picture. A look reserves the hand that holds its body, so a held
     body has not moved since. The hand is free to move after a TRACK has lost its body.
     """
-    if moves(sighting):
+    if rest.moves(sighting.velocity):
         return "it moves"
     if _only_watched(task) and _is_elsewhere(task, sighting):
         return f"LOCATE {task.evaluation.body} states where it is, and what is mounted on it"
@@ -137,20 +137,9 @@ def doubt_in_words(task: AnalyzeTask) -> str:
     return f"the pose of {task.evaluation.body} is suspect: {doubt}" if doubt else ""
 
 
-def moves(sighting: Sighting) -> bool:
-    metres, radians = _speeds(sighting)
-    return metres > MOVES_M_S or radians > MOVES_RAD_S
-
-
 def speed_in_words(sighting: Sighting | None) -> str:
-    metres, radians = _speeds(sighting)
+    metres, radians = rest.speeds(sighting.velocity if sighting is not None else None)
     return f"{1e3 * metres:.1f} mm/s, {math.degrees(radians):.1f} deg/s"
-
-
-def _speeds(sighting: Sighting | None) -> tuple[float, float]:
-    """m/s and rad/s; 0 if nothing has measured them."""
-    velocity = sighting.velocity if sighting is not None else None
-    return (math.hypot(*velocity[:3]), math.hypot(*velocity[3:])) if velocity is not None else (0.0, 0.0)
 
 
 def is_in_hand(task: AnalyzeTask, arm: str) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Measured, Sighting
-from rtc.sensing import absence
+from rtc.sensing import absence, rest
 from rtc.sensing.detector import Mark
 from rtc.sensing.locate import Seen, locate
 from rtc.sensing.optics import View, Window
@@ -22,6 +22,8 @@ from rtc.spatial.geometry import Array
 from rtc.subsystems.perception.motion import Motion
 
 BODY = "BODY"  # a look has one body, without a name
+# How long a look for a body at rest waits for it. What a stopped arm holds swings for some tenths of a second.
+SETTLES_S = 2.0
 
 Windows = Mapping[int, Window]  # parts of a picture by the tag that is expected there
 
@@ -48,6 +50,13 @@ class _Side:
         self.unseen = ""  # why the body is not in the latest picture
         self.failure = ""  # why there is not a picture
         self.motion = Motion()  # of the body, by the pictures of this camera: their common errors do not matter
+
+    @property
+    def settles(self) -> bool:
+        """Whether the body moves in its pictures, and has not had the time to come to rest."""
+        if self.latest_s is None or self.first_s is None or self.latest_s - self.first_s >= SETTLES_S:
+            return False
+        return rest.moves(self.motion.velocity())
 
     def unseen_s(self) -> float | None:
         """It counts pictures without the body, not the time without pictures: a busy machine hides nothing."""
@@ -103,7 +112,7 @@ class LookTask:
         side.view, side.latest_s = picture.view, picture.at_s
         side.first_s = picture.at_s if side.first_s is None else side.first_s
         new = Seen(picture.view, picture.marks)
-        kept = [new] if self.follows else [*side.seen, new]
+        kept = [new] if self.follows else [*side.seen, new][-self.look.pictures :]
         others = [one for other in self._sides.values() if other is not side for one in other.seen]
         expected = side.motion.predicted(picture.at_s)
         found = self._located([*others, *kept], expected if self.follows else None) if shown else None
@@ -188,7 +197,7 @@ class LookTask:
         return None if not times else min((0.0 if one is None else one for one in times), default=None)
 
     def _enough(self, side: _Side) -> bool:
-        return not self.follows and len(side.seen) >= self.look.pictures
+        return not self.follows and len(side.seen) >= self.look.pictures and not side.settles
 
     def _gave_up(self, side: _Side, now_s: float, scale: float) -> bool:
         limits = [one.when.limit_s for one in self.primitive.stop_functions if isinstance(one.when, p.UnseenAbove)]

@@ -12,9 +12,12 @@ from rtc.drawing.scene import SceneView
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
+from rtc.sensing import rest
 from rtc.spatial import geometry
 from rtc.subsystems.base.subsystem import BROKER, REPEAT_S
 from rtc.subsystems.perception.camera import MAX_LOOKS, Camera
+from rtc.subsystems.perception.look_task import SETTLES_S
+from rtc.subsystems.perception.motion import KEPT_S
 from rtc.subsystems.perception.subsystem import PerceptionSubsystem
 from tests.workers.eyes import PERIOD_S, Ideal
 
@@ -160,8 +163,39 @@ def test_a_look_for_a_body_at_rest_measures_that_it_moves(cell, eyes, look) -> N
         messages += camera.tick(eyes.now_s)
     (end,) = messages
     assert end.reason is StopReason.FOUND
-    assert end.sighting.pictures == 2
+    assert SETTLES_S <= end.duration_s < SETTLES_S + 0.5  # it had the time to come to rest
     assert end.sighting.velocity == pytest.approx([0.0, 0.0, speed, 0.0, 0.0, 0.0], abs=1e-5)
+
+
+def drifts(speed_m_s: float, until_s: float):
+    """The scene at a time of a look: the module moves from its start on, until it rests."""
+
+    def scene(cell, now_s: float) -> tuple[SceneView, list[float]]:
+        return at(cell, MODULE, [speed_m_s * min(now_s, until_s), 0.0, 0.0])
+
+    return scene
+
+
+def looked(cell, eyes, made: p.Primitive, scene) -> m.EndReport:
+    """The end of a look at a body that moves."""
+    camera, began_s = Camera("CAMERA-1"), eyes.now_s
+    camera.accept(made, began_s)
+    while True:
+        if ended := [one for one in camera.tick(eyes.now_s) if isinstance(one, m.EndReport)]:
+            return ended[0]
+        eyes.now_s += PERIOD_S
+        camera.take(eyes.picture("CAMERA-1", scene(cell, eyes.now_s - began_s)[0]))
+
+
+@pytest.mark.parametrize("until_s", [0.25, 0.5, 1.0])
+def test_a_look_waits_until_what_swings_rests(cell, eyes, look, until_s) -> None:
+    """A look that began while a module swung in its hand stated at once that it moves."""
+    scene = drifts(0.007, until_s)
+    report = looked(cell, eyes, look(pictures=2, every_s=0.3), scene)
+    assert report.reason is StopReason.FOUND
+    assert not rest.moves(report.sighting.velocity)
+    assert geometry.distance(report.sighting.pose, scene(cell, 9.0)[1]) < 1e-6  # no picture from before its rest counts
+    assert report.duration_s < until_s + KEPT_S + 2 * 0.3
 
 
 def test_a_body_that_goes_out_of_sight_ends_the_following(cell, eyes, look) -> None:
