@@ -1,5 +1,7 @@
 """The gateway process: one thread follows the cluster, one serves pages, one waits for the truth of a simulator.
 
+A second process accepts the connections and answers halts (`halt_door`).
+
 The main thread follows the cluster, and ends with it or at a signal. Everything a page sees is in the `Hub`, which
 belongs to the event loop of the thread that serves pages.
 """
@@ -16,14 +18,18 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
+import msgspec
 import uvicorn
 
-from rtc.apps.console import token
+from rtc.apps.console import halt_door, token
+from rtc.apps.console.access import Access
 from rtc.apps.console.camera_pictures import CameraPictures
 from rtc.apps.console.desk import Desk
+from rtc.apps.console.halt_door import HaltDoor, take_connections
 from rtc.apps.console.halts import Halts
 from rtc.apps.console.hub import Hub, InWords
-from rtc.apps.console.server import Access, Console
+from rtc.apps.console.paced import PacedSocket, configured, taker
+from rtc.apps.console.server import Console
 from rtc.apps.console.truth import TruthReader
 from rtc.apps.observers.feed import Feed
 from rtc.client.client import Client
@@ -32,12 +38,14 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, RtcError
 from rtc.protocol.roles import Role
+from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.process import Process, now_s
 from rtc.runtime.settings import Settings
 
 HOST = "127.0.0.1"
 
+NICENESS = -5
 TICK_S = 0.05
 WAIT_S = 0.25
 READ_AGAIN = 20  # commands before the start of the gateway that are shown
@@ -75,22 +83,34 @@ def serve(me: Process, given: Given, listening: sockets.socket, opened: Callable
     settings = given.endpoints if isinstance(given.endpoints, Settings) else None
     secret = token.of_run(settings.path, settings.run) if settings else token.of_run(None, "")
     access = Access(port, secret, given.role)
-    with _parts(given, access) as (console, hub, questions):
-        web = _Web(console.app(), listening, hub)
+    process.nice(NICENESS)  # a person looks at its pages while workers compute
+    process.nice_session(NICENESS)
+    with _parts(given, access) as (console, hub, questions, round_trip_s):
+        door = HaltDoor(_for_halts(given, access, round_trip_s), listening)
+        web = _Web(console.app(), door.channel, hub)
         reader = _reader(settings, hub, web)
         try:
             web.start()
             opened(f"http://{HOST}:{port}/#{access.token}")
-            _follow(me, Feed(me, given.endpoints, world=True), hub, web, questions)
+            _follow(me, Feed(me, given.endpoints, world=True), hub, web, questions, door)
         finally:
             if reader is not None:
                 reader.close()
             web.stop()
+            door.close()
+
+
+def _for_halts(given: Given, access: Access, round_trip_s: float) -> halt_door.Given:
+    arms = [arm.name for arm in given.cell.arms]
+    stated = halt_door.Given(access=access, arms=arms, round_trip_s=round_trip_s)
+    if isinstance(given.endpoints, KeyFile):
+        return msgspec.structs.replace(stated, key=given.endpoints)
+    return msgspec.structs.replace(stated, settings=given.endpoints)
 
 
 @contextlib.contextmanager
-def _parts(given: Given, access: Access) -> Iterator[tuple[Console, Hub, Desk]]:
-    """What pages use: desks with clients, halt lines, pictures."""
+def _parts(given: Given, access: Access) -> Iterator[tuple[Console, Hub, Desk, float]]:
+    """What pages use: desks with clients, halt lines, pictures. Also the round trip to the cluster (s)."""
     endpoints = given.endpoints
     sentences, questions = Desk("sentences", given.connect), Desk("questions", given.connect)
     halts: Halts | None = None
@@ -100,12 +120,12 @@ def _parts(given: Given, access: Access) -> Iterator[tuple[Console, Hub, Desk]]:
         with given.connect() as client:
             grammar = Grammar(client.program(m.WorkerKind.PARSER).body.decode())
             round_trip_s, far = client.round_trip_s, client.far
-        halts = Halts(endpoints, round_trip_s)
+        halts = Halts(endpoints, [arm.name for arm in given.cell.arms], round_trip_s)
         hello: dict[str, Any] = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
         hello |= {"delay_s": 0.5 * round_trip_s} if far else {}
         hub = Hub(given.cell, given.in_words, now_s, hello)
         console = Console(hub, access, halts, sentences, questions, given.in_words.why, grammar, pictures, endpoints)
-        yield console, hub, questions
+        yield console, hub, questions, round_trip_s
     finally:
         if pictures is not None:
             pictures.close()
@@ -122,16 +142,8 @@ def _where(endpoints: Endpoints) -> str:
 class _Web:
     """The thread that serves pages. `call` runs a function in its event loop."""
 
-    def __init__(self, app: Any, listening: sockets.socket, hub: Hub) -> None:
-        config = uvicorn.Config(
-            app,
-            log_level="warning",
-            access_log=False,
-            ws_max_size=64 << 10,
-            timeout_graceful_shutdown=1,
-            lifespan="off",
-        )
-        self._server, self._listening, self._hub = uvicorn.Server(config), listening, hub
+    def __init__(self, app: Any, channel: sockets.socket, hub: Hub) -> None:
+        self._server, self._channel, self._hub = uvicorn.Server(configured(app, PacedSocket)), channel, hub
         self._loop: asyncio.AbstractEventLoop | None = None
         self._started = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="pages", daemon=True)
@@ -154,9 +166,10 @@ class _Web:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         ticking = asyncio.create_task(self._tick())
+        take_connections(self._channel, taker(self._server.config, self._server.server_state))
         self._started.set()
         try:
-            await self._server.serve(sockets=[self._listening])
+            await self._server.serve(sockets=[])  # it listens nowhere: connections are handed over
         finally:
             ticking.cancel()
 
@@ -177,10 +190,13 @@ def _reader(settings: Settings | None, hub: Hub, web: _Web) -> TruthReader | Non
     )
 
 
-def _follow(me: Process, feed: Feed, hub: Hub, web: _Web, questions: Desk) -> None:
+def _follow(me: Process, feed: Feed, hub: Hub, web: _Web, questions: Desk, door: HaltDoor) -> None:
+    """Raises ClusterError if the process for halts has ended."""
     _read_again(hub, web, questions, _latest)
     lost = 0
     while not me.stopping and not feed.over():
+        if door.ended:
+            raise ClusterError("the console ends, because its process for halts has; start rtc console again")
         if batch := list(feed.read(WAIT_S)):
             web.call(hub.take, batch)
         if feed.lost > lost:

@@ -5,16 +5,17 @@ POST /session           the token of the link, for a cookie
 GET  /me, /scene        the role of pages; the bodies of the cell
 POST /check, /sentence  while a sentence is typed; submit it
 GET  /why, /picture     the chain of causes of a command; what a camera sees
-POST /halt              if the socket is not connected
+POST /halt              on a connection that has served another request
 WS   /poses             frames of poses; the page acknowledges each
 WS   /story             commands, facts and status as JSON
-WS   /halt              halts, and nothing else
+WS   /operate           the stream of an operator
+
+The socket /halt is in a process of its own (`halt_door`).
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import itertools
 from collections.abc import Awaitable, Callable, Coroutine
 from pathlib import Path
@@ -29,6 +30,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from rtc.apps.console.access import Access, body, objects
 from rtc.apps.console.admission import Admission, same
 from rtc.apps.console.camera_pictures import CameraPictures
 from rtc.apps.console.desk import Desk
@@ -42,36 +44,14 @@ from rtc.drawing.scene import true_scene
 from rtc.language.fastpath import halt_scope
 from rtc.language.parse import Grammar
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import Refusal, RefusalReason, RequestDeclined, RtcError
-from rtc.protocol.roles import MAY, Role, a_role
+from rtc.protocol.outcomes import Refusal, RequestDeclined, RtcError
+from rtc.protocol.roles import Role
 from rtc.runtime.keys import Endpoints
 
 NOT_HERE = 4404  # close code of a socket
 STATIC = Path(__file__).parent / "static"
 TRUTH_S, TRUTH_LOOKS = 0.1, 30  # a picture waits for a true scene that is new
-MAX_BODY = 64 << 10  # bytes of a request
 CHARACTERS = 4000  # of a sentence that is checked while it is typed
-
-
-class Access(msgspec.Struct, frozen=True):
-    """How pages are admitted, and with which role they act."""
-
-    port: int
-    token: str
-    role: Role
-
-    @property
-    def cookie(self) -> str:
-        """Its name has the port, because cookies of a host belong to all its ports."""
-        return f"rtc-console-{self.port}"
-
-    def refuses(self, endpoint: str, message: type[m.Message]) -> Refusal | None:
-        """Why this role may not send such a message; the table is that of `rtc.protocol.roles`."""
-        if message in MAY[endpoint].get(self.role, ()):
-            return None
-        words = f"this console has the role of {a_role(self.role)}, which may not do that"
-        clears = "open a console with another role: rtc console --role operator, or --with KEY"
-        return Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears=clears)
 
 
 class Console:
@@ -111,7 +91,6 @@ class Console:
                 Route("/picture/{camera}", self._picture),
                 WebSocketRoute("/poses", self._poses_socket),
                 WebSocketRoute("/story", self._story_socket),
-                WebSocketRoute("/halt", self._halt_socket),
                 WebSocketRoute("/operate", self._operate_socket),
                 Mount("/static", StaticFiles(directory=STATIC)),
             ],
@@ -124,7 +103,7 @@ class Console:
         return HTMLResponse(page.replace("{{nonce}}", request.state.nonce))
 
     async def _session(self, request: Request) -> Response:
-        given = await _body(request)
+        given = await body(request)
         if not same(str(given.get("token", "")), self._access.token):
             return JSONResponse({"error": "this link is of another run; open the one of `rtc console`"}, 401)
         answer = Response(status_code=204)
@@ -138,10 +117,11 @@ class Console:
         return Response(self.hub.scene(), media_type="application/json")
 
     async def _check(self, request: Request) -> Response:
-        given = await _body(request)
+        given = await body(request)
         text = str(given.get("text", ""))[:CHARACTERS]
-        at = min(len(text), max(0, int(given.get("at", len(text)))))
-        return JSONResponse(check(self._grammar, text, at, self._names))
+        at = given.get("at")
+        place = max(0, at) if isinstance(at, int) else len(text)
+        return JSONResponse(check(self._grammar, text, place, self._names))
 
     async def _chain(self, request: Request) -> Response:
         command = request.path_params["command"]
@@ -168,7 +148,7 @@ class Console:
     # --- orders ---------------------------------------------------------------------------------------
 
     async def _sentence(self, request: Request) -> Response:
-        given = await _body(request)
+        given = await body(request)
         text, tested = str(given.get("text", "")), str(given.get("if_tested", ""))
         if scope := halt_scope(text):
             return JSONResponse({"halt": await self._order_halt(scope)})
@@ -188,7 +168,7 @@ class Console:
             self._loop.call_soon_threadsafe(self.hub.story.take, note)
 
     async def _halt(self, request: Request) -> Response:
-        given = await _body(request)
+        given = await body(request)
         return JSONResponse(await self._order_halt(str(given.get("scope", "ALL"))))
 
     async def _order_halt(self, scope: str) -> dict[str, Any]:
@@ -228,9 +208,9 @@ class Console:
                 await socket.send_text((await box.take()).decode())
 
         async def receive() -> None:
-            while True:
-                asked = await socket.receive_json()
-                box.put(*self.hub.story.since(int(asked["since"])))
+            async for asked in objects(socket):
+                since = asked.get("since")
+                box.put(*self.hub.story.since(since if isinstance(since, int) else 0))
 
         await socket.accept()
         box.put(*self.hub.anew())
@@ -240,26 +220,6 @@ class Console:
         finally:
             self.hub.boxes.discard(box)
 
-    async def _halt_socket(self, socket: WebSocket) -> None:
-        """Each order is a task of its own, so that the next one does not wait for the rest of the first."""
-        orders: set[asyncio.Task[None]] = set()
-
-        async def obey(asked: dict[str, Any]) -> None:
-            result = await self._order_halt(str(asked.get("scope", "ALL")))
-            with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # the page is gone; the halt is done
-                await socket.send_json({"id": asked.get("id"), "result": result})
-
-        await socket.accept()
-        with contextlib.suppress(WebSocketDisconnect):
-            while True:
-                asked = await socket.receive_json()
-                if "ping" in asked:
-                    await socket.send_json({"pong": asked["ping"]})
-                    continue
-                task = asyncio.create_task(obey(asked))
-                orders.add(task)
-                task.add_done_callback(orders.discard)
-
     async def _operate_socket(self, socket: WebSocket) -> None:
         await socket.accept()
         if self._access.role is not Role.OPERATOR:
@@ -267,10 +227,9 @@ class Console:
         name = f"console page {next(self._operators)}"
         stream = OperatorStream(self._endpoints, self.hub.cell, name, socket.send_json)
         try:
-            while True:
-                asked = await socket.receive_json()
+            async for asked in objects(socket):
                 await stream.send(str(asked.pop("arm", "")), asked)
-        except (WebSocketDisconnect, RuntimeError):  # the page is gone
+        except (WebSocketDisconnect, RuntimeError):  # the page has gone before its answer
             pass
         finally:
             await stream.close()
@@ -285,19 +244,6 @@ async def _both(*parts: Coroutine[Any, Any, None]) -> None:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-
-
-async def _body(request: Request) -> dict[str, Any]:
-    """The JSON object of a request; empty if it is none, or too long."""
-    data = b""
-    async for part in request.stream():
-        data += part
-        if len(data) > MAX_BODY:
-            return {}
-    try:
-        return msgspec.json.decode(data, type=dict[str, Any])
-    except msgspec.MsgspecError:
-        return {}
 
 
 async def _or_refusal(asked: Awaitable[Any]) -> Any:
