@@ -11,7 +11,7 @@ from rtc.client.hand_controller import PERIOD_S, STILL, HandController
 
 SHARED = "MOVE RIGHT-ARM TO CLEAR-POINT-1 MAINTAIN SHARED WRIST"
 TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.1)  # m/s, rad/s
-BACK = (0.0, 0.0, 0.0, 0.0, 0.0, -0.1)
+FASTEST = 0.3  # m/s, rad/s, on the way that a waiting path asks for
 TURN_S, LIMIT_S = 2.0, 60.0
 
 
@@ -25,12 +25,13 @@ def wait_for_request(hand: HandController) -> None:
 
 
 def follow(hand: HandController, turn_s: float) -> None:
-    """Turn the wrist for a while, and hold the deadman until the arm is at its place; then let go. Turn back as long as
-    the arm cannot follow its path."""
+    """Turn the wrist for a while, and hold the deadman until the arm is at its place; then let go.
+
+    While the path waits, go the way that it waits for: a wrist as it is does not allow every path."""
     began_s, on_the_way = time.monotonic(), True
     while on_the_way and (operation := hand.operation) is not None:
         turning = (elapsed_s := time.monotonic() - began_s) < turn_s
-        wanted = BACK if operation.cut else TURN if turning else STILL
+        wanted = [max(-FASTEST, min(FASTEST, x)) for x in operation.towards] or (TURN if turning else STILL)
         if refused := hand.move(wanted):
             print(f"did nothing: {refused}")
         off_m, done_m = operation.off_m or 0.0, operation.done_m or 0.0
@@ -50,13 +51,17 @@ def done(rtc: Client) -> bool:
 def main() -> None:
     with Client() as rtc, rtc.hand("RIGHT-ARM", "ADA") as hand:
         command = rtc.submit(SHARED)
-        wait_for_request(hand)
-        if done(rtc):
-            raise SystemExit("DONE was believed before the arm has moved")
-        follow(hand, TURN_S)
-        while not done(rtc) and hand.request:
-            time.sleep(0.2)  # the arm comes to rest
-            follow(hand, 0.0)
+        try:
+            wait_for_request(hand)
+            if done(rtc):
+                raise SystemExit("DONE was believed before the arm has moved")
+            follow(hand, TURN_S)
+            while not done(rtc) and hand.request:
+                time.sleep(0.2)  # the arm comes to rest
+                follow(hand, 0.0)
+        except BaseException:
+            rtc.run("TAKE RIGHT-ARM FROM OPERATOR")  # what he does not finish stays his
+            raise
         command.wait(LIMIT_S).raise_for_outcome()
         rtc.run("STOW RIGHT-ARM").raise_for_outcome()
         print("both have moved the arm, and it is stowed")

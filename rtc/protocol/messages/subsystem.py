@@ -199,6 +199,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     spindle: bool = False
     operator: str = ""  # who moves it now
     cut: str = ""  # why it moves less than he wants
+    towards: list[float] = []  # m and rad, world: the way in his axes that a shared path waits for; empty: it does not
 
 
 class Operate(Message, frozen=True, kw_only=True):

@@ -194,6 +194,7 @@ class OperatedArm:
             spindle=motion.spindle,
             operator=self._operator,
             cut=self.cut,
+            towards=self._way.towards if self._way is not None else [],
         )
 
 

@@ -33,7 +33,8 @@ class SharedWay:
         self._time_s = self._rate = 0.0
         self._pose = self._pose_at(0.0)
         self._ticks = 0
-        self.waits_for = ""  # where the arm is, while the path waits for it
+        self.waits_for = ""  # where the arm is, and which way in his axes, while the path waits for it
+        self.towards: list[float] = []  # that way: m and rad, world axes; empty: the path does not wait
         self._own: Array = np.zeros(6)  # the twist of the program
         self._to_his: Array = np.zeros((6, 6))  # a twist -> its part in his axes, both in world axes
 
@@ -59,10 +60,11 @@ class SharedWay:
         behind = _in_axes(axes, _between(tcp, self._pose), 1.0 - self._his)
         lag_m, lag_rad = _sizes(behind)
         lag = max(lag_m / LAG_M, lag_rad / LAG_RAD)
-        self.waits_for = ""
+        self.waits_for, self.towards = "", []
         if lag > WAITS:
-            aside = _sizes(_in_axes(axes, _between(tcp, self._pose), self._his))
-            self.waits_for = f"{_in_words(lag_m, lag_rad)} behind it, and in your axes {_in_words(*aside)} off it"
+            aside = _in_axes(axes, _between(tcp, self._pose), self._his)
+            self.waits_for = f"{_in_words(lag_m, lag_rad)} behind it{_which_way(axes, aside)}"
+            self.towards = aside.tolist()
         self._rate = min(self._rate + RATE_PER_S * REFRESH_S, max(0.0, 1.0 - lag))
         self._time_s = min(self._time_s + self._rate * REFRESH_S, self._path.duration_s)
         before, self._pose = self._pose, self._pose_at(self._time_s)
@@ -90,6 +92,18 @@ def _in_axes(axes: Array, twist: Array, which: Array) -> Array:
     """The part of a twist (world axes) along and about these axes of the tool (2 x 3 of 0 or 1)."""
     part: Array = ((twist.reshape(2, 3) @ axes) * which) @ axes.T
     return part.ravel()
+
+
+def _which_way(axes: Array, aside: Array) -> str:
+    """What the operator does to come to the path, in the axes of the tool; empty: he is there."""
+    parts, units = aside.reshape(2, 3) @ axes, (("move", "along", "m"), ("turn", "about", "rad"))
+    found = []
+    for part, least, (verb, where, unit) in zip(parts, (LAG_M, LAG_RAD), units, strict=True):
+        n = int(np.abs(part).argmax())
+        if abs(part[n]) > least:
+            axis = f"{'-' if part[n] < 0.0 else ''}TOOL-{'XYZ'[n]}"
+            found.append(f"{verb} {where} {axis} by {measured_in_words(abs(part[n]), unit)}")
+    return f": {', '.join(found)}" if found else ""
 
 
 def _in_words(m: float, rad: float) -> str:

@@ -333,6 +333,25 @@ def test_a_path_that_waits_for_the_arm_says_so(rig, way) -> None:
     assert wanted[-1] == pytest.approx(wanted[-100], abs=1e-3)  # it does not go on
 
 
+def test_a_path_that_waits_says_which_way(rig, make) -> None:
+    """The wrist turns by 60 degrees on the path, and is held as it is."""
+    turned = [*rig.home[:-1], rig.home[-1] + 1.0]
+    shared, stuck = (
+        SharedWay(make.joint_path(rig.home, turned, 3.0), WRIST, rig.arm.tcp_pose),
+        rig.arm.tcp_pose(rig.home),
+    )
+    aside = [*stuck[:3] + np.array([0.02, 0.0, 0.0]), *stuck[3:]]
+    for _ in range(5000):
+        shared.twist(stuck, [0.0] * 6)
+    assert shared.towards == []  # of his axes alone it is not behind
+    for _ in range(20):
+        shared.twist(np.array(aside), [0.0] * 6)
+    about = geometry.rotation_vector(stuck, rig.arm.tcp_pose(turned))
+    assert shared.towards == pytest.approx([0.0, 0.0, 0.0, *about], abs=0.02)
+    sign = "-" if geometry.relative(stuck, rig.arm.tcp_pose(turned))[5] < 0.0 else ""
+    assert f": turn about {sign}TOOL-Z by 57.3 deg" in shared.waits_for
+
+
 @pytest.mark.parametrize("granted", [{"his": WRIST}, {"his": [7]}])
 def test_a_shared_motion_needs_its_path_and_its_axes(granted) -> None:
     with pytest.raises(ValueError, match=r"path|axes|<= 5"):
