@@ -69,6 +69,7 @@ class Rehearsal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     in_use: dict[str, str] = {}  # those that a live command holds now -> its number
     relies_on: dict[str, int] = {}  # fact of the world database -> its version; 0: it does not exist
     foreseen: list[str] = []  # facts read as the sentences before are predicted to leave them
+    remark: str = ""  # what its result would state: that another kind of motion is taken, say
     assumes: list[str] = []  # what only sensing can tell, in words
     changes: list[PredictedFact] = []
     faults: list[FaultBranch] = []  # only those asked for

@@ -174,7 +174,7 @@ def _remark(task: AnalyzeTask) -> str:
     """What the outcome of a command states after this step: an answer, that a body was seen but may not be there, or
     how far the object is from free of the seat that it leaves."""
     if task.step.words.says:
-        return task.step.words.says
+        return "; ".join(filter(None, (task.step.words.says, task.evaluation.remark)))
     if task.step.words.effect == SEEN:
         return sighting.doubt_in_words(task)
     leaves = task.step.words.leaves == "seat"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from rtc.programs.schema import OutcomeClass
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
+from workers.analyzer import what_is_left
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_words import fill_in
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
@@ -31,6 +33,9 @@ DOUBTFUL = (Validity.SUSPECT, Validity.INVALID)
 IN_SLOT_M = 0.010  # a shorter way back into a slot frees nothing
 
 
+AGAIN = re.compile(r"\b(?:do it|try) again")  # of a relative sentence: the rest
+
+
 BACKWARDS = 0.7  # cosine of the angle between the way of a hand and its tool axis from which on it went back
 
 
@@ -47,10 +52,13 @@ def what_clears(
     pressing, doubtful = _leaving(task, task.program.clears.get("asked", "") if asked else failure.pressing)
     held = [cure for key, cure in cures.items() if doubtful and key.rpartition(".")[0] == task.evaluation.held]
     own = [*held, pressing]
-    again = ""
+    again, rest = "", what_is_left.sentence(task)
     if not asked:
         own += [_felt(task, reason) or failure.clears, *_higher_limit(task)]
         again = "" if askew else failure.again  # the fingers close no further
+        again = AGAIN.sub(rest, again) if rest else again
+    if asked or reason is StopReason.HALT:
+        again = again or ("" if pressing else rest)
     if "{target_cure}" in again:
         cure = cures.pop(f"{target}.frame", "")
         again = again.replace("{target_cure}; ", f"{cure}; " if cure else "")

@@ -8,7 +8,7 @@ from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import Condition
 from rtc.sensing import rest
 from rtc.spatial import geometry
-from workers.analyzer import sighting, turning
+from workers.analyzer import sighting, turning, what_is_left
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.conditions import reflexes
 
@@ -61,7 +61,7 @@ def violated(task: AnalyzeTask) -> str:
         return VAGUE
     within_m = evaluation.step.figures.within_m
     if within_m is not None:  # instead of the tolerance of the program
-        return "elsewhere" if distance_off_m(task) > within_m else ""
+        return "elsewhere" if distance_off_m(task) > within_m and not what_is_left.has_turned(task) else ""
     pressed = evaluation.step.figures.press_n is not None  # it ends where the obstacle is
     if report.reason is StopReason.GOAL and evaluation.goal_pose is not None and not pressed:
         turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)

@@ -32,11 +32,13 @@ from workers.elaborator import (
     make_way,
     no_script,
     object_attributes,
+    other_motion,
     set_fact,
     stages,
     strategies,
     surrender,
     teach,
+    what_is_left,
 )
 from workers.elaborator.backtrack import Planned, can_be_seen
 from workers.elaborator.script_checks import (
@@ -176,13 +178,23 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list
 
     `notes`: on scripts that are no options; those of this choice are added."""
     refused: list[tuple[Refusal, ScriptOption]] = []
+    unasked: list[ScriptOption] = []
     for option in options:
         try:
-            return _script(compiled, option, options, notes)
+            script = _script(compiled, option, options, notes)
         except Refused as problem:
             notes.append(f"generated {option.name}; tested: {problem}")
             refused.append((problem.refusal, option))
+            continue
+        if not refused:
+            return script
+        if not other_motion.is_unasked(compiled.scripts, options[0], option):
+            return other_motion.stated(script, compiled.scripts, options[0], option, refused[0][0])
+        notes.append(f"generated {option.name}; tested: free, but another kind of motion, which is not asked for")
+        unasked.append(option)
     first = _most_informative(compiled, refused, options, advise=advise)
+    if unasked:
+        first = other_motion.offered(first, options[0], unasked[0])
     if first.reason is RefusalReason.INFEASIBLE:
         candidate = options[0].candidate
         first = first.offering(surrender.by_operator(compiled.program, compiled.scripts, candidate))
@@ -261,6 +273,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     script = through_places(compiled.scripts[option.branch.script], candidate)
     entries, left_out = trims_for(compiled, script, candidate)
     nominal = [step_for(step, candidate, entries, nominal=True) for step in script.steps]
+    nominal = what_is_left.noted(script, nominal, candidate)
     held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
     lacks = why_uncertain(nominal, candidate)
     if lacks is not None and not can_be_seen(lacks.where, candidate):

@@ -69,6 +69,7 @@ class Performance:
     assumes: list[str] = field(default_factory=list)
     refusal: Refusal | None = None
     given_up: Refusal | None = None
+    remark: str = ""  # of the last step: what the result would state
 
     @property
     def predicted_s(self) -> float:
@@ -158,6 +159,7 @@ class Performance:
         if report is None:
             return
         judged = self.judge(bound, report)
+        self.remark = judged.remark
         if judged.verdict != "continue":
             self.follow(judged)
 

@@ -150,6 +150,7 @@ def _answer(
         resources=resources,
         relies_on=dict(sorted(done.world.read.items())),
         foreseen=sorted(done.world.foreseen),
+        remark=done.remark if done.refusal is None else "",
         assumes=list(dict.fromkeys(done.assumes)),
         changes=[
             PredictedFact(key=fact.key, value=fact.value, validity=fact.validity.value, spread=fact.spread)

@@ -60,6 +60,7 @@ def on_rehearsed(context: DecisionContext, command: Command, product: msgspec.Ra
     command.step_words = result.step
     if refusal is None:
         message = f"feasible, about {rehearsal.predicted_s:.1f} s"
+        message += f": {rehearsal.remark}" if rehearsal.remark else ""
         end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, message, rehearsal=rehearsal))
     else:
         end(

@@ -112,6 +112,7 @@ def _show(line: Line, ended: m.CommandEnded, full: bool) -> None:
     head = Text(f"{line.label:<5}" if line.label else "")
     head.append(f"{'feasible' if feasible else 'NOT FEASIBLE':<12} ", style="green" if feasible else "bold red")
     head.append(f"{rehearsal.predicted_s:6.1f} s  {quoted(line.text)}")
+    head.append(f": {rehearsal.remark}" if rehearsal.remark else "")
     console.print(head)
     if not feasible:
         refusal = outcome.refusal

@@ -32,6 +32,7 @@ class StepWords(Strict, frozen=True, kw_only=True, omit_defaults=True):
     missed: str = ""  # the effect of a failure that may be tried again
     leaves: str = ""  # "seat": the held object leaves its seat
     seat: str = ""  # where the object is set down, or should be seen
+    rest: str = ""  # the sentence for what is left of a relative one: {left} stands for its amount
     says: str = ""  # the answer that the result of the command states
     until: str = ""  # "ends": the condition of UNTIL ends it; "watched": it may
     place: str = ""  # binding that the operator is asked to bring the hand to

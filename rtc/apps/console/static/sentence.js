@@ -182,6 +182,7 @@ function showTested() {
     element('code', { title: sentence }, sentence),
     element('span', { title: assumes.join('\n') },
       `about ${seconds(rehearsal.predicted_s ?? 0)}${assumes.length ? `, assumes ${assumes.length} thing${assumes.length > 1 ? 's' : ''}` : ''}`),
+    ...(rehearsal.remark ? [element('span', {}, rehearsal.remark)] : []),
     element('button', { class: 'primary', title: 'refused if a fact that the test relies on has changed',
       onclick: () => submit(sentence, { if_tested: rehearsal.digest }) }, 'Do as tested'),
     element('button', { class: 'quiet', 'aria-label': 'close', onclick: () => { tested.hidden = true; } }, '✕'),
