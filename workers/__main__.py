@@ -17,8 +17,8 @@ import msgspec
 from rtc.protocol.messages import NODES, WorkerKind
 from rtc.protocol.outcomes import ClusterError, KeyTrouble
 from rtc.runtime import fork_server, handover, process
+from rtc.runtime.environment import systemd_socket
 from rtc.runtime.keys import KeyFile
-from rtc.runtime.settings import systemd_socket
 from workers.runtime.contact import LIMIT_S, BrokerContact, Systemd
 from workers.runtime.preload import preload
 from workers.runtime.start import join, rehearse, work

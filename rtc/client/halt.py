@@ -13,19 +13,23 @@ import re
 import threading
 import time
 import uuid
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from pathlib import Path
 
 import msgspec
 import zmq
 
 from rtc.client.connection import BrokerConnection
 from rtc.client.context import ClientContext
+from rtc.client.first_order import RANK, Dealer, FirstOrder, NotConnected
 from rtc.language.fastpath import EVERYTHING, halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, RefusalReason, WireError
 from rtc.protocol.wire import frames, reader
 from rtc.runtime.keys import Endpoints
-from rtc.runtime.process import real_time, real_time_io
+from rtc.runtime.priority import real_time
+from rtc.runtime.process import real_time_io
+from rtc.runtime.settings import Settings
 
 CONNECT_S, FAR_CONNECT_S = 0.5, 3.0  # time limit of the first connection, local and over tcp
 # Time in which the broker may decline an unknown scope, and in which both copies of an order are answered. The MCM
@@ -34,9 +38,10 @@ UNKNOWN_S, FAR_UNKNOWN_S = 0.1, 0.5
 ASK_S, FAR_ASK_S = 1.0, 3.0  # time limit of the query whether a command exists, local and over tcp
 MAX_S = 3600.0  # maximum wait for rest
 RETRY_S = 0.02  # period of sending the order again to a socket that was not connected
-RANK = 1  # real-time priority of the I/O thread of the halt sockets, and of a caller while it sends, if permitted
 HALT_ENDPOINTS = ("halt", "estop")  # of the broker, of the first subsystem of arms
 COMMAND = re.compile(r"C-\d+", re.ASCII)  # a scope that only the broker can resolve
+
+HaltSocket = zmq.Socket[bytes] | Dealer
 
 _read = reader(m.FromHalt)
 
@@ -77,32 +82,48 @@ class HaltResult(msgspec.Struct, kw_only=True):
         return sorted({name for sub in self.subsystems for name in sub.moving})
 
 
+def local_settings(run_dir: Path | str) -> Settings:
+    """The settings of a cluster of this machine; without its file those of any, whose broker passes the halt on."""
+    where = str(Path(run_dir).absolute())
+    try:
+        return msgspec.structs.replace(Settings.load(where), run_dir=where)
+    except (OSError, msgspec.MsgspecError):
+        return Settings(run_dir=where)
+
+
 class HaltLine:
     """Sends halts to one cluster. Thread-safe: calls from several threads run one after the other."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoints: Endpoints) -> None:
-        self._context, self._endpoints = context, endpoints
-        self._own_context = ClientContext()  # so that its I/O thread carries halts only
-        self._rank = RANK if real_time_io(self._own_context, RANK) else 0
+    def __init__(
+        self, context: zmq.Context[zmq.Socket[bytes]], endpoints: Endpoints, first: FirstOrder | None = None
+    ) -> None:
+        """`first`: an order that has left this process already; `finish` waits for its answers on its sockets."""
+        self._context, self._endpoints, self._first = context, endpoints, first
         self._far = endpoints.far
         self._connect_s, self._unknown_s = (FAR_CONNECT_S, FAR_UNKNOWN_S) if self._far else (CONNECT_S, UNKNOWN_S)
         self._lock = threading.Lock()
         self._poller = zmq.Poller()
-        self._sockets: dict[str, zmq.Socket[bytes]] = {}
+        self._own_context = ClientContext()  # so that its I/O thread carries halts only
+        self._rank = RANK if real_time_io(self._own_context, RANK) else 0
         estops = endpoints.addresses("estop")
         self._confirming = [name for name in estops if name]  # subsystems that confirm a halt of all
         addresses = {"halt": endpoints.endpoint("halt")}
         for name, address in estops.items():
             addresses[f"estop {name}" if len(addresses) > 1 else "estop"] = address
+        self._sockets: dict[str, HaltSocket] = {}
         for name, address in addresses.items():
-            socket = self._own_context.socket(zmq.DEALER)  # without an identity: another process could use the same
-            endpoints.secure(socket)
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.setsockopt(zmq.IMMEDIATE, 1)  # not queued: a stale halt would stop later commands
-            socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
-            socket.connect(address)
-            self._sockets[name] = socket
-            self._poller.register(socket, zmq.POLLIN)
+            sent = None if first is None else first.sent_to.get(address.rpartition("/")[2])
+            self._sockets[name] = sent or self._connected(address)
+            self._poller.register(self._sockets[name], zmq.POLLIN)
+
+    def _connected(self, address: str) -> zmq.Socket[bytes]:
+        socket = self._own_context.socket(zmq.DEALER)  # without an identity: another process could use the same
+        self._endpoints.secure(socket)
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.IMMEDIATE, 1)  # not queued: a stale halt would stop later commands
+        socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
+        socket.connect(address)
+        return socket
 
     def halt(self, scope: str = "ALL", timeout_s: float = 2.0, round_trip_s: float = 0.0) -> HaltResult:
         """Send the order and wait for rest, at most `timeout_s` (s) and at most MAX_S. `round_trip_s`: of the link.
@@ -125,7 +146,19 @@ class HaltLine:
                     else "neither the broker nor a subsystem of arms answers"
                 )
                 raise ClusterError(f"halt not sent: {who}; use the emergency stop")
-            return self._await_rest(order, sent_to, called_at_s + timeout_s, self._unknown_s + round_trip_s)
+            return self._await_rest(
+                order, sent_to, called_at_s + timeout_s, called_at_s + self._unknown_s + round_trip_s
+            )
+
+    def finish(self, timeout_s: float = 2.0) -> HaltResult:
+        """Wait for the answers to the order that had left before, as `halt` does. The limit begins now: on a busy
+        machine the imports between the order and this call take seconds."""
+        first = self._first
+        assert first is not None
+        order = m.HaltOrder(halt=first.halt, scope=first.scope, called_at_s=first.called_at_s)
+        sent_to = [name for name, socket in self._sockets.items() if isinstance(socket, Dealer)]
+        now_s = time.monotonic()
+        return self._await_rest(order, sent_to, now_s + min(MAX_S, timeout_s), now_s + self._unknown_s)
 
     def ready(self, timeout_s: float | None = None) -> bool:
         """Wait until both sockets are connected; False after `timeout_s`."""
@@ -139,13 +172,13 @@ class HaltLine:
             socket.close()
         self._own_context.term()
 
-    def _send(self, order: m.HaltOrder, sockets: dict[str, zmq.Socket[bytes]]) -> list[str]:
+    def _send(self, order: m.HaltOrder, sockets: dict[str, HaltSocket]) -> list[str]:
         parts, sent_to = frames(order), []
         for name, socket in sockets.items():
             try:
                 socket.send_multipart(parts, flags=zmq.NOBLOCK)
                 sent_to.append(name)
-            except zmq.Again:  # not connected now
+            except (zmq.Again, NotConnected):
                 continue
         return sent_to
 
@@ -158,7 +191,7 @@ class HaltLine:
                 return sent_to
         return []
 
-    def _await_rest(self, order: m.HaltOrder, sent_to: list[str], limit_s: float, unknown_s: float) -> HaltResult:
+    def _await_rest(self, order: m.HaltOrder, sent_to: list[str], limit_s: float, unknown_by_s: float) -> HaltResult:
         """Receive until rest is confirmed and both copies are answered.
 
         The broker must have the order, so that no queued command starts. A copy under way would stop the caller's next
@@ -172,14 +205,14 @@ class HaltLine:
                 known = order.scope == EVERYTHING or COMMAND.fullmatch(order.scope) or _reached(subsystems.values())
                 if known and not any(name in unanswered for name in sent_to):
                     break
-                left_s = min(limit_s, order.called_at_s + unknown_s) - time.monotonic()
+                left_s = min(limit_s, unknown_by_s) - time.monotonic()
                 if left_s <= 0:
                     break
             unsent = {name: socket for name, socket in self._sockets.items() if name not in sent_to}
-            ready = {socket for socket, _ in self._poller.poll(_ms(min(left_s, RETRY_S) if unsent else left_s))}
+            self._poller.poll(_ms(min(left_s, RETRY_S) if unsent else left_s))
             sent_to += self._send(order, unsent)
             for name, socket in self._sockets.items():
-                if socket in ready and (answer := self._receive(socket, order)) is not None:
+                for answer in self._answers(socket, order):
                     unanswered.pop(name, None)
                     refused = self._take(answer, order, subsystems)
                     declined = refused or declined
@@ -225,14 +258,22 @@ class HaltLine:
         finally:
             front.close()
 
-    def _receive(self, socket: zmq.Socket[bytes], order: m.HaltOrder) -> m.FromHalt | None:
-        """The next answer; None if it is invalid, or late and of an earlier halt."""
-        try:
-            answer: m.FromHalt = _read(socket.recv_multipart())
-        except WireError:
-            return None
-        halt = answer.request or order.halt if isinstance(answer, m.Declined) else answer.halt
-        return answer if halt == order.halt else None
+    def _answers(self, socket: HaltSocket, order: m.HaltOrder) -> Iterator[m.FromHalt]:
+        """The answers that have arrived, without those that are invalid, or late and of an earlier halt."""
+        while True:
+            try:
+                answer: m.FromHalt = _read(socket.recv_multipart(zmq.NOBLOCK))
+            except WireError:
+                continue
+            except zmq.Again:
+                return
+            except NotConnected as none:
+                if none.lost:  # the end of a stream stays readable
+                    self._poller.unregister(socket)
+                return
+            halt = answer.request or order.halt if isinstance(answer, m.Declined) else answer.halt
+            if halt == order.halt:
+                yield answer
 
     def _take(self, answer: m.FromHalt, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> str:
         """Note one answer; the message of the refusal, if it is one."""

@@ -38,6 +38,7 @@ from typing import Any, NoReturn, TypedDict, Unpack
 import zmq
 
 from rtc.protocol import wire
+from rtc.runtime.priority import may_be_real_time
 from rtc.runtime.settings import Bounds
 
 READY, ALIVE, NOTE = b"ready", b"alive", b"note "
@@ -433,29 +434,11 @@ def real_time_io(context: zmq.Context[Any], rank: int) -> bool:
     Linux schedules threads one by one. With normal priority an I/O thread waits behind busy processes for several
     milliseconds, and its messages with it. False if it is not permitted: libzmq would abort, so it is tried here first.
     """
-    try:
-        with real_time(rank):
-            pass
-    except OSError:
+    if not may_be_real_time(rank):
         return False
     context.set(zmq.THREAD_SCHED_POLICY, os.SCHED_RR)
     context.set(zmq.THREAD_PRIORITY, rank)
     return True
-
-
-@contextlib.contextmanager
-def real_time(rank: int) -> Iterator[None]:
-    """Run the calling thread with real-time priority `rank` for a short time; 0: as it is. Raises OSError if it is not
-    permitted."""
-    if not rank:
-        yield
-        return
-    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(rank))
-    try:
-        yield
-    finally:
-        os.sched_setscheduler(0, policy, parameters)
 
 
 def freeze_heap() -> None:

@@ -1,4 +1,4 @@
-"""Settings of one cluster, its endpoints and its run directory; the only module that reads the environment.
+"""Settings of one cluster, its endpoints and its run directory.
 
 `main` of each process reads the settings once and passes them down.
 """
@@ -15,6 +15,7 @@ from msgspec import Meta
 
 from rtc.protocol.outcomes import ClusterError
 from rtc.protocol.subsystems import DEFAULTS, Subsystem
+from rtc.runtime import environment
 
 SUN_PATH_LIMIT = 107  # bytes of a Unix socket's path on Linux
 MIN_DIM, MAX_DIM = 2, 8  # limits of the cube's dimension; a smaller cube lacks kinds of workers
@@ -162,22 +163,8 @@ def _not_of_a_cluster(run_dir: Path) -> list[str]:
 
 
 def default_run_dir() -> Path:
-    """RTC_RUN_DIR from the environment, or a directory private to this user."""
-    if given := os.environ.get("RTC_RUN_DIR"):
-        return Path(given)
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(base) / "rtc" if base else Path(f"/tmp/rtc-{os.getuid()}")
-
-
-def data_dir() -> Path:
-    """Directory of this user's data that outlive a run: XDG_DATA_HOME from the environment, or ~/.local/share."""
-    base = os.environ.get("XDG_DATA_HOME")
-    return (Path(base) if base else Path.home() / ".local" / "share") / "rtc"
-
-
-def systemd_socket() -> str:
-    """NOTIFY_SOCKET from the environment: the address for `sd_notify`; empty if systemd expects no notification."""
-    return os.environ.get("NOTIFY_SOCKET", "")
+    """The run directory of commands that name none."""
+    return Path(environment.run_dir())
 
 
 def shell_command(words: str, run_dir: Path) -> str:

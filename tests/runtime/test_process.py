@@ -19,6 +19,7 @@ from rtc.protocol.outcomes import ClusterError
 from rtc.protocol.roles import Role
 from rtc.runtime import process
 from rtc.runtime.keys import KeyRing
+from rtc.runtime.priority import real_time
 from rtc.runtime.process import Every, Process, inbox, now_s, send
 from rtc.runtime.settings import prepare_run_dir
 
@@ -308,7 +309,7 @@ def test_without_the_permission_io_threads_keep_their_priority(monkeypatch):
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with zmq.Context() as context:
         assert process.real_time_io(context, 1) is False
-        with context.socket(zmq.DEALER) as socket, process.real_time(0):
+        with context.socket(zmq.DEALER) as socket, real_time(0):
             assert socket.closed is False
 
 

@@ -26,7 +26,7 @@ from rtc.plugins import registry
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.runtime.extras import EXTRAS, missing
-from rtc.runtime.process import real_time
+from rtc.runtime.priority import may_be_real_time
 from rtc.runtime.settings import default_run_dir, shell_command
 
 PACKAGE = "telerobot-rtc"
@@ -82,7 +82,7 @@ def _show(findings: Iterable[Finding]) -> None:
 def machine() -> Iterator[Finding]:
     yield of_load(os.getloadavg()[0], len(os.sched_getaffinity(0)))
     yield of_memory(Path("/proc/meminfo").read_text())
-    yield of_priority(_may_be_real_time())
+    yield of_priority(may_be_real_time(1))
 
 
 def of_load(load: float, cores: int) -> Finding:
@@ -111,14 +111,6 @@ def of_priority(permitted: bool) -> Finding:
         f"add the line `{user} - rtprio 5` to /etc/security/limits.conf and log in again; "
         "in a container: --cap-add SYS_NICE",
     )
-
-
-def _may_be_real_time() -> bool:
-    try:
-        with real_time(1):
-            return True
-    except OSError:
-        return False
 
 
 # --- the installation --------------------------------------------------------------------------------

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 
+from rtc.apps.cli.halt_at_once import run
 from rtc.apps.cli.interrupts import leave_at_interrupts
 
 
 def main() -> None:
-    """Import and run the command line."""
+    """Import and run the command line. A plain `rtc halt` sends its order before anything else is imported."""
     leave_at_interrupts()
+    if sys.argv[1:2] == ["halt"] and (status := run(sys.argv[2:])) is not None:
+        sys.exit(status)
     import_module("rtc.apps.cli.main").main()
 
 

@@ -5,7 +5,6 @@ It knows outcomes and refusals, but not sockets. Text from outside is never inte
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import sys
@@ -21,6 +20,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from rtc.apps.cli.json_line import emit_json as emit_json  # most commands print with both modules
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.language.caret import CUT, show
 from rtc.language.refuse import visible
@@ -77,20 +77,6 @@ def exit_code(kinds: Iterable[OutcomeKind]) -> int:
     """0 all succeeded, 1 a failure, 2 a refusal, 3 halted; the worst of several."""
     seen = set(kinds)
     return next((code for kind, code in EXIT.items() if kind in seen), 0)
-
-
-def emit_json(value: Any) -> None:
-    """Print the result as one line of JSON on stdout; characters that a terminal interprets are escaped."""
-    line = msgspec.json.encode(value).decode()
-    if not line.isprintable():
-        line = "".join(c if c.isprintable() else _escaped(c) for c in line)
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
-
-
-def _escaped(character: str) -> str:
-    """Escape for a JSON string; json.dumps does not escape DEL."""
-    return "\\u007f" if character == "\x7f" else json.dumps(character)[1:-1]
 
 
 def cli_error(message: str, code: int = 1, **known: Any) -> typer.Exit:

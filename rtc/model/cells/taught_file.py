@@ -11,12 +11,12 @@ import msgspec
 
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.taught import Postures, taken
-from rtc.runtime.settings import data_dir
+from rtc.runtime import environment
 
 
 def file_of(cell: Cell) -> Path:
     safe = "".join(c if c.isalnum() or c in "-_" else "-" for c in cell.name)
-    return data_dir() / "places" / f"{safe}.json"
+    return Path(environment.data_dir()) / "places" / f"{safe}.json"
 
 
 def load(cell: Cell) -> Postures:

@@ -107,7 +107,7 @@ def test_the_slowest_job_is_named_with_its_command():
 def test_without_a_cluster_the_machine_is_checked_and_the_status_tells(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(os, "getloadavg", lambda: (0.1, 0.1, 0.1))
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
-    monkeypatch.setattr(doctor, "_may_be_real_time", lambda: True)
+    monkeypatch.setattr(doctor, "may_be_real_time", lambda rank: True)
     monkeypatch.setattr(doctor, "compiled", lambda: True)
     monkeypatch.setattr(doctor, "MIN_MEMORY", 0)
     monkeypatch.setattr(doctor, "MIN_DISK", 0)
@@ -115,5 +115,5 @@ def test_without_a_cluster_the_machine_is_checked_and_the_status_tells(tmp_path:
     report = json.loads(done.stdout)
     assert (done.returncode, report["ok"]) == (0, True)
     assert {"load", "rtc", "libraries", "disk", "cluster"} <= {one["about"] for one in report["findings"]}
-    monkeypatch.setattr(doctor, "_may_be_real_time", lambda: False)
+    monkeypatch.setattr(doctor, "may_be_real_time", lambda rank: False)
     assert call("doctor", "--run-dir", str(tmp_path / "none")).returncode == 1

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import io
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
 
 import pytest
+import zmq
 from rich.console import Console
 
-from rtc.apps.cli.halt import not_reached, print_halt
+from rtc.apps.cli.halt import print_halt
+from rtc.apps.cli.halt_at_once import plain
+from rtc.apps.cli.halt_words import not_reached
 from rtc.client.halt import HaltResult, SubsystemHalt
+from rtc.protocol import messages as m
 from rtc.protocol.messages import CommandRecord, Phase
 from rtc.protocol.outcomes import Outcome, OutcomeKind
+from rtc.protocol.wire import frames, reader
 
 
 def printed(latency_s: float, rest_s: float, moving: list[str]) -> str:
@@ -55,3 +65,58 @@ def test_a_halt_of_an_ended_command_states_how_it_ended_and_what_moves() -> None
     )
     held = CommandRecord(command="C-12", phase=Phase.HELD, **about)
     assert not_reached(held, [waiting]) == "C-12 is held and moves nothing; no command is in motion"
+
+
+def test_plain_halts_take_the_short_way_and_others_the_long_one() -> None:
+    assert plain(["right-arm", "--timeout", "3", "--json", "--run-dir=/x"]) == ("right-arm", 3.0, True, "/x")
+    assert plain(["--run-dir", "/x"]) == ("ALL", 2.0, False, "/x")
+    for words in (["-h"], ["--help"], ["--with", "k"], ["--bogus"], ["A", "B"], ["--timeout"], ["--timeout", "x"]):
+        assert plain(words) is None
+    for words in (["--timeout", "0"], ["--timeout", "nan"], ["--run-dir", ""], ["ÄRM"], ["X" * 300]):
+        assert plain([*words, "--run-dir", "/x"] if words[0] != "--run-dir" else words) is None
+
+
+#: the command line, and the modules that it has loaded, on stderr
+LISTED = """
+import sys
+from rtc.apps.cli import entry
+try:
+    entry.main()
+finally:
+    print(*sys.modules, file=sys.stderr)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.untimed
+@pytest.mark.parametrize("at_rest", [True, False])
+def test_a_halt_from_a_terminal_loads_nothing_slow(tmp_path: Path, at_rest: bool) -> None:
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as broker, context.socket(zmq.ROUTER) as arms:
+        for socket, name in ((broker, "halt"), (arms, "estop")):
+            socket.bind(f"ipc://{tmp_path}/{name}.sock")
+        orders: list[m.HaltOrder] = []
+        serving = threading.Thread(target=_serve, args=([broker, arms], orders, at_rest))
+        serving.start()
+        line = [sys.executable, "-P", "-c", LISTED, "halt", "RIGHT-ARM", "--run-dir", str(tmp_path)]
+        done = subprocess.run(line, capture_output=True, text=True, timeout=60, env={**os.environ, "COLUMNS": "80"})
+        serving.join()
+    assert done.returncode == (0 if at_rest else 3), done.stderr
+    assert ("rest confirmed" in done.stdout) == at_rest
+    assert [order.scope for order in orders] == ["RIGHT-ARM", "RIGHT-ARM"]
+    assert not {"typer", "rich", "numpy", "pinocchio", "lark"} & set(done.stderr.split())
+
+
+def _serve(sockets: list[zmq.Socket[bytes]], orders: list[m.HaltOrder], at_rest: bool) -> None:
+    """Answer one order at each socket, as a subsystem does."""
+    for socket in sockets:
+        assert socket.poll(30_000)
+        peer, *parts = socket.recv_multipart()
+        order = reader(m.ToHalt)(parts)
+        orders.append(order)
+        at_s = order.called_at_s + 0.001
+        started = m.HaltStarted(
+            halt=order.halt, subsystem="MCM", received_at_s=at_s, decelerating_at_s=at_s, moving=["RIGHT-ARM"]
+        )
+        rest = m.HaltAtRest(halt=order.halt, subsystem="MCM", at_s=at_s, at_rest=at_rest, performers=["RIGHT-ARM"])
+        for answer in (started, rest):
+            socket.send_multipart([peer, *frames(answer)])

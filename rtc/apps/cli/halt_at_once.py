@@ -1,0 +1,92 @@
+"""`rtc halt` in its plain forms: the order leaves before any library is loaded, and neither typer nor rich is.
+
+What this module does not understand it leaves to the complete command (`rtc.apps.cli.halt`): help, errors, key files,
+and a run directory where no process listens.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from rtc.client.first_order import FirstOrder
+from rtc.runtime import environment
+
+TYPE_CHECKING = False  # see rtc/__init__.py
+if TYPE_CHECKING:
+    from rtc.client.halt import HaltResult
+
+NOT_CONFIRMED = 3  # exit status
+TIMEOUT_S, SHORTEST_S = 2.0, 0.01  # wait for rest
+
+
+def run(words: list[str]) -> int | None:
+    """Halt; the exit status. None: nothing was sent, and the complete command must take it."""
+    if (called := plain(words)) is None:
+        return None
+    scope, timeout_s, as_json, run_dir = called
+    first = FirstOrder(run_dir, scope)
+    if not first.sent_to:
+        return None
+    return _finish(first, timeout_s, as_json, run_dir)
+
+
+def plain(words: list[str]) -> tuple[str, float, bool, str] | None:
+    """(scope, timeout in s, as JSON, run directory) of the words after `halt`; None if they are not plain."""
+    scope, timeout, as_json, run_dir = "", "", False, ""
+    left = [part for word in words for part in (word.split("=", 1) if word.startswith("--") else [word])]
+    while left:
+        word = left.pop(0)
+        if word == "--json":
+            as_json = True
+        elif word in ("--timeout", "--run-dir") and left and left[0]:
+            timeout, run_dir = (left.pop(0), run_dir) if word == "--timeout" else (timeout, left.pop(0))
+        elif scope or word.startswith("-") or not word.isascii() or not 0 < len(word) < 200:
+            return None
+        else:
+            scope = word
+    try:
+        timeout_s = float(timeout or TIMEOUT_S)
+    except ValueError:
+        return None
+    return (scope or "ALL", timeout_s, as_json, run_dir or environment.run_dir()) if timeout_s >= SHORTEST_S else None
+
+
+def _finish(first: FirstOrder, timeout_s: float, as_json: bool, run_dir: str) -> int:
+    """Wait for rest and print the result."""
+    import zmq
+
+    from rtc.apps.cli.json_line import emit_json
+    from rtc.apps.cli.stdio import OutputClosed, attach
+    from rtc.client.halt import HaltLine, local_settings
+
+    attach()
+    with zmq.Context() as context:
+        line = HaltLine(context, local_settings(run_dir), first)
+        try:
+            result = line.finish(timeout_s)
+        finally:
+            line.close()
+    try:
+        if as_json:
+            emit_json(result)
+        else:
+            _print(result, run_dir)
+        sys.stdout.flush()
+    except OutputClosed as closed:
+        if as_json:
+            sys.stderr.write(f"rtc: {closed}\n")
+    return 0 if result.confirmed else NOT_CONFIRMED
+
+
+def _print(result: HaltResult, run_dir: str) -> None:
+    from rtc.apps.cli.halt_words import as_text, in_words, state_of
+    from rtc.apps.cli.stdio import OutputClosed
+
+    lines = in_words(result)
+    try:
+        sys.stdout.write(as_text(lines, sys.stdout.isatty() and environment.colours()))
+        if not result.reached and not result.declined and "halt" in result.sent_to and result.scope.startswith("C-"):
+            sys.stdout.flush()
+            sys.stdout.write(as_text([[(words, "")] for words in state_of(result.scope, run_dir, None)], False))
+    except OutputClosed:
+        sys.stderr.write(as_text(lines, False))

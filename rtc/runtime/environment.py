@@ -1,0 +1,28 @@
+"""The only module that reads the environment. Imports nothing that is slow: `rtc halt` begins with it."""
+
+from __future__ import annotations
+
+import os
+
+
+def run_dir() -> str:
+    """RTC_RUN_DIR, or a directory private to this user."""
+    if given := os.environ.get("RTC_RUN_DIR"):
+        return given
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    return f"{base}/rtc" if base else f"/tmp/rtc-{os.getuid()}"
+
+
+def data_dir() -> str:
+    """Directory of this user's data that outlive a run: XDG_DATA_HOME, or ~/.local/share."""
+    return f"{os.environ.get('XDG_DATA_HOME') or os.path.expanduser('~/.local/share')}/rtc"
+
+
+def systemd_socket() -> str:
+    """NOTIFY_SOCKET: the address for `sd_notify`; empty if systemd expects no notification."""
+    return os.environ.get("NOTIFY_SOCKET", "")
+
+
+def colours() -> bool:
+    """Whether a terminal may get colours: not with NO_COLOR, and not if TERM is dumb."""
+    return not os.environ.get("NO_COLOR") and os.environ.get("TERM", "") not in ("", "dumb")
