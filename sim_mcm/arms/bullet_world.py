@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import tempfile
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -114,24 +114,8 @@ class PhysicsWorld:
 
     def load_arm(self, name: str) -> int:
         """Load an arm from its URDF text; returns the pybullet body id."""
-        spec = self.cell.arm(name)
-        base = spec.base.pose.tolist()
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / Path(spec.urdf).name
-            urdf = _seen(self.cell.urdf(name)) if self._visual else _unseen(self.cell.urdf(name))
-            file.write_text(_embodied(urdf), encoding="utf-8")
-            for hull in hulls.files(urdf):
-                if hull in self.cell.texts:
-                    (Path(folder) / hull).parent.mkdir(parents=True, exist_ok=True)
-                    (Path(folder) / hull).write_text(self.cell.texts[hull], encoding="utf-8")
-            body: int = pybullet.loadURDF(
-                str(file),
-                basePosition=base[:3],
-                baseOrientation=base[3:],
-                useFixedBase=True,
-                flags=pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_MATERIAL_COLORS_FROM_MTL,
-                physicsClientId=self.client,
-            )
+        seen = _seen(self.cell.urdf(name)) if self._visual else without_visuals(self.cell.urdf(name))
+        body = load_urdf(self.client, seen, self.cell.texts, self.cell.arm(name).base.pose)
         self.names[body] = name
         if self._visual:
             self._paint(body)
@@ -192,7 +176,7 @@ class PhysicsWorld:
         """Put the lips of a seat away, or back. Returns the reason of a refusal, or ''."""
         seat, shapes = self.seats[name], self.cell.seat(name).shapes
         every = [*seat.parts, *self._lips.get(name, [])]
-        lips = [part for part in every if self.names[part[0]].endswith(LIP)]
+        lips = [part for part in every if self.names[part[0]].replace("-", " ").split()[-1] == LIP]
         if not lips:
             return f"{name} has no lips; its shapes are {', '.join(shape.name for shape in shapes)}"
         self._lips[name] = lips if blunted else []
@@ -355,7 +339,28 @@ class PhysicsWorld:
         return made
 
 
-def _unseen(urdf: str) -> str:
+def load_urdf(client: int, urdf: str, hull_texts: Mapping[str, str], base: Array) -> int:
+    """Load an arm with a fixed base, as physics and pictures read it; returns the pybullet body id."""
+    at = base.tolist()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "arm.urdf"
+        file.write_text(_embodied(urdf), encoding="utf-8")
+        for hull in hulls.files(urdf):
+            if hull in hull_texts:
+                (Path(folder) / hull).parent.mkdir(parents=True, exist_ok=True)
+                (Path(folder) / hull).write_text(hull_texts[hull], encoding="utf-8")
+        body: int = pybullet.loadURDF(
+            str(file),
+            basePosition=at[:3],
+            baseOrientation=at[3:],
+            useFixedBase=True,
+            flags=pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_MATERIAL_COLORS_FROM_MTL,
+            physicsClientId=client,
+        )
+    return body
+
+
+def without_visuals(urdf: str) -> str:
     """The URDF without visuals, which physics does not need; their meshes may be missing here."""
     robot = ElementTree.fromstring(urdf)
     for link in robot.findall("link"):

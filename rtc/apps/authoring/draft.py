@@ -21,9 +21,11 @@ from rtc.apps.authoring import self_collisions
 from rtc.apps.authoring.adapt import TCP, AdaptedArm, adapt
 from rtc.apps.authoring.robot_file import RobotFile
 from rtc.apps.authoring.words_and_keys import misnamed
+from rtc.model.cells import two_readers
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Arm, Box, Frame, GraspPoint, Gripper, Object, Place, Seat, Vec3
 from rtc.model.cells.urdf import number
+from rtc.model.robot import hulls
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import Scene
 from rtc.model.robot.kinematics import ArmModel
@@ -73,9 +75,19 @@ def draft(urdf: Path, name: str = "", tip: str = "") -> Draft:
     adapted.notes += notes
     bare = _arm(adapted, stem, name or _title(adapted.robot.name))
     cell = Cell(name=stem, gravity_m_s2=GRAVITY, arms=[bare], objects=[_floor()], texts=files)
+    _refuse_read_differently(adapted, cell)
     cell = _with_postures(cell, adapted)
     cell = _with_pads(cell, adapted)
     return Draft(cell, _yaml(cell, adapted.notes), files, adapted.notes)
+
+
+def _refuse_read_differently(adapted: AdaptedArm, cell: Cell) -> None:
+    texts = {name: text for name, text in cell.texts.items() if name.endswith(hulls.SUFFIX)}
+    found = two_readers.differences(cell.texts[cell.arms[0].urdf], texts, shapes=True)
+    if found:
+        where, problem, expected = found[0]
+        others = f" (and {len(found) - 1} more)" if found[1:] else ""
+        raise ProgramError(f"{adapted.robot.path}: {where}: {problem}; expected: {expected}{others}")
 
 
 def _plain(text: str) -> str:

@@ -20,24 +20,23 @@ import yaml
 
 from rtc.apps.authoring import self_collisions, words_and_keys
 from rtc.apps.authoring.adapt import GYRATION
-from rtc.apps.authoring.robot_file import RobotFile, kinematics
+from rtc.apps.authoring.robot_file import EXPAND, RobotFile, implausible, kinematics
 from rtc.language.alike import unknown
 from rtc.model.cells import cell as cells
-from rtc.model.cells import extension, model_checks, urdf_values
+from rtc.model.cells import extension, model_checks, two_readers, urdf_values
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Arm, Box, GraspPoint, Object
 from rtc.model.cells.urdf import number
 from rtc.model.cells.urdf_values import MOVING
-from rtc.model.robot import finger_mass
+from rtc.model.robot import finger_mass, hulls
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import Scene
 from rtc.model.robot.kinematics import ArmModel
 from rtc.programs.yaml_location import line_of_key, path_of
-from rtc.protocol.outcomes import ProgramError
+from rtc.protocol.outcomes import ProgramError, RtcError
 from rtc.spatial import geometry
 
 TRIANGLE_SLACK = 1e-9
-LARGE_M = 5.0  # a mesh of an arm that is larger is probably in millimetres
 PENETRATION_M = 0.002  # of two bodies at the beginning
 ASKEW_DEG, WIDTH_M = 10.0, 0.004  # fingers that close askew, or at another width, are taken for a failed grasp
 WEIGHT_SHARE = 0.9  # of the motor torque, as planning allows
@@ -67,6 +66,8 @@ def review(path: Path) -> tuple[list[Finding], Cell | None]:
         return list(_urdf(path)), None
     if path.suffix == ".srdf":
         return list(_srdf(path, path.with_suffix(".urdf"))), None
+    if path.suffix == ".xacro":
+        raise ProgramError(f"{path}: a URDF (.urdf) is checked; {EXPAND}")
     raise ProgramError(
         f"{path}: a cell (.yaml), a URDF (.urdf) or an SRDF (.srdf) is checked, not {path.suffix or 'this'}"
     )
@@ -104,7 +105,17 @@ def _cell(path: Path) -> tuple[list[Finding], Cell | None]:
         cell = Cell.load(path)
     except ProgramError as error:
         return [*found, _at(path, text, "", str(error))], None
+    found += _read_twice(cell, folders)
     return found + [_at(path, text, *row) for row in _geometry(cell)], cell
+
+
+def _read_twice(cell: Cell, folders: list[Path]) -> Iterator[Finding]:
+    """What planning and physics read differently in the URDF of each arm."""
+    for urdf in dict.fromkeys(arm.urdf for arm in cell.arms):
+        texts = {name: text for name, text in cell.texts.items() if name.endswith(hulls.SUFFIX)}
+        file = _beside(folders, urdf)
+        for where, problem, expected in two_readers.differences(cell.texts[urdf], texts, shapes=True):
+            yield Finding(file=str(file), where=where, problem=problem, expected=expected, line=_line(file, where))
 
 
 def _at(path: Path, text: bytes, where: str, problem: str, severity: str = "error", expected: str = "") -> Finding:
@@ -199,8 +210,8 @@ def _models(path: Path, plain: Any, text: bytes, folders: list[Path]) -> Iterato
         except (msgspec.ValidationError, ValueError, OSError):
             continue  # reported above
         if {spec.urdf, spec.srdf} <= set(texts) and not _wrong_values(texts[spec.urdf]):
-            hulls = model_checks.hulls(texts[spec.urdf])
-            beside = {file: "" for file in hulls if _beside(folders, file).is_file()}
+            named = model_checks.hulls(texts[spec.urdf])
+            beside = {file: "" for file in named if _beside(folders, file).is_file()}
             for where, problem in model_checks.problems([spec], texts | beside):
                 yield _at(path, text, where.replace("arms[0]", f"arms[{n}]", 1), problem)
 
@@ -239,15 +250,20 @@ def _urdf(path: Path, in_cell: bool = False) -> Iterator[Finding]:
         for problem, expected, severity in [] if f"joint {name}" in faulty else _joint(robot, name):
             errors = errors or severity == "error"
             yield found(f"joint {name}", problem, expected, severity)
+    impossible = in_cell  # to compare; a cell is compared as a whole
     for name, link in robot.links.items():
         for problem, expected, severity in [] if f"link {name}" in faulty else _inertial(robot, name, link):
+            impossible = impossible or severity == "error"
             yield found(f"link {name}", problem, expected, severity)
         for problem in [] if in_cell else _mesh_faults(robot, link):
             yield found(f"link {name}", problem, "a readable mesh")
     if not errors:
         try:
-            kinematics(ElementTree.tostring(robot.robot, encoding="unicode"), path)
-        except ProgramError as error:
+            text = ElementTree.tostring(robot.robot, encoding="unicode")
+            kinematics(text, path)
+            for difference in [] if impossible else two_readers.differences(text, {}, shapes=False):
+                yield found(*difference)
+        except RtcError as error:
             yield found("robot", str(error).removeprefix(f"{path}: "))
 
 
@@ -272,6 +288,11 @@ def _joint(robot: RobotFile, name: str) -> Iterator[Row]:
         return
     if robot.type(name) != "continuous" and lower == upper:
         yield f"its limits are {lower:g} and {upper:g}", "lower below upper, in rad or m", "error"
+    soft = joint.find("safety_controller")
+    if soft is not None and (narrow := urdf_values.soft_limits(joint, soft)) is not None:
+        low, high = narrow
+        problem = f"its soft limits {low:g} and {high:g} are not kept; its limits are {lower:g} and {upper:g}"
+        yield problem, f'<limit lower="{low:g}" upper="{high:g}" .../>', "warning"
     if robot.type(name) == "revolute" and max(abs(lower), abs(upper)) > 4 * math.pi:
         yield f"its limits are {lower:g} and {upper:g} rad: degrees?", "radians", "warning"
 
@@ -334,9 +355,8 @@ def _mesh_faults(robot: RobotFile, link: ElementTree.Element) -> Iterator[str]:
         except ProgramError as error:
             yield str(error).removeprefix(f"{robot.path}: ")
             continue
-        size = float((points.max(axis=0) - points.min(axis=0)).max())
-        if size > LARGE_M:
-            yield f'the mesh {mesh.get("filename")} is {size:.0f} m long: if in mm, give it scale="0.001 0.001 0.001"'
+        if wrong := implausible(points, str(mesh.get("filename"))):
+            yield wrong
 
 
 def _srdf(path: Path, urdf: Path) -> Iterator[Finding]:

@@ -88,6 +88,8 @@ def _chain(arm: Arm, model: Urdf) -> Problems:
             "joints",
             f"the joints that move {arm.tcp_link} are {', '.join(moving)}; named are {', '.join(arm.joints)}",
         )
+    for joint in (one for one in arm.joints if model.joints[one].find("mimic") is not None):
+        yield "joints", f"{joint} mimics another joint, which no motor of an arm does: remove its <mimic>"
     others = [joint for joint in model.joints if model.type(joint) in MOVING and joint not in arm.joints]
     loose = [joint for joint in others if joint not in arm.gripper.finger_joints]
     if loose:

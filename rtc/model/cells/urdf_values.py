@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element
 
 MOVING = ("revolute", "continuous", "prismatic")
 TYPES = (*MOVING, "fixed")
+AXIS_SLACK = 1e-4  # of the length of an axis: 0.7071 0.7071 0 is well, 0.707 0.707 0 is half a milliradian off
 LONG_M = 20.0  # a greater offset of a joint is probably in millimetres
 POSE = {"xyz": 3, "rpy": 3}
 INERTIA = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1)
@@ -73,6 +74,20 @@ def too_long(robot: Element) -> Fault | None:
     return Fault(where, f"it states a length of {longest:g} m: is it in millimetres?", "metres")
 
 
+def soft_limits(joint: Element, soft: Element) -> tuple[float, float] | None:
+    """The limits of a <safety_controller> within those of its joint; None: they are not narrower, or not stated."""
+    limit = joint.find("limit")
+    if limit is None or joint.get("type") == "continuous":
+        return None
+    hard = [(_values(limit, key) or [0.0])[0] for key in ("lower", "upper")]
+    stated = [_values(soft, key) for key in ("soft_lower_limit", "soft_upper_limit")]
+    if not all(stated):
+        return None
+    low, high = (one[0] for one in stated if one)
+    low, high = max(low, hard[0]), min(high, hard[1])
+    return (low, high) if low < high and (low > hard[0] or high < hard[1]) else None
+
+
 Row = tuple[str, str]  # problem, expected
 
 
@@ -127,8 +142,14 @@ def _of_joint(joint: Element, robot: Element) -> Iterator[Row]:
         yield f"its type is {kind or 'missing'}", f"one of {', '.join(TYPES)}"
     for axis in joint.findall("axis"):
         values = _values(axis, "xyz")
-        if kind in MOVING and values is not None and len(values) == 3 and not math.hypot(*values) > 1e-9:
+        if kind not in MOVING or values is None or len(values) != 3:
+            continue
+        length = math.hypot(*values)
+        if not length > 1e-9:
             yield f'<axis xyz="{axis.get("xyz")}"> has no direction', "a unit vector, such as 0 0 1"
+        elif abs(length - 1.0) > AXIS_SLACK:
+            unit = " ".join(f"{value / length:.6g}" for value in values)
+            yield f'<axis xyz="{axis.get("xyz")}"> has the length {length:.6g}', f'of unit length: <axis xyz="{unit}"/>'
     limit, mimic = joint.find("limit"), joint.find("mimic")
     if limit is not None and kind in ("revolute", "prismatic"):
         lower, upper = ((_values(limit, key) or [0.0])[0] for key in ("lower", "upper"))

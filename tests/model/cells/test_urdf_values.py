@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from rtc.apps.authoring.adapt import adapt
+from rtc.apps.authoring.adapt import adapt, normalise
 from rtc.apps.authoring.review import review
 from rtc.apps.authoring.robot_file import RobotFile, kinematics
 from rtc.model.cells import model_checks, urdf_values
@@ -41,7 +42,7 @@ WRONG = [
     ('xyz="0 0 1"/><limit', 'xyz="0 0 0"/><limit', "joint turn", "unit vector"),
     ('xyz="0 0 1"/><limit', 'xyz="0 nan 0"/><limit', "joint turn", "three finite"),
     ('<origin xyz="0 0 1"', '<origin xyz="0 0"', "joint turn", "three finite"),
-    ('<origin xyz="0 0 1"', '<origin xyz="0 0 ${x}"', "joint turn", "three finite"),
+    ('<origin xyz="0 0 1"', '<origin xyz="0 0 x"', "joint turn", "three finite"),
     ('lower="-1"', 'lower="-inf"', "joint turn", "finite"),
     ('lower="-1"', 'lower="2"', "joint turn", "lower below upper"),
     ('type="revolute"', 'type="rotary"', "joint turn", "revolute"),
@@ -79,6 +80,33 @@ def test_check_and_new_and_up_state_its_place_and_what_is_expected(before, after
     assert expected in problems[0][1]
 
 
+@pytest.mark.parametrize(
+    ("xyz", "unit"), [("0 0 2", "0 0 1"), ("0 0.1 0", "0 1 0"), ("0 0.707 0.707", "0 0.707107 0.7")]
+)
+def test_an_axis_without_unit_length_is_an_error_of_a_cell_and_mended_in_a_new_one(xyz, unit, tmp_path):
+    """A simulator takes the length, too: the arm falls, or feels forces that are not there."""
+    text = ARM.replace('xyz="0 0 1"/><limit', f'xyz="{xyz}"/><limit', 1)
+    (fault,) = faults(text)
+    assert fault.where == "joint turn"
+    assert unit in fault.expected
+    cell = Cell.load("swapout")
+    arm = cell.arms[0]
+    assert unit in next(problem for _, problem in model_checks.problems([arm], {**cell.texts, arm.urdf: text}))
+    robot, notes = RobotFile(tmp_path / "arm.urdf", text), []
+    normalise(robot, notes)
+    assert faults(ElementTree.tostring(robot.robot, encoding="unicode")) == []
+    assert ["axis of turn" in note for note in notes] == [True]
+
+
+def test_the_axes_of_the_cells_of_the_project_have_unit_length():
+    for urdf in CELLS.glob("*/*.urdf"):
+        moving = (
+            joint for joint in ElementTree.fromstring(urdf.read_text()).iter("joint") if joint.get("type") != "fixed"
+        )
+        for axis in (axis for joint in moving for axis in joint.findall("axis")):
+            assert math.hypot(*map(float, axis.get("xyz").split())) == pytest.approx(1.0, abs=1e-9)
+
+
 def test_lengths_in_millimetres_are_suspected(tmp_path):
     file = tmp_path / "arm.urdf"
     file.write_text(ARM.replace('xyz="0 0 1"', 'xyz="0 0 333"', 1))
@@ -108,7 +136,7 @@ def test_what_the_kinematics_cannot_read_is_a_refusal(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("husky/husky.urdf", "joint imu_joint.*three finite"), ("pr2_gripper.urdf", "2 joints or more")]
+    ("name", "words"), [("husky/husky.urdf", "expand it first"), ("pr2_gripper.urdf", "2 joints or more")]
 )
 def test_published_models_that_are_not_arms_are_refused(name, words):
     with pytest.raises(ProgramError, match=words):
