@@ -6,15 +6,18 @@ Each change is a note for the user. Links and joints keep their names.
 from __future__ import annotations
 
 import copy
+import itertools
 import math
+import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from rtc.apps.authoring.hull import hull_of
-from rtc.apps.authoring.robot_file import PACKAGE, RobotFile
+from rtc.apps.authoring.robot_file import PACKAGE, RobotFile, implausible
 from rtc.language.alike import unknown
 from rtc.model.cells import urdf_values
 from rtc.model.cells.urdf import number, numbers, origin
@@ -26,11 +29,19 @@ from rtc.spatial.geometry import Array
 
 HAND = Path(__file__).with_name("hand.urdf")
 BELOW_TIP_M = 0.015  # distance of the tcp below the finger tips, at most a quarter of a finger
-TCP = "tcp"
+TCP, MOUNT = "tcp", "wrist_ft"
 GYRATION = 1.0  # greatest plausible radius of gyration, as a share of the size of a link
 INERTIA = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
 DEFAULT_EFFORT, DEFAULT_SPEED = 50.0, 1.0  # of a joint without a motor in the URDF
-SENSOR_WORDS = ("force", "torque", "ft_", "_ft", "wrench")
+#: whole words in the name of a fixed joint that is a wrist sensor
+SENSOR_WORDS = {"force", "torque", "ft", "fts", "wrench", "forcetorque", "ftsensor"}
+#: whole words in the name of a joint that opens a hand
+HAND_WORDS = {"gripper", "jaw", "jaws", "finger", "fingers", "thumb", "knuckle", "claw", "grip", "clamp", "pinch"}
+# The last joint of 24 published arms turns by 3.14 rad or more, the jaw of a hand by 0.55 to 2.2 rad; a finger slides
+# by 0.1 m or less, the last slide of a SCARA or portal by 0.2 m or more.
+JAW_RAD, FINGER_M = 2.6, 0.15
+FINGER_JOINTS = 4  # at most of one finger, beyond the palm
+ARM_JOINTS = 4  # a chain that branches beyond as many has fingers there
 DATA_PACKAGE = "pybullet_data"  # its visual meshes are named by package, so that a cell does not name a folder
 
 
@@ -63,13 +74,18 @@ def adapt(path: Path, folder: str, tip: str = "") -> AdaptedArm:
     Raises ProgramError for a model that cannot be used, with the reason.
     """
     robot = RobotFile(path)
-    _refuse_wrong_values(robot)
     notes: list[str] = []
+    if tip:
+        _cut(robot, tip, notes)  # with the faults of what is beyond
+    normalise(robot, notes)
+    _refuse_wrong_values(robot)
     _separate_names(robot, notes)
     fingers = None if tip else _fingers(robot, notes)
     if fingers is None:
-        _cut(robot, tip or _deepest(robot), notes)
-        _mount_hand(robot, tip or _deepest(robot), notes)
+        end = tip or _end_of_arm(robot, notes)
+        if not tip:
+            _cut(robot, end, notes)
+        _mount_hand(robot, end, notes)
         fingers = ("finger_a_slide", "finger_b_slide")
     palm = robot.parent[fingers[0]]
     arm = AdaptedArm(robot, robot.moving_way(palm), palm, fingers, notes=notes)
@@ -94,6 +110,26 @@ def _refuse_wrong_values(robot: RobotFile) -> None:
         raise ProgramError(f"{robot.path}: {where}: {problem}; expected: {expected}{others}")
 
 
+def normalise(robot: RobotFile, notes: list[str]) -> None:
+    """Give each axis unit length: the direction is what a URDF means, and a simulator would take the length, too. Give
+    each material a name, without which a reader leaves out its link."""
+    for n, material in enumerate(robot.robot.iterfind("link/*/material")):
+        if not material.get("name"):
+            material.set("name", f"material_{n}")
+    for name, joint in robot.joints.items():
+        axis = joint.find("axis")
+        values = None if axis is None else urdf_values.parsed(axis.get("xyz", ""))
+        if axis is None or robot.type(name) not in MOVING or values is None or len(values) != 3:
+            continue
+        length = math.hypot(*values)
+        if not length > 1e-9 or length == 1.0:
+            continue
+        unit = " ".join(f"{value / length:.12g}" for value in values)
+        if abs(length - 1.0) > urdf_values.AXIS_SLACK:
+            notes.append(f"the axis of {name} has the length {length:.4g}: it is {unit} here")
+        axis.set("xyz", unit)
+
+
 def _separate_names(robot: RobotFile, notes: list[str]) -> None:
     """Rename joints that have the name of a link: pinocchio cannot tell their frames apart."""
     for name in [name for name in robot.joints if name in robot.links]:
@@ -113,33 +149,131 @@ def _separate_names(robot: RobotFile, notes: list[str]) -> None:
 def _fingers(robot: RobotFile, notes: list[str]) -> tuple[str, str] | None:
     """The two sliding joints of a parallel hand, or None. Other moving parts of a hand are refused."""
     slides = [j for j in robot.joints if robot.type(j) == "prismatic" and not _moves(robot, robot.child[j])]
-    for n, a in enumerate(slides):
-        for b in slides[n + 1 :]:
-            if robot.parent[a] == robot.parent[b] and robot.opposed(a, b):
-                return a, b
-    loose = [j for j in robot.joints if robot.joints[j].find("mimic") is not None]
+    pairs = [
+        (a, b)
+        for a, b in itertools.combinations(slides, 2)
+        if robot.parent[a] == robot.parent[b] and robot.moving_way(robot.parent[a]) and _opposed(robot, a, b, notes)
+    ]
+    if pairs:
+        palms = list(dict.fromkeys(robot.parent[a] for a, _ in pairs))
+        if palms[1:]:
+            notes.append(f"it has the hands {', '.join(palms)}: the arm of {palms[0]} is taken; see --tip")
+        return pairs[0]
+    loose = [j for j in robot.joints if robot.type(j) in MOVING and robot.joints[j].find("mimic") is not None]
     if loose:
-        raise ProgramError(
-            f"{robot.path}: its hand moves by {', '.join(loose[:3])}{' and others' if loose[3:] else ''}; a hand needs "
-            "two sliding fingers that open in opposite directions. Name the last link of the arm with --tip: all "
-            "beyond it is removed, and a parallel hand is mounted there"
-        )
-    notes.append("it has no hand with two sliding fingers: a parallel hand with a wrist sensor is mounted")
+        raise _not_a_hand(robot, f"{_few(loose)} mimic other joints, which no motor of an arm does", loose[0])
     return None
+
+
+def _opposed(robot: RobotFile, a: str, b: str, notes: list[str]) -> bool:
+    """Whether two sliding joints open a hand. One that opens with negative values is turned round."""
+    turned = [joint for joint in (a, b) if robot.limits(joint)[1] <= 0.0 and robot.limits(joint)[0] < 0.0]
+    directions = [
+        (-1.0 if joint in turned else 1.0) * (robot.placement(joint)[:3, :3] @ robot.axis(joint)) for joint in (a, b)
+    ]
+    if float(np.linalg.norm(directions[0] + directions[1])) >= 1e-3:
+        return False
+    for name in turned:
+        joint, (low, high) = robot.joints[name], robot.limits(name)
+        axis, limit = joint.find("axis"), joint.find("limit")
+        assert limit is not None
+        axis = ElementTree.SubElement(joint, "axis") if axis is None else axis
+        axis.set("xyz", " ".join(f"{0.0 - value:.12g}" for value in robot.axis(name)))
+        limit.set("lower", f"{-high + 0.0:.12g}")
+        limit.set("upper", f"{-low:.12g}")
+        notes.append(f"{name} opens with negative values: its axis is turned round")
+    return True
+
+
+def _end_of_arm(robot: RobotFile, notes: list[str]) -> str:
+    """The last link of the longest chain of moving joints: the farthest fixed frame beyond its last joint is not.
+
+    Raises ProgramError if it ends in what may be a hand, or if several chains are as long.
+    """
+    chains = _chains(robot)
+    if not chains:
+        raise ProgramError(f"{robot.path}: it has no joint that moves")
+    chain, last = chains[0], chains[0][-1]
+    if len(chain) < MIN_JOINTS:
+        return robot.child[last]
+    ends = [_before_hand(robot, one[-1]) for one in chains if len(one) == len(chain)]
+    if len(set(ends)) > 1:
+        raise ProgramError(
+            f"{robot.path}: it has {len(set(ends))} chains of joints that are as long. Name the last link of the arm "
+            f"with --tip: {_few(list(dict.fromkeys(ends)))}"
+        )
+    if ends[0] != robot.child[last]:
+        first = next(joint for joint in chain if robot.parent[joint] == ends[0])
+        raise _not_a_hand(robot, f"{_few(_beyond(robot, ends[0]))} may be a hand", first)
+    low, high = robot.limits(last)
+    slides = robot.type(last) == "prismatic"
+    if len(chain) > MIN_JOINTS and 0.0 < high - low < (FINGER_M if slides else JAW_RAD):
+        way = f"slides by {1e3 * (high - low):.0f} mm" if slides else f"turns by {math.degrees(high - low):.0f} deg"
+        why = f"its last joint {last} {way} only, as a jaw does and no wrist"
+        raise _not_a_hand(robot, why, last, f", or --tip {robot.child[last]} if it belongs to the arm")
+    others = [robot.child[one[-1]] for one in chains[1:]]
+    if others:
+        notes.append(f"the longest chain is taken for the arm, to {robot.child[last]}; others end at {_few(others)}")
+    notes.append("it has no hand with two sliding fingers: a parallel hand with a wrist sensor is mounted")
+    return robot.child[last]
+
+
+def _chains(robot: RobotFile) -> list[list[str]]:
+    """The moving joints from the base to each end, the longest chain first."""
+    ends = [j for j in robot.joints if robot.type(j) in MOVING and not _moves(robot, robot.child[j])]
+    return sorted((robot.moving_way(robot.child[joint]) for joint in ends), key=len, reverse=True)
+
+
+def _beyond(robot: RobotFile, link: str) -> list[str]:
+    """The moving joints that a link carries."""
+    below = set(robot.below(link))
+    return [joint for joint in robot.joints if robot.parent[joint] in below and robot.type(joint) in MOVING]
+
+
+def _before_hand(robot: RobotFile, joint: str) -> str:
+    """The link before the first joint on the way to `joint` that may open a hand; else the link of `joint`.
+
+    A hand has several fingers; or its name says it; or one of its joints mimics another. Several chains are fingers
+    if an arm is before them, or if they have few joints. A word of all joints is the name of the robot.
+    """
+    way, chains = robot.moving_way(robot.child[joint]), _chains(robot)
+    of_all = set.intersection(*(set(words(one)) for chain in chains for one in chain))
+    for place, one in enumerate(way):
+        beyond = [chain[place:] for chain in chains if chain[:place] == way[:place] and chain[place:]]
+        branches = len({chain[0] for chain in beyond}) > 1
+        several = branches and (place >= ARM_JOINTS or (place > 0 and max(map(len, beyond)) <= FINGER_JOINTS))
+        named = HAND_WORDS & (set(words(one)) - of_all)
+        if several or named or robot.joints[one].find("mimic") is not None:
+            return robot.parent[one]
+    return robot.child[joint]
+
+
+def _not_a_hand(robot: RobotFile, why: str, joint: str, otherwise: str = "") -> ProgramError:
+    """The refusal of a hand that is not understood. `joint`: of it; `otherwise`: what else the user may name."""
+    tip = _before_hand(robot, joint)
+    tip = robot.parent[joint] if tip == robot.child[joint] else tip
+    such = f", such as --tip {tip}{otherwise}" if robot.moving_way(tip) else ""
+    return ProgramError(
+        f"{robot.path}: {why}; a hand needs two sliding fingers that open in opposite directions. Name the last link "
+        f"of the arm with --tip{such}: all beyond it is removed, and a parallel hand is mounted there"
+    )
+
+
+def words(name: str) -> list[str]:
+    """The words of a name, in small letters: they end at _ - . digits, and before a capital letter."""
+    parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)
+    return [part.lower() for part in parts]
+
+
+def _few(names: Sequence[str]) -> str:
+    more = len(names) - 3
+    return ", ".join(names[:3]) + (f" and {more} other{'s' if more > 1 else ''}" if more > 0 else "")
 
 
 def _moves(robot: RobotFile, link: str) -> bool:
     """Whether a link carries a joint that moves."""
     below = set(robot.below(link))
     return any(robot.type(joint) in MOVING for joint, parent in robot.parent.items() if parent in below)
-
-
-def _deepest(robot: RobotFile) -> str:
-    """The last link of the longest chain of moving joints: the farthest fixed frame beyond its last joint is not."""
-    ends = [robot.child[joint] for joint in robot.joints if robot.type(joint) in MOVING]
-    if not ends:
-        raise ProgramError(f"{robot.path}: it has no joint that moves")
-    return max(ends, key=lambda link: len(robot.moving_way(link)))
 
 
 def _cut(robot: RobotFile, tip: str, notes: list[str]) -> None:
@@ -169,7 +303,7 @@ def _mount_hand(robot: RobotFile, tip: str, notes: list[str]) -> None:
     if float(_before(robot, tip) @ axis) > 0.0:
         axis = -axis
     reach = max([0.0, *(float((points @ axis).max()) for points in _points(robot, tip))])
-    mount = ElementTree.SubElement(robot.robot, "joint", name="wrist_ft", type="fixed")
+    mount = ElementTree.SubElement(robot.robot, "joint", name=MOUNT, type="fixed")
     ElementTree.SubElement(mount, "parent", link=tip)
     ElementTree.SubElement(mount, "child", link="sensor")
     roll, pitch, yaw = geometry.to_rpy(geometry.from_matrix(_looking_along(axis, reach * axis))).tolist()
@@ -224,8 +358,15 @@ def _tidy(arm: AdaptedArm) -> None:
             arm.notes.append(f"{name} moves neither the hand nor a finger: it is fixed at 0")
             continue
         if (mimic := joint.find("mimic")) is not None:
+            if name in arm.joints:
+                raise ProgramError(
+                    f"{robot.path}: joint {name} mimics {mimic.get('joint')}: a joint of the arm needs a motor of its "
+                    f"own. Remove its <mimic> if it has one, or name a link before it with --tip, such as --tip "
+                    f"{robot.parent[name]}"
+                )
             joint.remove(mimic)
-            arm.notes.append(f"{name} mimics another joint: it gets a motor of its own")
+            arm.notes.append(f"the finger {name} mimics another joint: it gets a motor of its own")
+        _soft_limits(arm, name, joint)
         if robot.type(name) == "continuous":
             joint.set("type", "revolute")
             limit = joint.find("limit")
@@ -243,6 +384,20 @@ def _tidy(arm: AdaptedArm) -> None:
             link.remove(inertial)
             if name != robot.root and name in {robot.child[joint] for joint in kept}:
                 arm.notes.append(f"link {name} has no mass: state one in the URDF, its joint moves nothing")
+
+
+def _soft_limits(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None:
+    """The limits of a <safety_controller>, which no reader here keeps, instead of the wider ones of <limit>."""
+    soft, limit = joint.find("safety_controller"), joint.find("limit")
+    if soft is None:
+        return
+    joint.remove(soft)
+    narrow = urdf_values.soft_limits(joint, soft)
+    if narrow is None or limit is None:
+        return
+    for key, value in zip(("lower", "upper"), narrow, strict=True):
+        limit.set(key, f"{value:.9g}")
+    arm.notes.append(f"the soft limits of {name} are its limits here: {narrow[0]:g} and {narrow[1]:g}")
 
 
 def _made_possible(inertial: ElementTree.Element | None) -> bool:
@@ -333,7 +488,10 @@ def _meshes(arm: AdaptedArm, folder: str) -> None:
             mesh = collision.find("geometry/mesh")
             if mesh is None:
                 continue
-            hull = hull_of(robot.vertices(mesh), f"{name}, collision {n}")
+            points = robot.vertices(mesh)
+            if wrong := implausible(points, str(mesh.get("filename"))):
+                raise ProgramError(f"{robot.path}: link {name}: {wrong}")
+            hull = hull_of(points, f"{name}, collision {n}")
             file = f"{folder}/{name}{f'-{n}' if n else ''}.obj"
             arm.hulls[file] = hull.text
             worst_m = max(worst_m, hull.left_out_m)
@@ -420,9 +578,13 @@ def _outline(arm: AdaptedArm, link: str) -> list[Array]:
 
 
 def _sensor(arm: AdaptedArm) -> str | None:
-    """A fixed joint on the way to the palm that is a sensor by its name; None: joint torques measure contact."""
-    fixed = [joint for joint in arm.robot.way_to(arm.palm) if arm.robot.type(joint) == "fixed"]
-    found = next((joint for joint in fixed if any(word in joint.lower() for word in SENSOR_WORDS)), None)
+    """A fixed joint between the last moving joint and the palm that is a sensor by its name; None: joint torques
+    measure contact."""
+    way = arm.robot.way_to(arm.palm)
+    beyond = way[way.index(arm.joints[-1]) + 1 :]
+    found = next((joint for joint in beyond if SENSOR_WORDS & set(words(joint))), None)
     if found is None:
         arm.notes.append("it has no wrist sensor: contact is measured by joint torques (sensor_joint: null)")
+    elif found != MOUNT:
+        arm.notes.append(f"the fixed joint {found} is taken for the wrist sensor, by its name")
     return found

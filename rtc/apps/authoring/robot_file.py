@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -17,6 +18,11 @@ from rtc.spatial.geometry import Array
 
 PACKAGE = "package://"
 ANCESTORS = 4  # directories above a URDF in which the packages of its meshes are looked for
+LFS = b"version https://git-lfs"
+PULL = "fetch the file itself: git lfs pull"
+EXPAND = "expand it first: xacro FILE > arm.urdf"
+COLLADA_UNIT = re.compile(r"""<unit\b[^>]*?\bmeter\s*=\s*["']\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*["']""")
+LARGE_M, SMALL_M = 5.0, 0.0005  # a mesh of a link is between them
 Element = ElementTree.Element
 
 
@@ -27,11 +33,16 @@ class RobotFile(Urdf):
         """`text`: instead of that of the file."""
         self.path = path
         try:
-            robot = ElementTree.fromstring(path.read_text(encoding="utf-8") if text is None else text)
+            text = path.read_text(encoding="utf-8") if text is None else text
+            robot = ElementTree.fromstring(text)
         except OSError as error:
             raise ProgramError(f"cannot read {path}: {error.strerror}") from error
-        except (ElementTree.ParseError, UnicodeDecodeError) as error:
+        except UnicodeDecodeError as error:
             raise ProgramError(f"{path} is not XML: {error}") from error
+        except ElementTree.ParseError as error:
+            raise ProgramError(f"{path} {_why_not_xml(text or '') or f'is not XML: {error}'}") from error
+        if macro := _macro(robot):
+            raise ProgramError(f"{path} has {macro}: it is a xacro; {EXPAND}")
         if robot.tag != "robot":
             raise ProgramError(f"{path} is not a URDF: its outermost element is <{robot.tag}>, not <robot>")
         self.name = robot.get("name", path.stem)
@@ -100,11 +111,51 @@ class RobotFile(Urdf):
         file = self.mesh_file(name)
         if file is None:
             raise ProgramError(f"{self.path}: the mesh {name} is not found beside the URDF or in a package above it")
+        with file.open("rb") as opened:
+            if opened.read(len(LFS)) == LFS:
+                raise ProgramError(f"{self.path}: the mesh {file} is a Git LFS pointer; {PULL}")
+        scale = _unit_m(file) * np.array(numbers(mesh, "scale", (1.0, 1.0, 1.0)))
         try:
-            solid = coal.MeshLoader().load(str(file), np.array(numbers(mesh, "scale", (1.0, 1.0, 1.0))))
+            solid = coal.MeshLoader().load(str(file), scale)
         except (RuntimeError, ValueError) as error:
             raise ProgramError(f"{self.path}: the mesh {file} cannot be read: {error}") from error
         return np.array(solid.vertices())
+
+
+def _why_not_xml(text: str) -> str:
+    """The cause, if it is a known one."""
+    if text.startswith(LFS.decode()):
+        return f"is a Git LFS pointer; {PULL}"
+    return f"is a xacro; {EXPAND}" if "<xacro:" in text or "xmlns:xacro" in text else ""
+
+
+def _macro(robot: Element) -> str:
+    """What a xacro has and a URDF has not: the first of its elements or expressions; or ''."""
+    for element in robot.iter():
+        if "xacro}" in str(element.tag):
+            return f"<xacro:{str(element.tag).partition('}')[2]}>"
+        for key, value in element.attrib.items():
+            if "${" in value or "$(" in value:
+                return f'<{element.tag} {key}="{value}">'
+    return ""
+
+
+def implausible(points: Array, mesh: str) -> str:
+    """Why the vertices of a mesh cannot be those of a link of an arm; or ''."""
+    size_m = float((points.max(axis=0) - points.min(axis=0)).max())
+    if size_m > LARGE_M:
+        return f'the mesh {mesh} is {size_m:.0f} m long: if it is in mm, give it scale="0.001 0.001 0.001"'
+    if size_m < SMALL_M:
+        return f"the mesh {mesh} is {1e3 * size_m:.2g} mm long: if it is in m, it needs no scale"
+    return ""
+
+
+def _unit_m(file: Path) -> float:
+    """The unit of a COLLADA file, which coal leaves out; 1 for other files."""
+    if file.suffix.lower() != ".dae":
+        return 1.0
+    found = COLLADA_UNIT.search(file.read_text(encoding="utf-8", errors="replace"))
+    return float(found[1]) if found is not None else 1.0
 
 
 def _package(name: str) -> list[str]:

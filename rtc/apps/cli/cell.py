@@ -47,7 +47,7 @@ def check(
     path = _file(file)
     findings, cell = review(path)
     errors = sum(one.severity == "error" for one in findings)
-    why = "" if out is None else _draw_checked(path, cell, errors, out, camera)
+    why = "" if out is None else _why_not_drawn(path, cell, errors, out, camera)
     drawn = str(out) if out is not None and not why else ""
     if json:
         emit_json({"file": str(path), "errors": errors, "findings": msgspec.to_builtins(findings), "picture": drawn})
@@ -128,6 +128,14 @@ def _write(files: dict[Path, str]) -> None:
     for one, text in files.items():
         one.parent.mkdir(parents=True, exist_ok=True)
         one.write_text(text, encoding="utf-8")
+
+
+def _why_not_drawn(path: Path, cell: Cell | None, errors: int, out: Path, camera: str) -> str:
+    """As `_draw_checked`, with the reason if the renderer is late or has ended: the findings are there all the same."""
+    try:
+        return _draw_checked(path, cell, errors, out, camera)
+    except RtcError as error:
+        return str(error)
 
 
 def _draw_checked(path: Path, cell: Cell | None, errors: int, out: Path, camera: str) -> str:
