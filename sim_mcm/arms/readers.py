@@ -150,9 +150,9 @@ class _Both:
             elif info[PARENT] in owner:
                 name, at = owner[info[PARENT]]
                 owner[n] = (name, at * self._fixed_pose(n))
-            if n in owner and mass > 0.0:
+            if n in owner:
                 name, at = owner[n]
-                own = pin.Inertia(mass, np.zeros(3), np.diag(diagonal))
+                own = pin.Inertia(max(mass, 1e-12), np.zeros(3), np.diag(diagonal))
                 bodies[name] += at.act(pin.SE3(geometry.to_matrix([*com, *turn])).act(own))
         for joint in self._moving:
             mine, theirs = self._model.inertias[self._model.getJointId(joint.name)], bodies[joint.name]
