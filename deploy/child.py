@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from deploy.restarts import Death
-from rtc.runtime.process import ALIVE, NOTE, READY, die_with_parent, now_s, usage
+from rtc.runtime.process import ALIVE, CALLS, NOTE, READY, die_with_parent, now_s, usage
 
 LOG_LIMIT = 10 << 20  # bytes; a longer log is copied to NAME.log.1 and truncated
 REMEMBERED_DEATHS = 100  # maximum number of recorded deaths
@@ -114,6 +114,7 @@ class Child:
         self.worked_s = 0.0  # processor time since its last output or change of state
         self.stopped_since_s = 0.0  # stopped by a signal since then; 0 = not stopped
         self.restarts = 0
+        self.called = ""  # the last code of a package that it has announced to call
         self.notes: deque[str] = deque(maxlen=NOTES_KEPT)  # its last notes for people, over all restarts
         self._news: list[str] = []  # notes not yet returned by take_news
         self.was_ready = False  # before any of its restarts
@@ -165,7 +166,7 @@ class Child:
         os.set_blocking(self.output_fd, False)
         if self.line:
             self.line.pid = self.pid
-        self._line, self.output_over, self._total_s = b"", False, 0.0
+        self._line, self.output_over, self._total_s, self.called = b"", False, 0.0, ""
         self.become(ProcessState.STARTING)
 
     def _run(self, output: int, log: int, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
@@ -182,13 +183,15 @@ class Child:
         )
 
     def read_output(self) -> bool:
-        """Reads its output; True if it contains `ready`. Lines other than `ready`, `alive` and notes go to its log."""
+        """Reads its output; True if it contains `ready`. Lines of other kinds than those of the head go to its log."""
         output = self._read()
         self.last_output_s, self.worked_s = now_s(), 0.0
         *lines, self._line = (self._line + output).split(b"\n")
         noted = [line for line in lines if line.startswith(NOTE)]
         self._news += [line.removeprefix(NOTE).decode(errors="replace") for line in noted]
-        other = [line for line in lines if line.strip() not in (READY, ALIVE) and line not in noted]
+        calls = [line for line in lines if line.startswith(CALLS)]
+        self.called = calls[-1].removeprefix(CALLS).decode(errors="replace") if calls else self.called
+        other = [line for line in lines if line.strip() not in (READY, ALIVE) and line not in (*noted, *calls)]
         if other:
             with contextlib.suppress(OSError), open_log(self.log) as log:
                 log.write(b"\n".join([*other, b""]))
@@ -226,7 +229,11 @@ class Child:
                 signal.pidfd_send_signal(self.exited_fd, number)
 
     def reap(self) -> int:
-        """Its exit status, negative for a signal. To be called when `exited_fd` is readable."""
+        """Its exit status, negative for a signal. To be called when `exited_fd` is readable.
+
+        What it has started ends with it: each process of a cluster is the leader of a group."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, signal.SIGKILL)
         if self._popen is not None:
             status = self._popen.wait()
         else:

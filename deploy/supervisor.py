@@ -339,7 +339,7 @@ class Supervisor:
             return
         child.deaths.append(Death(now_s(), was_ready=state == ProcessState.READY, lived_s=lived_s))
         delay = delay_s(self._policy, [*child.deaths], child.was_ready) if self._up else None
-        self._send(m.ProcessExited(name=name, pid=pid, status=status))
+        self._send(m.ProcessExited(name=name, pid=pid, status=status, called=child.called))
         if not self._up:
             raise ClusterError(f"{name} {in_words(status)} before the cluster was ready.\n{_log_of(child)}")
         self._schedule_restart(child, f"{name} {in_words(status)}", delay)

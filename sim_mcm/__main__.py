@@ -15,11 +15,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rtc.model.cells.cell import Cell
+from rtc.plugins import registry
 from rtc.protocol import messages as m
 from rtc.protocol.subsystems import ARMS
 from rtc.runtime import fork_server, handover, process
 from rtc.runtime.memory_guard import MemoryGuard
 from rtc.runtime.settings import Settings
+from rtc.subsystems.base.item_process import ItemProcess
+from rtc.subsystems.base.report_items import measured
 from rtc.subsystems.base.subsystem import BROKER, Outgoing
 from rtc.subsystems.motion.arm import Simulation
 from rtc.subsystems.motion.subsystem import McmSubsystem
@@ -73,7 +76,8 @@ class Station:
         self._state_file = StateFile(settings.path, settings.run, name)
         if (before := self._state_file.load()) is not None:
             simulation.restore(before)
-        self._subsystem = McmSubsystem(self._simulation.arms, name, os.getpid())
+        measure = ItemProcess().measure if registry.names(registry.REPORT_ITEMS) else measured
+        self._subsystem = McmSubsystem(self._simulation.arms, name, os.getpid(), measure)
         self._faults = Injections(self._simulation.cell, self._simulation, self._subsystem.executors)
         self._sockets = Sockets(me, settings, name, given.identity(name))
         self._clock = Clock(settings.speed, process.now_s())

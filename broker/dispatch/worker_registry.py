@@ -108,7 +108,7 @@ class LostJob(NamedTuple):
 class Worker:
     __slots__ = (
         *("abilities", "assigned", "done", "last_seen_s", "mean_s", "name", "node", "pid", "queue"),
-        *("progress_at_s", "retiring", "since_s", "worked_s"),
+        *("inside", "progress_at_s", "retiring", "since_s", "worked_s"),
     )
 
     def __init__(self, name: str, node: int, queue: str, pid: int, now: float, abilities: Sequence[str] = ()) -> None:
@@ -116,6 +116,7 @@ class Worker:
         self.assigned: dict[str, DispatchJob] = {}  # jobs in order; the first is in progress
         self.since_s = now  # time when the first job began
         self.worked_s = 0.0  # processor time that it has reported for the first job
+        self.inside = ""  # the code of an installed package that ran in its latest sign of life
         self.progress_at_s = now  # time when `worked_s` last rose, or of `since_s`
         self.last_seen_s = now
         self.done = 0
@@ -161,13 +162,13 @@ class WorkerRegistry:
             return []
         return [LostJob(job, in_hand=first == 0) for first, job in enumerate(worker.assigned.values())]
 
-    def mark_alive(self, name: str, now: float, worked_s: float = 0.0) -> bool:
+    def mark_alive(self, name: str, now: float, worked_s: float = 0.0, inside: str = "") -> bool:
         """Record a sign of life. `worked_s`: processor time of the job in progress. False: the worker is not registered
         and must send its hello."""
         worker = self.workers.get(name)
         if worker is None:
             return False
-        worker.last_seen_s = now
+        worker.last_seen_s, worker.inside = now, inside
         if worker.assigned and worked_s - worker.worked_s >= PROGRESS_S:
             worker.worked_s = worked_s
             worker.progress_at_s = self.active_at_s[worker.queue] = now
@@ -179,7 +180,7 @@ class WorkerRegistry:
         if worker is None:
             return False
         worker.last_seen_s = worker.since_s = worker.progress_at_s = self.active_at_s[worker.queue] = now
-        worker.worked_s = 0.0  # the next of its jobs is in progress
+        worker.worked_s, worker.inside = 0.0, ""  # the next of its jobs is in progress
         assigned = worker.assigned.get(job)
         if assigned is None or assigned.attempt != attempt:  # a late result of an earlier attempt
             return False
@@ -224,7 +225,7 @@ class WorkerRegistry:
     def hung(self, now: float) -> list[tuple[Worker, str]]:
         """Workers without progress or without a sign of life, each with the evidence."""
         found = ((worker, _why_hung(worker, now)) for worker in self.workers.values())
-        return [(worker, f"hung: {why}") for worker, why in found if why]
+        return [(worker, f"hung: {why}{_inside(worker)}") for worker, why in found if why]
 
     def never_registered(self, name: str, ready_since_s: float, now: float) -> bool:
         """True if a ready worker process has not registered in time: it hung before this broker started.
@@ -246,6 +247,10 @@ class WorkerRegistry:
                 queue.drop(job.job)
             expired += late
         return expired
+
+
+def _inside(worker: Worker) -> str:
+    return f", in the {worker.inside} of an installed package" if worker.inside else ""
 
 
 def _why_hung(worker: Worker, now: float) -> str:

@@ -45,7 +45,8 @@ class SupervisorMessages:
         core.me.log.warning("%.80r (pid %d) %s", name, message.pid, in_words(message.status))
         worker = core.registry.workers.get(name)
         if worker is not None and worker.pid == message.pid:
-            core.lose_jobs(name, core.registry.remove(name), f"exit status {message.status}", now)
+            called = f", after it called the {message.called} of an installed package" if message.called else ""
+            core.lose_jobs(name, core.registry.remove(name), f"exit status {message.status}{called}", now)
         subsystem = core.state.subsystems.get(name)
         if subsystem is not None and subsystem.pid == message.pid:
             why = f"its process {in_words(message.status)}"

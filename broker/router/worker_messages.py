@@ -36,7 +36,7 @@ class WorkerMessages:
             self._request_hello(peer)
 
     def _mark_alive(self, peer: bytes, message: m.Heartbeat, now: float) -> None:
-        if not self._core.registry.mark_alive(name_of(peer), now, message.own_s):
+        if not self._core.registry.mark_alive(name_of(peer), now, message.own_s, message.inside):
             self._request_hello(peer)
         elif message.at_s:
             send(self._core.sockets["workers"], m.Heartbeat(name=message.name, at_s=message.at_s), peer)

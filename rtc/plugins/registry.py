@@ -7,9 +7,12 @@ it with the error.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from importlib.metadata import entry_points
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple
+
+from rtc.plugins import guard
 
 CONTROL_LAWS = "rtc.control_laws"
 REPORT_ITEMS = "rtc.report_items"
@@ -21,7 +24,19 @@ EVALUATORS = "rtc.evaluators"
 TRIMMERS = "rtc.trimmers"
 SENSORS = "rtc.sensors"
 PHASES = "rtc.phases"
-GROUPS = (CONTROL_LAWS, REPORT_ITEMS, PLANNERS, IK, TIMING, GRASP_PLANNERS, EVALUATORS, TRIMMERS, SENSORS, PHASES)
+#: group -> what one of it is called in messages
+GROUPS = {
+    CONTROL_LAWS: "control law",
+    REPORT_ITEMS: "report item",
+    PLANNERS: "planner",
+    IK: "IK solver",
+    TIMING: "timing",
+    GRASP_PLANNERS: "grasp planner",
+    EVALUATORS: "evaluator",
+    TRIMMERS: "trimmer",
+    SENSORS: "sensor",
+    PHASES: "phase",
+}
 
 
 class Loaded(NamedTuple):
@@ -29,24 +44,48 @@ class Loaded(NamedTuple):
     failed: Mapping[str, str]  # name -> why it cannot be loaded
 
 
+def guarded(group: str, name: str) -> AbstractContextManager[None]:
+    """The guard round a use of this entry point; see `rtc.plugins.guard`."""
+    return guard.guarded(f"{GROUPS[group]} {name}")
+
+
+@functools.cache
+def _entries(group: str) -> Sequence[EntryPoint]:
+    """In the order of their names. They are read from the disk once in a process."""
+    return sorted(entry_points(group=group), key=lambda one: one.name)
+
+
+def look_again() -> None:
+    """Forget what was found: packages have been installed since."""
+    _entries.cache_clear()
+    loaded.cache_clear()
+
+
 @functools.cache
 def loaded(group: str) -> Loaded:
     """All entry points of a group. Each is imported once in a process."""
     found: dict[str, Any] = {}
     failed: dict[str, str] = {}
-    for entry in sorted(entry_points(group=group), key=lambda one: one.name):
+    for entry in _entries(group):
         try:
-            found[entry.name] = entry.load()
-        except Exception as error:  # code of others
-            failed[entry.name] = f"{entry.value}: {type(error).__name__}: {error}"
+            with guarded(group, entry.name):
+                found[entry.name] = entry.load()
+        except guard.PluginError as error:
+            failed[entry.name] = f"{entry.value} {error.problem}"
     return Loaded(found, failed)
 
 
 def names(group: str) -> set[str]:
     """The names of the group, without an import of their packages."""
-    return {entry.name for entry in entry_points(group=group)}
+    return {entry.name for entry in _entries(group)}
 
 
 def installed(group: str) -> Mapping[str, Any]:
     """What the group offers, by name."""
     return loaded(group).found
+
+
+def why_missing(group: str, name: str) -> str:
+    """Why this name cannot be used: no package has it, or its package cannot be loaded. Empty: it can."""
+    found, failed = loaded(group)
+    return "" if name in found else failed.get(name, "no installed package has it")

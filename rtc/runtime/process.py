@@ -11,7 +11,8 @@
 SIGTERM, SIGINT and SIGHUP only set `stopping` and wake `wait` (or any poll that holds `me.wake_fd`); the loop ends by
 itself.
 Logs go to stderr, which the supervisor writes to a file in the run directory. Stdout carries `ready` once, then `alive`
-every second while the loop runs, and `note` lines with messages for people. From these the supervisor knows which
+every second while the loop runs, `note` lines with messages for people, and `calls` lines with code of packages that
+may end the process. From these the supervisor knows which
 processes are ready and which one hangs. The parent calls `die_with_parent` in each child that it forks, so that the
 kernel kills the child with its parent. A process with arms to stop or outcomes to send calls `Process.end_with_parent`
 instead. This module knows neither messages nor kinds of processes.
@@ -41,7 +42,7 @@ from rtc.protocol import wire
 from rtc.runtime.priority import may_be_real_time
 from rtc.runtime.settings import Bounds
 
-READY, ALIVE, NOTE = b"ready", b"alive", b"note "
+READY, ALIVE, NOTE, CALLS = b"ready", b"alive", b"note ", b"calls "
 BEAT_S = 1.0
 IPC = "ipc://"
 QUEUE_LENGTH = (
@@ -197,6 +198,12 @@ class Process:
         self.log.warning("%s", words)
         with contextlib.suppress(OSError):
             os.write(sys.stdout.fileno(), NOTE + words.replace("\n", " ").encode() + b"\n")
+
+    def calls(self, name: str) -> None:
+        """Tell the supervisor what code of an installed package is about to run: it may end the process at once."""
+        if self._watched.poll(0):
+            with contextlib.suppress(OSError):
+                os.write(sys.stdout.fileno(), CALLS + name.encode() + b"\n")
 
     def beat(self, now: float) -> None:
         """Report to the supervisor, every second, that the loop runs. Never blocks: skipped if the pipe is full.

@@ -161,6 +161,9 @@ class BulletArm:
     def jacobian(self, joints: Sequence[float]) -> Array:
         return self._model.jacobian(joints)
 
+    def fault(self) -> str:
+        return self._servo.fault
+
     def untouched(self) -> bool:
         return not self._world.in_contact or not (self.touches() or self.arm_touches())
 

@@ -6,11 +6,13 @@ A law computes joint torques from the wanted and the measured motion. The projec
     factory(model: pin.Model, gains: dict[str, float]) -> Law        raises ValueError for unacceptable gains
 
 `model` is the arm without fingers, with a share of the primitive's load. It has no gravity: the servo adds the weight.
-A law must not know sockets, samples or primitives.
+A law must not know sockets, samples or primitives. One of a package that fails is replaced by `position` at once, and
+the primitive ends.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
@@ -21,6 +23,7 @@ import pinocchio as pin
 from rtc.language.alike import unknown
 from rtc.model.robot.kinematics import ArmModel
 from rtc.plugins import registry
+from rtc.plugins.guard import PluginError
 from rtc.protocol.primitive import ControlLaw
 from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import Motion
@@ -95,7 +98,35 @@ def make(law: ControlLaw, arm: ArmModel, laws: Mapping[str, Factory]) -> Law:
         return _impedance(law, arm, model)
     if law.compliance is not None:
         raise ValueError(f"control law {law.name} has no compliance; {IMPEDANCE} has")
-    return laws[law.name](model, law.gains)
+    if law.name not in registry.installed(registry.CONTROL_LAWS):
+        return laws[law.name](model, law.gains)
+    try:
+        with registry.guarded(registry.CONTROL_LAWS, law.name):
+            return Installed(law.name, laws[law.name](model.copy(), dict(law.gains)), ComputedTorque(arm.model, {}))
+    except PluginError as error:
+        raise ValueError(str(error)) from None
+
+
+class Installed:
+    """A law of a package. From its first failure on `own` holds the arm on its way, and `failed` states the failure."""
+
+    def __init__(self, name: str, law: Law, own: Law) -> None:
+        self._name, self._law, self._own = name, law, own
+        self.failed = ""
+
+    def torque(self, wanted: Motion, q: list[float], v: list[float]) -> list[float]:
+        own = self._own.torque(wanted, q, v)
+        if self.failed:
+            return own
+        try:
+            with registry.guarded(registry.CONTROL_LAWS, self._name):
+                found = [float(part) for part in self._law.torque(tuple(map(list, wanted)), [*q], [*v])]  # type: ignore[arg-type]
+                if len(found) != len(own) or not all(map(math.isfinite, found)):
+                    raise ValueError(f"expected are {len(own)} finite torques")
+        except PluginError as error:
+            self.failed = str(error)
+            return own
+        return found
 
 
 def _impedance(law: ControlLaw, arm: ArmModel, model: Any) -> Law:

@@ -307,6 +307,9 @@ class KinematicArm:
     def jacobian(self, joints: Sequence[float]) -> Array:
         return self._model.jacobian(joints)
 
+    def fault(self) -> str:
+        return ""
+
     def untouched(self) -> bool:
         return not self.arm_touches()
 

@@ -46,6 +46,11 @@ class Servo:
         self._name = law
         self._feel = getattr(self._law, "feel", None)
 
+    @property
+    def fault(self) -> str:
+        """How the present law has failed, or ''."""
+        return self._law.failed if isinstance(self._law, control_laws.Installed) else ""
+
     def feel(self, wrench: list[float]) -> None:
         """The wrench of this tick without its bias, for a law that controls forces."""
         if self._feel is not None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import signal
 import sys
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import zmq
@@ -151,6 +153,20 @@ def test_a_killed_process_is_reported_at_once_and_comes_back(cluster):
     assert exited == ProcessExited(name="binder@2", pid=before, status=-9)
     row = it.recv_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]
     assert (row["pid"] != before, row["restarts"]) == (True, 1)
+
+
+FORKS = "import os,signal; os.fork() and print('calls phase ODD\\nready', flush=True); signal.pause()"
+
+
+def test_what_a_process_has_forked_ends_with_it_and_its_last_call_is_reported(cluster):
+    it = cluster(spec("binder@2", FORKS, 2)).go()
+    pid = it.recv_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["pid"]
+    (child,) = map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
+    pidfd = os.pidfd_open(child)
+    os.kill(pid, signal.SIGKILL)
+    assert it.recv(ProcessExited) == ProcessExited(name="binder@2", pid=pid, status=-9, called="phase ODD")
+    assert select.select([pidfd], [], [], 10)[0]
+    os.close(pidfd)
 
 
 def test_a_process_in_a_crash_loop_is_held_back_reported_as_such_and_goes_on_trying(cluster):

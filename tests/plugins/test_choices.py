@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from rtc.model.cells.cell import Cell
 from rtc.plugins import registry
+from rtc.plugins.guard import PluginError
 from rtc.programs import loader
 from rtc.protocol.outcomes import ProgramError, RefusalReason, StopReason
 from rtc.sensing.detector import TagDetector
@@ -129,3 +131,47 @@ def test_a_sensor_adds_marks_to_a_picture(install: Install, cell: Cell, camera: 
     thread = CameraThread(cell, lambda: cameras)
     found = thread._evaluated(_Order(camera, {}), cameras, TagDetector())
     assert [mark.tag for mark in found.marks] == marks
+
+
+@pytest.mark.parametrize("code", ["raise SystemExit(1)", "return float('nan')", "return 'x'", "return None"])
+def test_an_evaluator_that_fails_is_named(install: Install, bench, code: str) -> None:  # noqa: F811
+    install(registry.EVALUATORS, "EVIL", "score", f"def score(option):\n    {code}\n")
+    with pytest.raises(PluginError, match="evaluator EVIL"):
+        bench.elaborate("STOW RIGHT-ARM")
+
+
+def test_a_trimmer_that_fails_is_named_and_the_next_one_is_asked(install: Install, bench) -> None:  # noqa: F811
+    install(registry.TRIMMERS, "EVIL", "choose", "def choose(data, entries):\n    raise SystemExit(1)\n")
+    bench.load("analyzer", "trimmers: [EVIL, stack]")
+    bench.subsystem.instead["C-1.5"] = StopReason.FORCE_LIMIT
+    done = bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    assert done.trims[:1] == [2]
+    assert any("trimmer EVIL" in one.message for one in done.assessments)
+
+
+MARK = "from rtc.sensing.detector import Mark\nimport numpy as np\n"
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["raise SystemExit(1)", "return [Mark(17, np.full((4, 2), np.nan))]", "return [Mark(1.5, np.ones((4, 2)))]"],
+)
+def test_a_sensor_that_fails_is_named_in_the_look(install: Install, cell: Cell, code: str) -> None:
+    install(registry.SENSORS, "EVIL", "find", f"{MARK}def find(camera, image):\n    {code}\n")
+    grey = np.full((48, 64, 3), 128, dtype=np.uint8)
+    cameras = SimpleNamespace(photograph=lambda *_: Photograph(1.0, [grey], None), release=lambda: None)
+    thread = CameraThread(cell, lambda: cameras)
+    thread.look("CAMERA-1")
+    assert select.select([thread.wake_fd], [], [], 20.0)[0]
+    found = thread.result().found
+    thread.close()
+    assert "sensor EVIL" in found.why
+
+
+@pytest.mark.parametrize("field", ["notes=[object()]", "steps=7", "notes=['\\ud800']"])
+def test_a_phase_whose_product_cannot_be_read_is_named(install: Install, bench, field: str) -> None:  # noqa: F811
+    code = f"from msgspec.structs import replace\ndef odd(data, product):\n    return replace(product, {field})\n"
+    install(registry.PHASES, "odd", "odd", code)
+    bench.load("elaborator", "phases: [odd]")
+    refused = bench.elaborate("STOW RIGHT-ARM")
+    assert (refused.reason, refused.where) == (RefusalReason.PROGRAM, "odd")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import msgspec
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.kinematics import ArmModel
 from rtc.plugins import registry
+from rtc.plugins.guard import PluginError
 from rtc.protocol.outcomes import ProgramError, Refused
 from rtc.spatial import geometry
 from tests.plugins.toy_packages import Install
@@ -127,4 +130,46 @@ def test_a_grasp_planner_adds_grasp_points_to_the_cell(install: Install) -> None
 def test_a_grasp_point_that_does_not_fit_is_refused_with_the_cell(install: Install, name: str) -> None:
     install(registry.GRASP_PLANNERS, "top", "grasps", GRASPS.format(name=name))
     with pytest.raises((ProgramError, ValueError)):
+        Cell.load("swapout")
+
+
+@pytest.mark.parametrize(
+    ("code", "fails"),
+    [
+        ("raise SystemExit(1)", True),
+        ("return 7", True),
+        ("return [[float('nan')] * 6]", False),
+        ("near[:] = 9.0; return [near]", False),
+    ],
+)
+def test_a_solver_that_fails_is_named(install: Install, cell: Cell, code: str, fails: bool) -> None:
+    """One that gives no posture is passed over; none changes what it is given."""
+    arm = ArmModel.of(cell, "RIGHT-ARM")
+    q = np.array(cell.arm("RIGHT-ARM").home_rad)
+    install(registry.IK, "EVIL", "solve", f"def solve(arm, target, near):\n    {code}\n")
+    before = q.copy()
+    with pytest.raises(PluginError, match="IK solver EVIL") if fails else nullcontext():
+        assert arm._added_ik(arm.fk(q), q, 0.0) == []
+    assert q.tolist() == before.tolist()
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "'text'",
+        "[1, 2]",
+        "replace(own, positions=own.positions * float('nan'))",
+        "replace(own, time_s=own.time_s[::-1])",
+        "replace(own, velocities=own.velocities[:, :2])",
+    ],
+)
+def test_a_timing_that_returns_no_timing_is_named(install: Install, right: ArmModel, expression: str) -> None:
+    install(registry.TIMING, "EVIL", "time", SLOW.format(expression=expression))
+    with pytest.raises(PluginError, match="timing EVIL"):
+        time_path(right, paths.joint_line(right.middle, right.middle + 0.4))
+
+
+def test_a_grasp_planner_that_ends_its_process_is_refused_with_the_cell(install: Install) -> None:
+    install(registry.GRASP_PLANNERS, "EVIL", "grasps", "def grasps(thing, cell):\n    raise SystemExit(1)\n")
+    with pytest.raises(ProgramError, match="grasp planner EVIL"):
         Cell.load("swapout")

@@ -27,9 +27,9 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
         (info / "entry_points.txt").write_text(f"[{group}]\n{name} = {module}:{target}\n")
-        registry.loaded.cache_clear()
+        registry.look_again()
 
     yield write
-    registry.loaded.cache_clear()
+    registry.look_again()
     for module in modules:
         sys.modules.pop(module, None)

@@ -191,6 +191,9 @@ class TinyArm:
     def tcp_pose(self, joints: Sequence[float]) -> Any:
         return POSE
 
+    def fault(self) -> str:
+        return ""
+
     def untouched(self) -> bool:
         return True
 

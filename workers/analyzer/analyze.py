@@ -12,7 +12,6 @@ import msgspec
 from rtc.language.alike import unknown
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
-from rtc.programs.recovery import STACK
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
@@ -195,16 +194,15 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
     `name`: of the failure class."""
     failure = task.program.classes[name]
     may = failure.retriable and not task.data.closing
-    trims, by = trimmers.chosen(task, reason, name) if may else ([], "")
+    trims, choice = trimmers.chosen(task, reason, name) if may else ([], "")
     pressed = not trims and reason in PRESSED and (task.report.turned_rad is None or reason not in WRUNG)
     changes = moved_in_hand(task, _failure_changes(task, failure, retried=bool(trims)), failure, pressed=pressed)
     asked = reflexes.find_requested(task.context.reflexes, task.report)
     clears = what_clears(task, reason, failure, changes, asked=asked is not None, pressed=pressed)
-    chosen = f"; chosen by {by}" if by not in ("", STACK) else ""
     return Assessment(
         verdict="trim" if trims else "abort",
         reason=reason,
-        message=f"{task.step.label}: {what_happened(task, reason, failure, asked)}{chosen}",
+        message=f"{task.step.label}: {what_happened(task, reason, failure, asked)}{choice}",
         trim=trims[0] if trims else 0,
         further=trims[1:],
         changes=changes,

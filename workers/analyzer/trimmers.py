@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rtc.plugins import registry
+from rtc.plugins.guard import PluginError
 from rtc.programs import expressions
 from rtc.programs.compatibility import row_of
 from rtc.programs.recovery import RESERVE, RULES, SEARCH, STACK, Failure, Offers, matching, searched
@@ -25,20 +26,25 @@ NAMELESS = TrimOffer(skill="")  # an entry of the sentence (AND TRY)
 def refuse_unknown(program: AnalyzerProgram) -> None:
     """Raises ProgramError if a trimmer is not one that this process can call."""
     for name in program.trimmers:
-        if name not in BUILT_IN and name not in registry.installed(registry.TRIMMERS):
-            failed = registry.loaded(registry.TRIMMERS).failed.get(name, "no installed package has it")
-            raise ProgramError(f"$.trimmers: {name}: {failed}")
+        if name not in BUILT_IN and (why := registry.why_missing(registry.TRIMMERS, name)):
+            raise ProgramError(f"$.trimmers: {name}: {why}")
 
 
 def chosen(task: AnalyzeTask, reason: StopReason, failure: str) -> tuple[list[int], str]:
-    """The entries that may correct this failure, and who has chosen them; no entries if none can."""
+    """The entries that may correct this failure; no entries if none can. And words about the choice, if it was not
+    that of the stack: who has chosen, and which trimmers of packages have failed."""
     offers = _offers(task, reason)
     failed = Failure(row_of(task.step), reason, failure)
+    words = ""
     for name in task.program.trimmers:
-        entries = BUILT_IN[name](task, failed, offers) if name in BUILT_IN else _of_package(name, task, offers)
+        try:
+            entries = BUILT_IN[name](task, failed, offers) if name in BUILT_IN else _of_package(name, task, offers)
+        except PluginError as error:
+            words += f"; {error}"
+            continue
         if entries and {*entries} <= offers.keys():
-            return entries, name
-    return [], ""
+            return entries, words if name == STACK else f"{words}; chosen by {name}"
+    return [], words
 
 
 def _offers(task: AnalyzeTask, reason: StopReason) -> dict[int, TrimOffer]:
@@ -79,8 +85,11 @@ def _by_search(task: AnalyzeTask, failed: Failure, offers: Offers) -> list[int]:
 
 
 def _of_package(name: str, task: AnalyzeTask, offers: Offers) -> list[int]:
-    entry = registry.installed(registry.TRIMMERS)[name](task.data, list(offers)) if offers else None
-    return [entry] if isinstance(entry, int) else []
+    if not offers:
+        return []
+    with registry.guarded(registry.TRIMMERS, name):
+        entry = registry.installed(registry.TRIMMERS)[name](task.data, list(offers))
+        return [int(entry)] if isinstance(entry, int) else []
 
 
 BUILT_IN: dict[str, Callable[[AnalyzeTask, Failure, Offers], list[int]]] = {

@@ -6,9 +6,11 @@ The program of a kind names them in `phases`, so a file that is loaded adds one,
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from rtc.plugins import registry
+from rtc.plugins.guard import PluginError
+from rtc.protocol import wire
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused
 
 Product = TypeVar("Product")
@@ -17,9 +19,8 @@ Product = TypeVar("Product")
 def refuse_unknown(names: Iterable[str]) -> None:
     """Raises ProgramError if a phase is not one that this process can call."""
     for name in names:
-        if name not in registry.installed(registry.PHASES):
-            failed = registry.loaded(registry.PHASES).failed.get(name, "no installed package has it")
-            raise ProgramError(f"$.phases: {name}: {failed}")
+        if why := registry.why_missing(registry.PHASES, name):
+            raise ProgramError(f"$.phases: {name}: {why}")
 
 
 def applied(names: Iterable[str], data: Any, product: Product) -> Product:
@@ -27,23 +28,18 @@ def applied(names: Iterable[str], data: Any, product: Product) -> Product:
     has refused it, has failed, or has returned something else."""
     for name in names:
         try:
-            found = registry.installed(registry.PHASES)[name](data, product)
-        except Refused:
-            raise
-        except Exception as error:  # code of others
-            raise _refused(name, f"has failed: {type(error).__name__}: {error}") from None
-        if isinstance(found, Refusal):
-            raise Refused(found)
-        if type(found) is not type(product):
-            raise _refused(name, f"has returned {type(found).__name__}, not {type(product).__name__}")
-        product = found
+            with registry.guarded(registry.PHASES, name):
+                product = _checked(registry.installed(registry.PHASES)[name](data, product), product)
+        except PluginError as error:
+            clears = "rtc load a file without it in `phases`"
+            raise Refused.because(RefusalReason.PROGRAM, str(error), where=name, clears=clears) from None
     return product
 
 
-def _refused(name: str, problem: str) -> Refused:
-    return Refused.because(
-        RefusalReason.PROGRAM,
-        f"the phase {name} {problem}",
-        where=name,
-        clears="rtc load a file without it in `phases`",
-    )
+def _checked(found: Any, product: Product) -> Product:
+    """What a phase has returned, as its reader will have it: a field of another type fails here, not on the way."""
+    if isinstance(found, Refusal):
+        raise Refused(found)
+    if type(found) is not type(product):
+        raise TypeError(f"it has returned {type(found).__name__}, not {type(product).__name__}")
+    return cast("Product", wire.decoder(type(product))(wire.encode(found)))

@@ -170,10 +170,13 @@ def refuse_report_interval(parsed: ParsedCommand) -> None:
 
 
 def refuse_report_items(parsed: ParsedCommand) -> None:
-    """Refuse REPORT of an item that no installed package measures."""
+    """Refuse REPORT of an item that no installed package measures, or whose package cannot be loaded."""
     for item in parsed.report.items if parsed.report else ():
         if item not in (known := report_items.known()):
             raise suggestions.unknown("report item", item, known, where="REPORT")
+        if why := report_items.why_not_loaded(item):
+            message = f"the report item {item} cannot be used: {why}"
+            raise _refused(message, "REPORT", "correct or uninstall its package")
 
 
 def refuse_longer_than_limit(parsed: ParsedCommand, limits: Limits) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -45,8 +46,19 @@ def ranked(
                 message = f"the decision tree for {branch.verb} ({branch.script}): {error}"
                 clears = "LOAD a row of command_object_table that has that figure"
                 raise no_script.wrong_program(message, "decision_tree", clears) from error
-    scores = registry.installed(registry.EVALUATORS).values()  # of installed packages: the lowest sum comes first
-    return sorted(options, key=lambda one: (sum(score(one) for score in scores), -one.branch.likelihood))
+    return sorted(options, key=lambda one: (_score(one), -one.branch.likelihood))
+
+
+def _score(option: ScriptOption) -> float:
+    """The sum of all evaluators of installed packages; the lowest one comes first. Raises PluginError."""
+    total = 0.0
+    for name, score in registry.installed(registry.EVALUATORS).items():
+        with registry.guarded(registry.EVALUATORS, name):
+            one = float(score(option))
+            if not math.isfinite(one):
+                raise ValueError(f"its score of {option.name} is {one}")
+        total += one
+    return total
 
 
 def _unstated(branch: Branch, candidate: TaskCandidate) -> Refusal | None:

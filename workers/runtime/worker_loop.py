@@ -21,6 +21,8 @@ from typing import Any, Protocol
 import msgspec
 
 from rtc.model.cells.cell import Cell
+from rtc.plugins import guard
+from rtc.plugins.guard import PluginError
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, Refused, WireError, refuse_if
@@ -28,6 +30,7 @@ from rtc.runtime.link import Link
 from rtc.runtime.process import Every, Process, inbox, now_s, send, show_name
 from rtc.world.client import WorldClient
 from rtc.world.model import World
+from workers.runtime import arithmetic
 from workers.runtime.contact import BrokerContact
 from workers.runtime.pulse import Pulse
 
@@ -101,6 +104,8 @@ class WorkerLoop:
         self._hello_sent_s = 0.0
         self._socket_read_s = 0.0
         self._worked_s = 0.0  # end of the latest job
+        self._inside = self._announced = ""  # the code of a package that runs; that was last announced for this job
+        self._died = False  # the job has ended a worker before
         self._round_trip_s: float | None = None  # of the latest heartbeat, until it is reported
 
     def run(self) -> str:
@@ -110,6 +115,7 @@ class WorkerLoop:
         if self._contact is not None:
             self._contact.worked(now_s())  # the preparation of the worker does not count
         self._pulse = Pulse(self._beat)
+        guard.tell(self._calls)
         while not self._me.stopping and not (self._retiring and not self._queue):
             if not self._queue:
                 self._me.wait(self._heartbeat.left_s(now_s()))
@@ -164,9 +170,16 @@ class WorkerLoop:
 
     def _beat(self, worked_s: float) -> None:
         """A heartbeat during a job that has used the processor for `worked_s`."""
-        self._send(m.Heartbeat(name=self._hello.name, own_s=worked_s))
+        self._send(m.Heartbeat(name=self._hello.name, own_s=worked_s, inside=self._inside))
         if self._contact is not None:
             self._contact.working(worked_s, now_s())
+
+    def _calls(self, name: str) -> None:
+        """Code of an installed package begins, or has ended (""). It is announced after a first death in this job."""
+        self._inside = name
+        if self._died and name and name != self._announced:
+            self._announced = name
+            self._me.calls(name)
 
     def _listen(self) -> None:
         self._socket_read_s = now_s()
@@ -250,6 +263,7 @@ class WorkerLoop:
 
     def _do(self, job: m.Job, came_s: float) -> None:
         started_s = time.perf_counter()
+        self._died, self._announced = job.attempt > 1, ""
         result: m.JobDone | m.JobRefused
         try:
             result = m.JobDone(id=job.id, attempt=job.attempt, product=self._work(job, came_s))
@@ -257,9 +271,18 @@ class WorkerLoop:
             return
         except Refused as refused:
             result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=refused.refusal)
+        except PluginError as error:
+            failed = Refusal(
+                reason=RefusalReason.PROGRAM, message=str(error), clears="correct or uninstall its package"
+            )
+            result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=failed)
         except ClusterError as error:  # the world database is unavailable; the broker decides on a retry
             lost = Refusal(reason=RefusalReason.TIMEOUT, message=str(error))
             result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=lost)
+        except arithmetic.ERRORS as error:
+            self._me.log.exception("job %s attempt %d: its arithmetic has failed", job.id, job.attempt)
+            failed = arithmetic.refusal(self._hello.kind.value, error, self._read_input(job.input), "")
+            result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=failed)
         except Exception:
             self._me.log.exception("job %s attempt %d crashed", job.id, job.attempt)
             evidence = traceback.format_exc()[-EVIDENCE_CHARS:]

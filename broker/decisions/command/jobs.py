@@ -14,6 +14,7 @@ from broker.decisions.state import Command, PendingOutcome
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 QUARANTINED = "the names it touched stay quarantined until the world database is updated"
+EVIDENCE_CHARACTERS = 300  # of a death, in a message
 SUSPECT = "the facts about what it moved become suspect"
 
 
@@ -88,15 +89,17 @@ def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) ->
     if len(job.deaths) < deferred_analysis.MAX_DEATHS:
         job.attempt += 1
         context.count("jobs_again")
-        context.note(
-            command, f"{loss.node} lost ({loss.evidence.splitlines()[-1] if loss.evidence else 'gone'}); job again"
-        )
+        context.note(command, f"{loss.node} lost ({_last_line(loss)}); job again")
         context.dispatch_again(command)
         return None
     return Refusal(
         reason=RefusalReason.POISON,
-        message=f"the {job.kind.value}'s job {job.id} killed its worker {len(job.deaths)} times",
+        message=f"the {job.kind.value}'s job {job.id} killed its worker {len(job.deaths)} times: {_last_line(loss)}",
         where=command.step_words,
         clears="the evidence is in the trace; change the sentence or the program",
         detail={f"death {n}": evidence[-800:] for n, evidence in enumerate(job.deaths, 1)},
     )
+
+
+def _last_line(loss: JobLost) -> str:
+    return loss.evidence.splitlines()[-1][:EVIDENCE_CHARACTERS] if loss.evidence else "gone"

@@ -36,6 +36,7 @@ from rtc.model.cells.parts import (
     named,
 )
 from rtc.plugins import registry
+from rtc.plugins.guard import PluginError
 from rtc.protocol.digest import digest
 from rtc.protocol.outcomes import ProgramError
 from rtc.protocol.subsystems import ARMS, Subsystem, owner, resolved
@@ -224,9 +225,10 @@ def _with_added_grasps(thing: Object, cell: Cell) -> Object:
     points = list(thing.grasp_points)
     for name, plan in registry.installed(registry.GRASP_PLANNERS).items():
         try:
-            points += msgspec.convert(msgspec.to_builtins(plan(thing, cell)), list[GraspPoint])
-        except Exception as error:  # code of others
-            raise ProgramError(f"grasp planner {name}, for {thing.name}: {type(error).__name__}: {error}") from error
+            with registry.guarded(registry.GRASP_PLANNERS, name):
+                points += msgspec.convert(msgspec.to_builtins(plan(thing, cell)), list[GraspPoint])
+        except PluginError as error:
+            raise ProgramError(f"{error}, for {thing.name}") from None
     return msgspec.structs.replace(thing, grasp_points=points)
 
 

@@ -55,6 +55,7 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     # How far it has come, by its own time: of a worker, the processor time of the job in progress (s); of a simulator,
     # the simulated time since its start. Time limits count this time, because a busy machine only makes it pass slower.
     own_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    inside: str = ""  # of a worker: the code of an installed package that runs now, "phase NAME"
 
 
 class Shutdown(Message, frozen=True, kw_only=True):

@@ -22,6 +22,7 @@ class ProcessExited(Message, frozen=True, kw_only=True):
     name: Name  # "binder@2", "MCM", "world"
     pid: int
     status: int  # as from waitpid: negative = signal
+    called: str = ""  # the last code of an installed package that it has announced to call
 
 
 class ProcessRow(TypedDict):

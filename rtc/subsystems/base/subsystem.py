@@ -26,9 +26,10 @@ from typing import Generic, TypeVar
 import msgspec
 
 from rtc.language.alike import unknown
+from rtc.plugins import guard
 from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import Measured, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.protocol.primitive_id import MAX_CHARACTERS, is_name
 from rtc.protocol.versions import ARRAYS, VERSION
@@ -44,6 +45,8 @@ OPEN_HALTS_OF_BROKER = 64
 CALLERS_OF_A_HALT = 16  # maximum number that share one set of figures; a further caller gets its own
 MAX_FENCES = 64  # maximum number of fenced scopes; above it one fence covers ALL
 REST_LIMIT_S = 2.0  # a performer not at rest this long after a halt, by own time, is reported as not at rest
+
+KEPT_WORDS = 1000  # of the message of a report that is too large
 
 COMMAND = re.compile(r"C-\d+", re.ASCII)
 
@@ -221,7 +224,7 @@ class Subsystem(ABC, Generic[Performer]):
     def _sent(self, messages: Reports, now_s: float) -> Outgoing:
         """Messages to the broker; end reports are kept until they are acknowledged."""
         out: Outgoing = []
-        for message in messages:
+        for message in map(sendable, messages):
             out += self._end(message, now_s) if isinstance(message, m.EndReport) else [(BROKER, message)]
         return out
 
@@ -434,6 +437,26 @@ def not_begun(
 ) -> m.EndReport:
     """The end report of a primitive that was never started, without any measurement."""
     return m.EndReport(primitive=primitive, performer=performer, reason=reason, at_s=at_s, duration_s=0.0, message=why)
+
+
+def sendable(report: Report) -> Report:
+    """The report, or one without its reading if it cannot be sent: the broker waits for an end report, and a message
+    beyond the limit of a frame would cost the connection."""
+    if not isinstance(report, m.EndReport | m.ProgressReport) or report.reading is None:
+        return report
+    try:
+        size = len(wire.encode(report))
+        if size <= wire.MAX_BATCH_BYTES:
+            return report
+        why = f"it has {size} bytes, and {wire.MAX_BATCH_BYTES} is the limit"
+    except Exception as error:  # a value of a kind that no message can have
+        why = guard.in_words(error)
+    words = f"not sent: {why}"
+    if isinstance(report, m.ProgressReport):
+        return msgspec.structs.replace(report, reading=Measured(arm=report.reading.arm, others={"REPORT": words}))
+    message = f"{report.message[:KEPT_WORDS]}; the reading is {words}".removeprefix("; ")
+    partner = msgspec.structs.replace(report.partner, reading=None) if report.partner is not None else None
+    return msgspec.structs.replace(report, message=message, reading=None, partner=partner)
 
 
 def _acknowledges(order: m.HaltOrder, seen: m.HaltOrder) -> bool:

@@ -39,7 +39,8 @@ def objection(primitive: p.Primitive, traits: Traits, joints: Sequence[float]) -
             return f"back_off_m of {stop.reason} is {stop.back_off_m:g} m with the reflex {stop.reflex.value}"
     if primitive.reporting.every_s is not None and not primitive.reporting.every_s >= 0.001:
         return f"progress reports every {primitive.reporting.every_s} s: 0.001 s is the least"
-    if unknown := sorted(set(primitive.reporting.items) - set(report_items.known())):
+    added = set(primitive.reporting.items) - set(report_items.STANDARD)
+    if added and (unknown := sorted(added - set(report_items.known()))):
         return f"REPORT {', '.join(unknown)}: no package here measures that; install it for the MCM too, and restart"
     return ""
 

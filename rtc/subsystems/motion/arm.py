@@ -146,6 +146,9 @@ class ArmInterface(Protocol):
     def jacobian(self, joints: Sequence[float]) -> Array:
         """6 x n: velocity of the tcp [m/s, rad/s] in world axes per joint velocity."""
 
+    def fault(self) -> str:
+        """How its control law has failed, since it was set; or ''."""
+
     def untouched(self) -> bool:
         """Whether `touches` and `arm_touches` are empty."""
 

@@ -17,6 +17,7 @@ import msgspec
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
+from rtc.subsystems.base.report_items import Measure, measured
 from rtc.subsystems.motion import acceptance, profiles, stop_functions
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
 from rtc.subsystems.motion.bounds import Bounds
@@ -55,8 +56,9 @@ NOTHING: Reports = ()
 
 
 class Executor:
-    def __init__(self, arm: ArmInterface) -> None:
+    def __init__(self, arm: ArmInterface, measure: Measure = measured) -> None:
         self.name = arm.traits.name
+        self._measure = measure  # of report items of packages
         self.state = Mode.HOLDING
         self.primitive: p.Primitive | None = None
         self.trip: Trip | None = None
@@ -364,6 +366,9 @@ class Executor:
             moment = seen.moment(elapsed_s, arrived, setpoints.command)
             reports = running.conditions_met(moment, now_s)
             found = stop_functions.first(self._stops, moment)
+        if found is None and (fault := seen.arm.fault()):
+            self._trip(Trip(reason=StopReason.FOLLOWING_ERROR, message=fault), Trigger.TRIPPED)
+            return [*reports, *self._stop(now_s)]
         if found is not None:
             stop, (measured, limit, words) = found
             trip = Trip(
@@ -566,7 +571,7 @@ class Executor:
         except Exception as error:  # a bad primitive must not end the process that controls the other arm
             return f"it cannot be checked: {type(error).__name__}: {error}"
         self._stops, self._bounds = stops, Bounds(stops, self.arm.traits)
-        self._reports = RunningReports(self.name, self._seen, primitive, conditions)
+        self._reports = RunningReports(self.name, self._seen, primitive, conditions, self._measure)
         return ""
 
     def _brake_instead(self, refused: Motion) -> Motion:
@@ -613,6 +618,7 @@ class Executor:
             paused_s=self._paused_ticks * TICK_S,
             seen=self._seen,
             items=self.primitive.reporting.items,
+            measure=self._measure,
             turned_rad=self._turned_in_all(),
         )
 

@@ -9,7 +9,7 @@ import msgspec
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.spatial.geometry import Array
-from rtc.subsystems.base.report_items import reading
+from rtc.subsystems.base.report_items import Measure, reading
 from rtc.subsystems.motion.arm import Sample
 from rtc.subsystems.motion.observation import Observation
 
@@ -38,6 +38,7 @@ def end_report(
     paused_s: float,
     seen: Observation,
     items: Sequence[str] = (),
+    measure: Measure,
     turned_rad: float | None = None,
 ) -> m.EndReport:
     sample = seen.sample
@@ -63,7 +64,7 @@ def end_report(
         message=trip.message,
         reflex=trip.reflex,
         turned_rad=turned_rad,
-        reading=reading(items, performer, seen, ended=True) if items else None,
+        reading=reading(items, performer, seen, ended=True, measure=measure) if items else None,
     )
 
 

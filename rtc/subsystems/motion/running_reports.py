@@ -6,7 +6,7 @@ import msgspec
 
 from rtc.protocol import messages as m
 from rtc.protocol.primitive import Primitive
-from rtc.subsystems.base.report_items import STANDARD, reading
+from rtc.subsystems.base.report_items import STANDARD, Measure, reading
 from rtc.subsystems.motion import stop_functions
 from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.observation import Observation
@@ -14,9 +14,14 @@ from rtc.subsystems.motion.observation import Observation
 
 class RunningReports:
     def __init__(
-        self, performer: str, seen: Observation, primitive: Primitive, conditions: stop_functions.Reports
+        self,
+        performer: str,
+        seen: Observation,
+        primitive: Primitive,
+        conditions: stop_functions.Reports,
+        measure: Measure,
     ) -> None:
-        self._performer, self._seen, self._primitive = performer, seen, primitive
+        self._performer, self._seen, self._primitive, self._measure = performer, seen, primitive, measure
         every_s = primitive.reporting.every_s
         self.period = None if every_s is None else max(1, round(every_s / TICK_S))  # ticks
         self.conditions = conditions  # not reported yet
@@ -42,5 +47,5 @@ class RunningReports:
         return m.ProgressReport(
             primitive=self._primitive.id,
             at_s=now_s,
-            reading=reading(items, self._performer, self._seen, ended=False),
+            reading=reading(items, self._performer, self._seen, ended=False, measure=self._measure),
         )

@@ -16,6 +16,7 @@ from rtc.protocol.outcomes import FAULT_SCOPE, FaultScope, StopReason
 from rtc.protocol.primitive import Primitive, StartAfter
 from rtc.protocol.subsystems import ARMS
 from rtc.protocol.versions import ARRAYS, PAUSES, RIGID
+from rtc.subsystems.base.report_items import Measure, measured
 from rtc.subsystems.base.subsystem import BROKER, Outgoing, Report, Reports, Subsystem, in_scope
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface
 from rtc.subsystems.motion.executor import Executor
@@ -39,8 +40,12 @@ class Following(msgspec.Struct):
 
 
 class McmSubsystem(Subsystem[Executor]):
-    def __init__(self, arms: Mapping[str, ArmInterface], name: str = ARMS.name, pid: int = 0) -> None:
-        super().__init__({arm: Executor(part) for arm, part in arms.items()}, name, pid)
+    """`measure`: the values of report items of packages."""
+
+    def __init__(
+        self, arms: Mapping[str, ArmInterface], name: str = ARMS.name, pid: int = 0, measure: Measure = measured
+    ) -> None:
+        super().__init__({arm: Executor(part, measure) for arm, part in arms.items()}, name, pid)
         self._pairs = Pairs(self.executors)
         self._reached_s: dict[str, float] = {}  # how far each ended primitive came along its trajectory
         self._pending: dict[str, Pending] = {}  # by performer

@@ -6,11 +6,13 @@ How a picture is made is known to the driver alone, a `Cameras`: simulated ones 
 from __future__ import annotations
 
 import contextlib
+import itertools
+import operator
 import queue
 import socket
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +25,9 @@ from rtc.sensing.optics import Window
 from rtc.subsystems.perception.look_task import Evaluated
 
 if TYPE_CHECKING:
-    from rtc.sensing.detector import TagDetector
+    from rtc.sensing.detector import Mark, TagDetector
 
+MOST_MARKS = 1000  # of one sensor of a package, in one picture
 IDLE_S = 30.0  # after this time without a picture the driver releases what only pictures need
 
 
@@ -122,9 +125,27 @@ class CameraThread:
         view = optics.view(self._cell.camera(order.camera), taken.tcp)
         if not order.windows:
             (image,) = taken.parts
-            added = (find(order.camera, image) for find in registry.installed(registry.SENSORS).values())
-            marks = [*detector.find(image), *(mark for marks in added for mark in marks)]
-            return Evaluated(taken.at_s, view, image, marks)
+            return Evaluated(taken.at_s, view, image, [*detector.find(image), *_added_marks(order.camera, image)])
         parts = zip(order.windows.items(), taken.parts, strict=True)
         marks = detector.find_in({tag: (window, image) for (tag, window), image in parts})
         return Evaluated(taken.at_s, view, None, marks)
+
+
+def _added_marks(camera: str, image: NDArray[np.uint8]) -> list[Mark]:
+    """What the sensors of installed packages find. Raises PluginError."""
+    from rtc.sensing.detector import Mark
+
+    marks: list[Mark] = []
+    for name, find in registry.installed(registry.SENSORS).items():
+        with registry.guarded(registry.SENSORS, name):
+            found = [*itertools.islice(find(camera, image.copy()), MOST_MARKS)]
+            marks += [Mark(operator.index(mark.tag), _corners(mark.corners, image.shape)) for mark in found]
+    return marks
+
+
+def _corners(given: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Raises ValueError and others."""
+    corners = np.array(given, dtype=float)
+    if corners.shape != (4, 2) or not np.isfinite(corners).all() or np.abs(corners).max() > 2 * max(shape):
+        raise ValueError(f"a mark has four corners in the picture, not {corners.tolist()!s:.80}")
+    return corners

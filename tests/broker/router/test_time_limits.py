@@ -19,7 +19,7 @@ def beat(bench: Bench, worked_s: float, by_the_clock_s: float) -> None:
     """The parser reports, over this time, that its job uses the processor for `worked_s` in all."""
     for tenth in range(1, int(10 * by_the_clock_s) + 1):
         bench.now += 0.1
-        worked = m.Heartbeat(name="parser@0", own_s=worked_s * tenth / (10 * by_the_clock_s))
+        worked = m.Heartbeat(name="parser@0", own_s=worked_s * tenth / (10 * by_the_clock_s), inside="phase SLOW")
         bench.send("workers", b"parser@0", worked)
 
 
@@ -47,6 +47,7 @@ def test_a_job_that_hangs_three_workers_is_poison(working: Bench, worked_s: floa
     (ended,) = [message for message in forwarded(working) if isinstance(message, m.CommandEnded)]
     assert ended.outcome.refusal is not None
     assert ended.outcome.refusal.reason == "poison"
+    assert ended.outcome.refusal.message.endswith("in the phase SLOW of an installed package")
 
 
 def subsystem_beats(bench: Bench, share: float, by_the_clock_s: float) -> None:

@@ -107,3 +107,33 @@ def test_a_primitive_is_executed_under_an_added_law_in_physics(install, cell, ma
     assert "wn" in refused.message
     assert report.reason is StopReason.GOAL
     assert report.joints == pytest.approx([*start[:-1], start[-1] + 0.3], abs=1e-3)
+
+
+ODD = """
+class Law:
+    def __init__(self, model, gains):
+        self.n, self.ticks = model.nq, 0
+    def torque(self, wanted, q, v):
+        self.ticks += 1
+        if self.ticks < 200:
+            return [0.0] * self.n
+        {what}
+"""
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize("what", ["raise SystemExit(1)", "return [float('nan')] * self.n", "return 'x'", "return None"])
+def test_a_law_that_fails_is_replaced_at_once_and_its_primitive_ends(install, cell, make, what: str) -> None:
+    install(registry.CONTROL_LAWS, "evil", "Law", ODD.format(what=what))
+    world = BulletCell(cell)
+    try:
+        bench = make.Bench(world)
+        start = cell.arm("RIGHT-ARM").home_rad
+        path = make.joint_path(start, [*start[:-1], start[-1] + 0.01], 4.0)
+        report = bench.perform(make.primitive(path, id="C-1.1", control_law=ControlLaw(name="evil")))
+        after = bench.perform(make.primitive(make.joint_path(report.joints, start, 1.0), id="C-1.2"))
+    finally:
+        world.close()
+    assert report.reason is StopReason.FOLLOWING_ERROR
+    assert "control law evil" in report.message
+    assert after.reason is StopReason.GOAL

@@ -79,6 +79,9 @@ class SteeredArm:
     def near(self, within_m: float) -> list[Near]:
         return [(away, point, words) for away, point, words in self.around if away < within_m]
 
+    def fault(self) -> str:
+        return ""
+
     def untouched(self) -> bool:
         return not (self.leaning or self.meeting)
 

@@ -9,6 +9,7 @@ import msgspec
 import pytest
 import zmq
 
+from rtc.plugins import guard
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     Assessment,
@@ -74,10 +75,19 @@ class Function:
             case ["refuse"]:
                 return Refusal(reason=RefusalReason.STATE, message="hand not empty")
             case ["raise"]:
-                raise ZeroDivisionError("a bug")
+                raise IndexError("a bug")
+            case ["divide"]:
+                raise ZeroDivisionError("by a figure")
+            case ["plugin"]:
+                with guard.guarded("phase ODD"):
+                    raise SystemExit(1)
             case ["write", key, value]:
                 changes = [WorldChange(key=key, value=value)]
                 return Assessment(verdict="continue", reason=StopReason.GOAL, changes=changes)
+            case ["inside"]:
+                with guard.guarded("phase SLOW"):
+                    self.began.set()
+                    assert self.go_on.wait(10)
             case ["wait"]:
                 self.began.set()
                 assert self.go_on.wait(10)
@@ -248,13 +258,32 @@ def test_a_program_that_never_comes_is_asked_for_again_and_then_refused(at, monk
 
 
 def test_a_refusal_and_a_crash_are_results_and_the_worker_lives_on(at):
-    at.broker.give("refuse", "raise", "hello")
+    at.broker.give("refuse", "raise", "hello", "plugin", "divide")
     at.broker.provide()
-    refused, crashed, done = at.broker.results(3)
+    refused, crashed, done, failed, divided = at.broker.results(5)
     assert refused.refusal.message == "hand not empty"
     assert isinstance(crashed, JobCrashed)
-    assert "ZeroDivisionError: a bug" in crashed.evidence
+    assert "IndexError: a bug" in crashed.evidence
     assert value(done) == "hello"
+    assert (failed.refusal.reason, "phase ODD" in failed.refusal.message) == (RefusalReason.PROGRAM, True)
+    assert "ZeroDivisionError: by a figure" in divided.refusal.message
+
+
+def test_code_of_a_package_is_named_in_signs_of_life_and_announced_after_a_death(at, monkeypatch):
+    monkeypatch.setattr("workers.runtime.pulse.BEAT_S", 0.05)
+    announced = []
+    monkeypatch.setattr(at.process, "calls", announced.append)
+    at.broker.give("inside", program="made")
+    assert at.function.began.wait(10)
+    while at.broker.recv_heartbeat().inside != "phase SLOW":
+        pass
+    at.function.go_on.set()
+    at.broker.results(1)
+    assert announced == []
+    again = Job(id="C-1/1", attempt=2, program="made", input=wire.raw(ParserInput(text="inside")))
+    at.broker.send(JobBatch(jobs=[again]))
+    at.broker.results(1)
+    assert announced == ["phase SLOW"]
 
 
 @pytest.mark.parametrize("data", [{"text": 7}, {"text": "hello", "not_before": 3.0}])

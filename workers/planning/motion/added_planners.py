@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 
 from rtc.plugins import registry
+from rtc.plugins.guard import PluginError
 from rtc.spatial.geometry import Array
 from workers.planning.motion.path import Path
 from workers.planning.motion.request import FreeWay, PlanningRequest
 
+MOST_CORNERS = 10_000  # way-points of one planner
 END_RAD = 1e-6  # tolerance of the first and last way-point
 
 Judge = Callable[[PlanningRequest, list[Array]], Path | None]  # the rounded way, if it is free
@@ -26,7 +28,7 @@ def find_way(request: PlanningRequest, goal: Array, judge: Judge) -> tuple[FreeW
     """The first free way of a planner, in the order of their names; and a note for each that was asked."""
     notes: list[str] = []
     for name, plan in registry.installed(registry.PLANNERS).items():
-        corners, problem = _corners(plan, request, goal)
+        corners, problem = _corners(name, plan, request, goal)
         way = judge(request, corners) if corners else None
         notes.append(f"planner {name}: {problem or ('tested: free' if way is not None else 'tested: not free')}")
         if way is not None:
@@ -34,17 +36,20 @@ def find_way(request: PlanningRequest, goal: Array, judge: Judge) -> tuple[FreeW
     return None, notes
 
 
-def _corners(plan: Any, request: PlanningRequest, goal: Array) -> tuple[list[Array], str]:
+def _corners(name: str, plan: Any, request: PlanningRequest, goal: Array) -> tuple[list[Array], str]:
     """The way-points of one planner, or why they are none."""
     try:
-        found = plan(request, goal)
-        if found is None:
-            return [], "found no way"
-        points = np.asarray(found, dtype=float)
-    except Exception as error:  # code of others
-        return [], f"{type(error).__name__}: {error}"
-    if points.ndim != 2 or points.shape[0] < 2 or points.shape[1] != len(goal) or not np.isfinite(points).all():
-        return [], f"way-points of shape {points.shape}; expected are finite joint values, [2 or more][{len(goal)}]"
+        with registry.guarded(registry.PLANNERS, name):
+            found = plan(request, goal.copy())
+            if found is None:
+                return [], "found no way"
+            points = np.asarray(found, dtype=float)
+    except PluginError as error:
+        return [], error.problem
+    right = points.ndim == 2 and 2 <= points.shape[0] <= MOST_CORNERS and points.shape[1] == len(goal)
+    if not right or not np.isfinite(points).all():
+        wanted = f"finite joint values, [2 to {MOST_CORNERS}][{len(goal)}]"
+        return [], f"way-points of shape {points.shape}; expected are {wanted}"
     if np.abs(points[0] - request.start).max() > END_RAD or np.abs(points[-1] - goal).max() > END_RAD:
         return [], "its way does not lead from the start to the goal"
     return [request.start, *points[1:-1], goal], ""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import toppra
@@ -41,6 +41,7 @@ CORNER_GRID = 4  # grid points between the edges of two rounded corners
 GRID_STEP = 1e-7  # minimum distance of two grid points, as a share of the path's length
 STILL = 1e-8  # a joint that turns less than this along the path has no speed limit
 ON_PATH = 2000  # points of the path with which a timing of an installed package is compared
+ADDED_KNOTS = 10_000  # that it may have
 END_RAD = 1e-6  # tolerance of its ends, also rad/s and rad/s^2
 TOLERANCE = 1.03  # of the tcp's speed limit on a curve
 BETWEEN = 0.98  # of the tcp's speed limit at the points of the grid; the rest is a reserve between them
@@ -134,7 +135,8 @@ def _added(arm: ArmModel, path: Path, pace: SpeedLimits, load: Load | None) -> T
 
     Raises Refused if its knots are not on the path from end to end, or it is faster than the pace."""
     for name, time in registry.installed(registry.TIMING).items():
-        timed = time(arm, path, pace, load)
+        with registry.guarded(registry.TIMING, name):
+            timed = _converted(time(arm, path, pace, load), len(arm.limits.lower))
         if timed is None:
             continue
         fine = path.at(np.linspace(0.0, path.length, ON_PATH))[0]
@@ -149,6 +151,22 @@ def _added(arm: ArmModel, path: Path, pace: SpeedLimits, load: Load | None) -> T
             raise Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"uninstall {name}"))
         return _slowed(arm, timed)
     return None
+
+
+def _converted(answer: Any, dof: int) -> Timed | None:
+    """What a package has returned, as arrays of the right shapes. Raises ValueError and others."""
+    if answer is None:
+        return None
+    if answer.space not in ("joint", "task"):
+        raise ValueError("its space is neither joint nor task")
+    parts = (answer.time_s, answer.positions, answer.velocities, answer.accelerations)
+    time_s, *rows = (np.array(part, dtype=float) for part in parts)
+    knots = time_s.size
+    if not 2 <= knots <= ADDED_KNOTS or time_s.ndim != 1 or any(row.shape != (knots, dof) for row in rows):
+        raise ValueError(f"expected are 2 to {ADDED_KNOTS} knots of {dof} joints")
+    if not all(np.isfinite(part).all() for part in (time_s, *rows)) or time_s[0] != 0.0 or np.diff(time_s).min() <= 0.0:
+        raise ValueError("expected are finite figures, at times that begin with 0 and rise")
+    return Timed(answer.space, time_s, *rows)
 
 
 def _midway(timed: Timed) -> Array:

@@ -1,0 +1,93 @@
+"""The guard round code of installed packages: its caller gets a value, or a `PluginError` that names it.
+
+    with registry.guarded(registry.TIMING, name):
+        timed = converted(time(arm, path))        # the call, the conversion and the check of what it returns
+
+All of that belongs into one block: an odd value may fail only when it is converted. SystemExit and other exceptions
+that would end the process are failures like any other. A process that the package has forked ends where it would leave
+the block: it would go on as a second copy of its parent, with the same sockets. If it stays inside, the kernel ends it
+with its parent.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rtc.protocol.outcomes import Refused, RtcError
+
+PR_SET_PDEATHSIG = 1
+WORDS_OF_ERROR = 200  # characters of an exception of a package that are passed on
+
+
+class PluginError(RtcError):
+    """Code of a package has failed, or has returned what it must not."""
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(f"the {name} of an installed package {problem}")
+        self.problem = problem
+
+
+def _unwatched(_: str) -> None:
+    """No one watches this process."""
+
+
+class _Guard:
+    """Of this process."""
+
+    witness: Callable[[str], None] = staticmethod(_unwatched)  # see `tell`
+    depth = 0  # blocks that it is in
+
+
+def tell(witness: Callable[[str], None] | None) -> None:
+    """From now on `witness` is called with the name of each entry point before its code runs, and with "" after it."""
+    _Guard.witness = staticmethod(witness or _unwatched)
+
+
+@contextmanager
+def guarded(name: str) -> Iterator[None]:
+    """Raises PluginError for any exception of the block but Refused. `name`: of the code, "phase CHECKED"."""
+    process = os.getpid()
+    _Guard.witness(name)
+    _Guard.depth += 1
+    try:
+        yield
+    except (Refused, PluginError):
+        raise
+    except BaseException as error:
+        if _is_of_user(error):
+            raise
+        raise PluginError(name, f"has failed: {in_words(error)}") from None
+    finally:
+        if os.getpid() != process:
+            os._exit(0)
+        _Guard.depth -= 1
+        _Guard.witness("")
+
+
+def in_words(error: BaseException) -> str:
+    """Kind and text of an exception of others: one printable line of bounded length."""
+    try:
+        text = str(error)[:WORDS_OF_ERROR]
+    except Exception:  # its __str__ is code of others, too
+        text = ""
+    text = "".join(character if character.isprintable() else " " for character in text)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def _is_of_user(error: BaseException) -> bool:
+    """Whether it is the Ctrl-C of a person. In a process of a cluster a signal raises nothing."""
+    return isinstance(error, KeyboardInterrupt) and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def _in_child() -> None:
+    """In a process that was just forked: the kernel kills it with its parent, if code of a package has forked it."""
+    if _Guard.depth:
+        _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+
+
+_libc = ctypes.CDLL(None)
+os.register_at_fork(after_in_child=_in_child)
