@@ -12,7 +12,7 @@ from rtc.client.hand_controller import PERIOD_S, STILL, HandController
 SHARED = "MOVE RIGHT-ARM TO CLEAR-POINT-1 MAINTAIN SHARED WRIST"
 TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.1)  # m/s, rad/s
 FASTEST = 0.3  # m/s, rad/s, on the way that a waiting path asks for
-TURN_S, LIMIT_S = 2.0, 60.0
+TURN_S, REST_S, LIMIT_S = 2.0, 0.5, 60.0
 
 
 def wait_for_request(hand: HandController) -> None:
@@ -40,6 +40,7 @@ def follow(hand: HandController, turn_s: float) -> None:
             raise SystemExit(f"{hand.arm} is still {off_m:.3f} m from its place; {operation.cut}")
         time.sleep(PERIOD_S)
     hand.release()
+    time.sleep(REST_S)
 
 
 def done(rtc: Client) -> bool:
@@ -57,7 +58,6 @@ def main() -> None:
                 raise SystemExit("DONE was believed before the arm has moved")
             follow(hand, TURN_S)
             while not done(rtc) and hand.request:
-                time.sleep(0.2)  # the arm comes to rest
                 follow(hand, 0.0)
         except BaseException:
             rtc.run("TAKE RIGHT-ARM FROM OPERATOR")  # what he does not finish stays his

@@ -195,3 +195,15 @@ def test_in_physics_the_door_of_a_displaced_satellite_is_opened_after_one_look()
     assert opened == pytest.approx(60.0, abs=2.0)
     assert angle_deg(bench) == pytest.approx(opened, abs=1.0)
     assert max(felt_n) < 10.0
+
+
+def test_a_bay_that_is_not_seen_names_its_satellite_once() -> None:
+    bench = bench_with([0.0] * 6)
+    bench.subsystem.eyes.blind = True
+    failure = bench.do(f"LOCATE {BAY}").failure
+    assert failure is not None
+    assert failure.clears.startswith(f"{LOCATE}, on which {BAY} is; then do it again")
+    bench.subsystem.eyes.blind = False
+    assert bench.do(LOCATE).succeeded
+    bench.subsystem.eyes.blind = True
+    assert LOCATE not in bench.do(f"LOCATE {BAY}").failure.clears

@@ -67,12 +67,19 @@ def what_clears(
 
 
 def _felt(task: AnalyzeTask, reason: StopReason) -> str:
-    """The advice if cameras do not see a body that is believed in a hand: to look again would not help, its fingers
-    tell whether it is there."""
+    """The advice if cameras do not see a body where the class of the failure does not help. In a hand, the fingers tell
+    whether it is there; mounted on another body, it is where that is."""
     body = task.evaluation.body
+    if reason is StopReason.NOT_SEEN and (carrier := task.query.bodies.get(body)) and _unlocated(task, carrier):
+        return task.program.clears.get("carrier", "").replace("{carrier}", carrier)
     if reason is not StopReason.NOT_SEEN or not body or not task.query.held_by(body):
         return ""
     return trust.remedy(task.query, f"{body}.grasp", {"grasp": task.program.clears.get("unseen_in_hand", "")})
+
+
+def _unlocated(task: AnalyzeTask, carrier: str) -> bool:
+    """Whether a camera may find the body that something is mounted on, and has not looked for it."""
+    return task.query.world.get(f"{carrier}.sighting") is None and bool(task.query.cameras(carrier))
 
 
 def _higher_limit(task: AnalyzeTask) -> list[str]:

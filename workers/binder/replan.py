@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import math
 
+import msgspec
+
 from rtc.protocol.messages import Binding
-from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.binding_names import POSE_OF_JOINTS
@@ -14,6 +16,7 @@ from workers.planning.world_query import WorldQuery
 
 MOVED_M = 0.0005  # smaller displacements need no replanning
 MOVED_RAD = math.radians(0.2)
+AGAIN = "give the sentence again: it is planned with what was measured"
 
 
 def current_pose(query: WorldQuery, arm: str, binding: Binding) -> Array:
@@ -33,6 +36,12 @@ def current_pose(query: WorldQuery, arm: str, binding: Binding) -> Array:
     return geometry.compose(geometry.compose(pose, binding.grasp), geometry.inverse(grasp))
 
 
+def _planned_before(why: Refusal) -> Refusal:
+    """The refusal of a plan that does not fit what was measured after it: a new one rests on that."""
+    message = f"planned before the last look, which has found it elsewhere: {why.message}"
+    return msgspec.structs.replace(why, message=message, clears=f"{AGAIN}; or {why.clears}")
+
+
 def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding]:
     """Joint values (rad), nearest to the old ones, for each planned pose that is elsewhere now. Raises Refused."""
     model = query.model.arms[arm]
@@ -50,6 +59,6 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
         if not found:
             why = model.why_no_ik(wanted, margin_rad)
             assert why is not None
-            raise Refused(why)
+            raise Refused(_planned_before(why))
         replanned[name.removesuffix(POSE_OF_JOINTS)] = Binding(joints=found[0].tolist())
     return replanned

@@ -38,6 +38,7 @@ from workers.elaborator import (
     strategies,
     surrender,
     teach,
+    tested_advice,
     what_is_left,
 )
 from workers.elaborator.backtrack import Planned, can_be_seen
@@ -88,15 +89,28 @@ def run(
     """Choose and plan the script for a command. `advise`: search a sentence for an arm in the way of a refused one."""
     assert cell is not None
     assert world is not None
+    query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
     try:
         as_tested.refuse_stale(data.rests_on, world)
         if data.saved is not None:
             teach.refuse_saved(data.parsed)
-        query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
         script = _elaborated(compiled, query, data.parsed, data.owners, data.saved, advise=advise)
         return installed_phases.applied(compiled.program.phases, data, script)
     except Refused as refused:
-        return refused.refusal
+        return _advised(compiled, query, refused.refusal) if advise else refused.refusal
+
+
+def _advised(compiled: Compiled, query: WorldQuery, refusal: Refusal) -> Refusal:
+    """The refusal, without the sentences of its advice that would be refused as well."""
+
+    def feasible(parsed: ParsedCommand) -> bool:
+        try:
+            _elaborated(compiled, query, parsed, {}, advise=False)
+        except Refused as refused:
+            return refused.refusal.reason is not RefusalReason.INFEASIBLE
+        return True
+
+    return tested_advice.without_infeasible(refusal, feasible)
 
 
 def _elaborated(

@@ -89,16 +89,20 @@ def remedy(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
 
 
 def narrows(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
-    """The remedy that makes the spread of the pose of an object or seat smaller."""
+    """The remedy that makes the spread of the pose of an object or seat smaller. What a look has just measured, the
+    next one does not know better."""
     location, _, _ = key.rpartition(".")
-    row = "spread_seen" if "spread_seen" in clears and _look_helps(query, location) else "spread"
+    fact, sighting = query.world.get(key), query.world.get(f"{location}.sighting")
+    measured = fact is not None and sighting is not None and fact.source == sighting.source
+    row = "spread_seen" if "spread_seen" in clears and not measured and _look_helps(query, location) else "spread"
     return clears.get(row, "sense {location} again").replace("{location}", location)
 
 
 def _look_helps(query: WorldQuery, body: str) -> bool:
-    """Whether a camera can see the body, and a look may say more than is known: a seat stays where one saw it."""
+    """Whether a camera can see the body, and a look may say more than is known: a seat stays where one saw it, and what
+    the last look has missed the next one misses too."""
     seen = query.is_seat(body) and query.world.get(f"{body}.sighting") is not None
-    return not seen and bool(query.cameras(body))
+    return not seen and query.finds(body)
 
 
 def unsure_key(query: WorldQuery, body: str) -> str:

@@ -20,6 +20,7 @@ from rtc.subsystems.motion.profiles import Follow
 GAIN_PER_S = 4.0  # of what the tcp is off the path
 LAG_M, LAG_RAD = 0.01, 0.05  # so far behind, the path waits
 WAITS = 0.9  # share of these lags from which on the path is reported to wait
+ENDS = 0.2  # the same at its end, where nothing else brings the arm nearer
 RATE_PER_S = 2.0  # change of the rate of its time
 REFRESH_TICKS = 5  # the program's twist follows path and arm at this interval; his, and his deadman, in each tick
 REFRESH_S = REFRESH_TICKS * TICK_S
@@ -61,7 +62,7 @@ class SharedWay:
         lag_m, lag_rad = _sizes(behind)
         lag = max(lag_m / LAG_M, lag_rad / LAG_RAD)
         self.waits_for, self.towards = "", []
-        if lag > WAITS:
+        if lag > (ENDS if self._time_s >= self._path.duration_s else WAITS):
             aside = _in_axes(axes, _between(tcp, self._pose), self._his)
             self.waits_for = f"{_in_words(lag_m, lag_rad)} behind it{_which_way(axes, aside)}"
             self.towards = aside.tolist()

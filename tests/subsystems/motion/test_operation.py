@@ -346,6 +346,9 @@ def test_a_path_that_waits_says_which_way(rig, make) -> None:
     assert shared.towards == []  # of his axes alone it is not behind
     for _ in range(20):
         shared.twist(np.array(aside), [0.0] * 6)
+    aside[0] = stuck[0] + 0.006  # less than it waits for on its way; at its end nothing else brings the arm nearer
+    for _ in range(20):
+        shared.twist(np.array(aside), [0.0] * 6)
     about = geometry.rotation_vector(stuck, rig.arm.tcp_pose(turned))
     assert shared.towards == pytest.approx([0.0, 0.0, 0.0, *about], abs=0.02)
     sign = "-" if geometry.relative(stuck, rig.arm.tcp_pose(turned))[5] < 0.0 else ""

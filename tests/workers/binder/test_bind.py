@@ -647,3 +647,16 @@ def test_the_dictionary_gives_the_force_that_guarded_promises(verb):
     for use in dictionary.meanings().verbs[verb]:
         if use.of != "(no script yet)" and (figure := re.search(r"force (\d+) N", use.guarded)):
             assert float(figure[1]) == guarded.get(verb, guarded[""])["force_n"]
+
+
+def test_a_plan_that_does_not_fit_what_was_measured_asks_for_a_new_one(bench):
+    """The sentence is planned anew with what the look has found; the advice about joints has no sentence."""
+    script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    step = next(s for s in script.steps if s.name == "grasp_plan")
+    away = geometry.translate(bench.world.value("MACS-NEW.frame"), [0.0, 0.0, 3.0])
+    bench.set_fact("MACS-NEW.frame", away.tolist())
+
+    refusal = bench.bind(script, step)
+
+    assert refusal.message.startswith("planned before the last look")
+    assert refusal.clears.startswith("give the sentence again: ")

@@ -1,0 +1,75 @@
+"""Advice is offered without the sentences that would be refused themselves."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc.protocol.messages import Validity
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol.sentence import ParsedCommand
+from tests.workers.conftest import Bench
+from workers.elaborator.tested_advice import without_infeasible
+from workers.planning import trust
+from workers.planning.world_query import WorldQuery
+
+
+def advised(clears: str, *not_feasible: str, **detail: str) -> str:
+    refusal = Refusal(reason=RefusalReason.INFEASIBLE, message="blocked", clears=clears, detail=dict(detail))
+
+    def feasible(parsed: ParsedCommand) -> bool:
+        place = parsed.place.name if parsed.place else None
+        return f"{parsed.verb} {place or parsed.object or parsed.hand}" not in not_feasible
+
+    return without_infeasible(refusal, feasible).clears
+
+
+WAY = "RETRACT RIGHT-ARM, or MOVE RIGHT-ARM TO another place first (BAY-2-FRONT, CLEAR-POINT-1); or another goal"
+
+
+@pytest.mark.parametrize(
+    ("clears", "not_feasible", "left"),
+    [
+        (WAY, (), "RETRACT RIGHT-ARM, or MOVE RIGHT-ARM TO BAY-2-FRONT first; or another goal"),
+        (WAY, ("RETRACT RIGHT-ARM", "MOVE BAY-2-FRONT"), "MOVE RIGHT-ARM TO CLEAR-POINT-1 first; or another goal"),
+        (WAY, ("RETRACT RIGHT-ARM", "MOVE BAY-2-FRONT", "MOVE CLEAR-POINT-1"), "another goal"),
+        ("STOW LEFT-ARM; then give the command again", ("STOW LEFT-ARM",), "then give the command again"),
+        ("LOCATE MACS-NEW; LIFT MACS-NEW BY 5 CM", ("LIFT MACS-NEW",), "LOCATE MACS-NEW; LIFT MACS-NEW BY 5 CM"),
+        (
+            "PLACE MACS-NEW ON RACK-1; or RELEASE MACS-NEW VIA FREE-DRIFT, if it may drift away",
+            ("PLACE MACS-NEW",),
+            "PLACE MACS-NEW ON RACK-1; or RELEASE MACS-NEW VIA FREE-DRIFT, if it may drift away",
+        ),
+        ("another goal; or GIVE RIGHT-ARM TO OPERATOR", (), "another goal; or GIVE RIGHT-ARM TO OPERATOR"),
+    ],
+)
+def test_what_has_no_way_is_left_out(clears: str, not_feasible: tuple[str, ...], left: str) -> None:
+    assert advised(clears, *not_feasible) == left
+
+
+def test_what_a_command_waits_for_is_not_tested() -> None:
+    clears = "STOW LEFT-ARM; then give the command again"
+    assert advised(clears, "STOW LEFT-ARM", **{IN_THE_WAY: "LEFT-ARM"}) == clears
+
+
+def test_a_handle_out_of_reach_is_not_advised(bench: Bench) -> None:
+    """The other hand's own module is out of reach of this one."""
+    refusal = bench.do("LIFT MACS-OLD BY 10 CM WITH RIGHT-ARM").refusal
+    assert refusal is not None
+    for sentence in ("GRASP MACS-OLD WITH RIGHT-ARM", "GRASP MACS-OLD HANDLE-B WITH RIGHT-ARM"):
+        assert sentence not in refusal.clears
+
+
+def test_a_look_is_not_advised_after_one_that_has_missed(bench: Bench) -> None:
+    bench.unsurveyed()
+    bench.set_fact("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
+    assert "LOCATE MACS-NEW" in _trusted(bench).clears
+    bench.set_fact("MACS-NEW.sighting", None)
+    assert "LOCATE MACS-NEW" not in _trusted(bench).clears
+
+
+def _trusted(bench: Bench) -> Refusal:
+
+    clears = {"frame": "SET {location} FRAME", "seen": "LOCATE {location}"}
+    refused = trust.distrusted(WorldQuery(bench.model, bench.world), "MACS-NEW.frame", clears)
+    assert refused is not None
+    return refused
