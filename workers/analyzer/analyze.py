@@ -68,7 +68,17 @@ VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "stated_m", "stated_rad"),
     *("seated_m", "seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
     *("struck_n", "struck_m", "struck_rad", "twisted_n", "twisted_rad", "pressed_m", "pressed_rad"),
-    *("tilted_m", "unforeseen_m", "rolled_m", "pad_m", "wrung_nm", "wrung_rad", "wrung_most_rad", "engaged_m"),
+    *(
+        "tilted_m",
+        "swings_s",
+        "unforeseen_m",
+        "rolled_m",
+        "pad_m",
+        "wrung_nm",
+        "wrung_rad",
+        "wrung_most_rad",
+        "engaged_m",
+    ),
     *comparison.VALUES,
 )
 #: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
@@ -180,6 +190,12 @@ def _remark(task: AnalyzeTask) -> str:
     return in_seat.remark_on_slot(task.query, task.evaluation.arm, task.report.tcp_pose) if leaves else ""
 
 
+def _swinging(task: AnalyzeTask, reason: StopReason) -> str:
+    """That what a halted arm holds is not at rest when the arm is, and for how long."""
+    held = task.evaluation.held if reason is StopReason.HALT and task.report.duration_s > 0.0 else ""
+    return f"{held} may swing for {task.values['swings_s']:g} s more" if held else ""
+
+
 def _kept(source: str, report: EndReport) -> Binding:
     """A measured value as a binding. Poses are in the world frame: a contact position does not depend on facts."""
     if source == "report.hand_width":
@@ -207,6 +223,7 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
         further=trims[1:],
         changes=changes,
         clears=clears,
+        remark=_swinging(task, reason),
         by_operator=sharing.offer(task.query, task.context) if may else "",
         compared=comparison.unexpected(task),
     )

@@ -1,7 +1,7 @@
 """The last analysis of a command whose motion was stopped or lost: it updates the world facts (R138, R151). Pure.
 
-Its verdict is ignored, but not its advice for an arm that was halted or lost. If it takes too long, it is deferred and
-the command ends.
+Its verdict is ignored, but not its advice for an arm that was halted or lost, nor its remark on a halt. If it takes too
+long, it is deferred and the command ends.
 """
 
 from __future__ import annotations
@@ -48,13 +48,16 @@ def stop_after_analysis(context: DecisionContext, command: Command, ending: Pend
 
 
 def finish_closing(context: DecisionContext, command: Command, product: Any) -> None:
-    """End after the last analysis. `product`: its verdict, of which only the advice counts; or None."""
+    """End after the last analysis. `product`: its verdict, of which only advice and remark count; or None."""
     assert command.pending_outcome is not None
     context.stop_timer(command)
     cancel(context, command)
     ending = command.pending_outcome
     refusal = ending.refusal
-    clears = read_assessment(product).clears if isinstance(product, msgspec.Raw) else ""
+    head = read_assessment(product) if isinstance(product, msgspec.Raw) else None
+    clears = head.clears if head is not None else ""
+    if head is not None and head.remark and ending.kind is OutcomeKind.HALTED:
+        ending = msgspec.structs.replace(ending, message=f"{ending.message}; {head.remark}")
     if clears and ending.kind is OutcomeKind.HALTED and refusal is None:
         refusal = Refusal(reason=RefusalReason.STATE, message=ending.message, clears=clears)
     elif clears and ending.kind is OutcomeKind.LOST_SUBSYSTEM and refusal is not None:

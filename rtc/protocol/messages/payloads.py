@@ -233,6 +233,6 @@ class Assessment(Message, frozen=True, kw_only=True):
     changes: list[WorldChange] = []
     clears: str = ""  # what would clear the failure
     by_operator: str = ""  # after a failure: the sentence that asks the operator for the same (R81)
-    remark: str = ""  # on a success: what the result of the command states if this is its last step
+    remark: str = ""  # what the result of the command states after a success of its last step, or after a halt
     compared: Compared | None = None  # prediction and report; None: nothing was predicted
     drift: str = ""  # in words: what left its band although the step ended as expected

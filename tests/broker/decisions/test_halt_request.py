@@ -52,15 +52,17 @@ def test_halt_at_the_subsystem_itself_is_understood():
 
 
 @pytest.mark.parametrize("at_subsystem", [True, False])
-def test_a_halted_arm_that_pressed_gets_advice_how_to_leave(at_subsystem):
+def test_a_halted_arm_gets_advice_how_to_leave_and_says_what_still_moves(at_subsystem):
     s = Harness()
     s.executing()
     if not at_subsystem:
         s.halts()
     s.reports("C-1", StopReason.HALT)
     back = "MOVE RIGHT-ARM BY -5 CM ALONG Z"
-    s.answers("C-1", msgspec.structs.replace(give_up(StopReason.HALT), clears=back))
+    swings = "X may swing for 0.2 s more"
+    s.answers("C-1", msgspec.structs.replace(give_up(StopReason.HALT), clears=back, remark=swings))
     assert s.outcome("C-1").kind is OutcomeKind.HALTED
+    assert s.outcome("C-1").message.endswith(f"; {swings}")
     assert s.outcome("C-1").refusal.clears == back
 
 

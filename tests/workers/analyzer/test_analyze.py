@@ -230,6 +230,7 @@ def test_a_halt_in_free_motion_leaves_the_object_trusted(bench):
     assert change(made, "RIGHT-ARM.joints").value == halfway
     assert change(made, "RIGHT-ARM.joints").validity is Validity.VALID
     assert change(made, "MACS-NEW.frame") is None
+    assert not made.remark
 
 
 def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
@@ -241,6 +242,7 @@ def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
     made = judged(bench, bound, ended(report, StopReason.HALT), closing=True)
     bench.world = bench.world.overlay(made.changes)
 
+    assert made.remark == "MACS-NEW may swing for 0.2 s more"
     assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
     assert bench.do("RETRACT RIGHT-ARM BY 2 CM").succeeded
     assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT  # moving it proves nothing
