@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, settings
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.kinematics import ArmModel
+from rtc.runtime.environment import physics_seed
 from tests.plugins.toy_packages import install  # noqa: F401
 
 # Under `nohup` children would inherit an ignored SIGHUP, and tests of its handling would fail.
@@ -20,6 +21,10 @@ settings.register_profile("random", deadline=None, suppress_health_check=[Health
 # Every run has the same examples, so that a failure is repeatable. Others: pytest --hypothesis-profile=random
 settings.register_profile("repeatable", settings.get_profile("random"), derandomize=True)
 settings.load_profile("repeatable")
+
+
+def pytest_report_header() -> str:
+    return f"RTC_PHYSICS_SEED={physics_seed() or 'none: physics is as the cell files state'}"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -26,3 +26,9 @@ def systemd_socket() -> str:
 def colours() -> bool:
     """Whether a terminal may get colours: not with NO_COLOR, and not if TERM is dumb."""
     return not os.environ.get("NO_COLOR") and os.environ.get("TERM", "") not in ("", "dumb")
+
+
+def physics_seed() -> str:
+    """RTC_PHYSICS_SEED: each simulation with physics differs a little from its cell file, and by
+    the same for the same seed. For tests; empty: it is as the file states."""
+    return os.environ.get("RTC_PHYSICS_SEED", "")

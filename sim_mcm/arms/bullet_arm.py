@@ -6,6 +6,7 @@ measured values of the parameters. This module must not know primitives.
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -19,6 +20,7 @@ from rtc.model.cells import parts
 from rtc.model.robot.finger_mass import finger_mass, require_stable
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.primitive import ControlLaw, Load
+from rtc.runtime.environment import physics_seed
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.subsystems.motion.arm import (
@@ -44,6 +46,7 @@ from sim_mcm.arms.servo import Servo
 
 FINGER_FRICTION = 1.0
 SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
+PERTURBED = 0.05  # share, of masses and friction, if RTC_PHYSICS_SEED is set
 GRIPS_N = 1.0  # a hand whose fingers press less holds nothing
 LOCKED_N = 1e4  # N or N.m, of a joint that is stuck or braked: more than any servo exerts
 NOTHING: Mapping[str, float] = {}
@@ -342,7 +345,21 @@ class BulletCell:
         for arm in self._all:
             arm.others = [other for other in self._all if other is not arm]
         self._detents = Detents(self.world, self.bolts.fasten)
+        if seed := physics_seed():
+            self._perturb(seed)
         self._settle()
+
+    def _perturb(self, seed: str) -> None:
+        """Let masses and friction differ from the cell file by up to `PERTURBED`, each by itself."""
+
+        def drawn(what: str) -> float:
+            return 1.0 + random.Random(f"{seed}/{self.cell.name}/{what}").uniform(-PERTURBED, PERTURBED)
+
+        for name in sorted(self.world.movable):
+            self.world.weigh(name, drawn(f"mass of {name}"))
+            self.world.rub(name, drawn(f"friction of {name}"))
+        for name, arm in self.arms.items():
+            arm.rub(drawn(f"pads of {name}"))
 
     def _settle(self) -> None:
         """Take the first steps after a reset, in which the sensors read some tenths of a newton too much."""

@@ -195,6 +195,13 @@ class PhysicsWorld:
             inertia = [factor * n for n in thing.inertia_kg_m2]
             pybullet.changeDynamics(body, link, localInertiaDiagonal=inertia, physicsClientId=self.client)
 
+    def rub(self, name: str, factor: float) -> None:
+        """Scale the friction of an object from what it is."""
+        for part, _ in self.objects[name].parts:
+            for link in range(-1, pybullet.getNumJoints(part, physicsClientId=self.client)):
+                now = pybullet.getDynamicsInfo(part, link, physicsClientId=self.client)[1]
+                pybullet.changeDynamics(part, link, lateralFriction=factor * now, physicsClientId=self.client)
+
     def place(self, body: Body, pose: geometry.Floats) -> None:
         """Set the pose of an object or seat, at rest. One with a hinge turns, and its hinge moves with the rest."""
         if body.hinge is not None:
