@@ -30,6 +30,7 @@ DEADLINE_S: dict[str, float] = {
     WorkerKind.ANALYZER: 10.0,
 }
 REHEARSAL_S = 60.0  # the same of a rehearsal, which does the work of many such jobs
+UNWANTED_S = 2.0  # the same of a job whose command has ended: its worker is killed, so that it serves others
 QUEUES: tuple[str, ...] = (*WorkerKind, REHEARSER)  # names; each is shared by the workers of one kind
 PROGRESS_S = 0.001  # least processor time that counts as progress of a job
 SILENCE_S = 3.0  # time limit for a sign of life of an idle worker, which sends one every 0.5 s
@@ -108,12 +109,13 @@ class LostJob(NamedTuple):
 class Worker:
     __slots__ = (
         *("abilities", "assigned", "done", "last_seen_s", "mean_s", "name", "node", "pid", "queue"),
-        *("inside", "progress_at_s", "retiring", "since_s", "worked_s"),
+        *("inside", "progress_at_s", "retiring", "since_s", "unwanted", "worked_s"),
     )
 
     def __init__(self, name: str, node: int, queue: str, pid: int, now: float, abilities: Sequence[str] = ()) -> None:
         self.name, self.node, self.queue, self.pid, self.abilities = name, node, queue, pid, list(abilities)
         self.assigned: dict[str, DispatchJob] = {}  # jobs in order; the first is in progress
+        self.unwanted: set[str] = set()  # those of them whose command has ended
         self.since_s = now  # time when the first job began
         self.worked_s = 0.0  # processor time that it has reported for the first job
         self.inside = ""  # the code of an installed package that ran in its latest sign of life
@@ -185,6 +187,7 @@ class WorkerRegistry:
         if assigned is None or assigned.attempt != attempt:  # a late result of an earlier attempt
             return False
         del worker.assigned[job]
+        worker.unwanted.discard(job)
         worker.done += 1
         worker.mean_s = took_s if worker.done == 1 else 0.8 * worker.mean_s + 0.2 * took_s
         return True
@@ -196,10 +199,15 @@ class WorkerRegistry:
         self.queues[job.queue].add(job, now)
 
     def cancel(self, job: str) -> str:
-        """Remove a job from the queues. Returns the worker that has it and must drop it, or an empty name."""
+        """Remove a job from the queues. Returns the worker that has it and must drop it, or an empty name. One that
+        is in progress there, and lasts, is `hung`."""
         for queue in self.queues.values():
             queue.drop(job)
-        return next((worker.name for worker in self.workers.values() if job in worker.assigned), "")
+        worker = next((worker for worker in self.workers.values() if job in worker.assigned), None)
+        if worker is None:
+            return ""
+        worker.unwanted.add(job)
+        return worker.name
 
     def assign(self, now: float) -> Iterator[tuple[str, list[DispatchJob]]]:
         """Assign queued jobs. Yields (worker, jobs) pairs, the least loaded worker first."""
@@ -263,6 +271,8 @@ def _why_hung(worker: Worker, now: float) -> str:
         now - worker.since_s,
         worker.last_seen_s - worker.progress_at_s,
     )
+    if job in worker.unwanted and max(worker.worked_s, idle_s) > UNWANTED_S:
+        return f"job {job} goes on although its command has ended"
     if worker.worked_s > limit_s:
         return f"job {job} has used {worker.worked_s:.1f} s of processor time"
     if idle_s > limit_s:

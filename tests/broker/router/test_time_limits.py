@@ -89,3 +89,13 @@ def test_a_subsystem_that_is_silent_is_lost_at_once(bench: Bench) -> None:
         bench.turn()
     assert bench.state.subsystems["MCM"].link is LinkState.LOST
     assert phase_of(bench, command) is m.Phase.CLOSING
+
+
+def test_a_worker_with_the_job_of_an_ended_command_is_killed_and_the_job_is_not_done_again(working: Bench) -> None:
+    beat(working, 1.0, by_the_clock_s=1.0)
+    working.router.core.registry.cancel("C-1/1")
+    beat(working, 1.5, by_the_clock_s=1.0)
+    assert kills(working) == []
+    beat(working, 3.0, by_the_clock_s=1.0)
+    (kill,) = kills(working)
+    assert "its command has ended" in kill.why

@@ -8,7 +8,7 @@ refused with the place and the cause.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -28,7 +28,9 @@ KNOT_M = 0.025  # distance between inverse solutions; a cubic through them is st
 KNOT_RAD = 0.10
 LEAP_RAD = 0.60  # a larger joint step between knots means a singularity or another branch
 METRES_PER_RAD = 0.25  # so that 0.25 m/s means 1 rad/s where the hand only turns
-MIN_STEP_M = 1e-6  # least distance between two via points in s
+SAME_M, SAME_RAD = 1e-4, 1e-4  # places of a sentence that are nearer to each other than this are one
+NO_STEP_M = 1e-7  # poses of a curve that are nearer than this are one
+FEWEST = 4  # poses of a curve; through fewer there is a line
 CHECK_RAD = 0.025  # joint step between collision checks, weighted below; some 2 cm at the hand
 
 
@@ -93,6 +95,33 @@ def even(first: float, last: float, count: int) -> Array:
     return values
 
 
+def distinct(points: Sequence[Floats], apart: Callable[[Array, Array], float], least: float) -> Array:
+    """The points without those that are nearer than `least` to the one before: equal neighbours are one point, for a
+    piece without length has no direction. The first and the last point stay, so there are at least two."""
+    rows = np.array(points, dtype=float)
+    kept = [0]
+    for n in range(1, len(rows) - 1):
+        if apart(rows[kept[-1]], rows[n]) >= least:
+            kept.append(n)
+    while len(kept) > 1 and apart(rows[kept[-1]], rows[-1]) < least:
+        kept.pop()
+    return rows[[*kept, -1]]
+
+
+def distinct_postures(postures: Sequence[Floats]) -> Array:
+    """`distinct` for joint values (rad)."""
+    return distinct(postures, _turned, SAME_RAD)
+
+
+def _turned(a: Array, b: Array) -> float:
+    return float(np.abs(b - a).max())
+
+
+def _moved(a: Array, b: Array) -> float:
+    """The length between two poses, with the turn (m)."""
+    return max(geometry.distance(a, b), METRES_PER_RAD * geometry.angle(a, b))
+
+
 def joint_line(start: Floats, goal: Floats) -> Path:
     """Straight line in joint space from `start` to `goal` (rad)."""
     return Path("joint", np.array((0.0, 1.0)), np.array((start, goal), dtype=float), None)
@@ -103,7 +132,7 @@ def through(corners: Sequence[Floats], radii: Array | None = None) -> Path:
 
     `radii`: of the corners, in the unit of s; as wide as possible without them.
     """
-    knots = np.array(corners, dtype=float)
+    knots = np.array(corners, dtype=float) if radii is not None else distinct_postures(corners)
     if len(knots) == 2:
         return joint_line(knots[0], knots[1])
     s = lengths(knots)
@@ -111,19 +140,21 @@ def through(corners: Sequence[Floats], radii: Array | None = None) -> Path:
 
 
 def spline_through(postures: Sequence[Floats]) -> Path:
-    """A smooth curve in joint space through these postures (rad), at least three; s is as that of `through`."""
-    knots = np.array(postures, dtype=float)
+    """A smooth curve in joint space through these postures (rad); s is as that of `through`."""
+    knots = distinct_postures(postures)
+    if len(knots) == 2:
+        return joint_line(knots[0], knots[1])
     s, table = smooth.through(lengths(knots), knots)
     return Path("joint", s, table, Spline(s, table))
 
 
 def poses_through(poses: Sequence[Floats]) -> Array:
-    """A smooth curve of the tcp through these poses, at least three, as the table of `task_curve`."""
-    rows = np.array(poses, dtype=float)
+    """A smooth curve of the tcp through these poses, as the table of `task_curve`."""
+    rows = distinct(poses, _moved, SAME_M)
     for n in range(1, len(rows)):  # q and -q are the same attitude: take the nearer one
         if rows[n, 3:] @ rows[n - 1, 3:] < 0.0:
             rows[n, 3:] *= -1.0
-    steps = [max(geometry.distance(a, b), METRES_PER_RAD * geometry.angle(a, b), MIN_STEP_M) for a, b in pairwise(rows)]
+    steps = [max(_moved(a, b), NO_STEP_M) for a, b in pairwise(rows)]
     per_piece = max(smooth.PER_PIECE, math.ceil(max(steps) / KNOT_M))
     _, table = smooth.through(np.concatenate(((0.0,), np.cumsum(steps))), rows, per_piece)
     return np.array([geometry.normalise(row) for row in table])
@@ -150,9 +181,12 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
 
 
 def task_curve(arm: ArmModel, start: Floats, poses: Array, margin_rad: float = 0.0) -> Path:
-    """The tcp through these poses (world, [poses][7], the first where `start` is), on one branch. At least four.
+    """The tcp through these poses (world, [poses][7], the first where `start` is), on one branch.
 
     Raises Refused."""
+    poses = distinct(poses, _moved, NO_STEP_M)
+    if len(poses) < FEWEST:
+        return task_line(arm, start, poses[-1], margin_rad)
     metres = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
     turns = np.array([geometry.angle(a, b) for a, b in pairwise(poses)])
     s = np.concatenate(((0.0,), np.cumsum(np.maximum(metres, METRES_PER_RAD * turns))))

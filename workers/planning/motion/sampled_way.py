@@ -262,6 +262,7 @@ class _Space:
 
 def rounded(request: PlanningRequest, corners: list[Array]) -> Path | None:
     """The way-points with rounded corners, each halved while the path near it is not free. None: not found."""
+    corners = [*paths.distinct_postures(corners)]
     radii = widest(lengths(np.array(corners)))
     for _ in range(NARROWER * len(corners)):
         way = paths.through(corners, radii)
