@@ -405,6 +405,11 @@ def queues_of(state: State) -> set[str]:
     return {name for subsystem in state.subsystems.values() for name in subsystem.queues}
 
 
+def exact_arms_of(state: State) -> list[str]:
+    """The arms that neither comply with a force nor turn bolts."""
+    return [name for subsystem in state.subsystems.values() if subsystem.rigid for name in subsystem.performers]
+
+
 class RolloutPhase(StrEnum):
     """State of the roll-out of programs for one kind of worker (`broker.decisions.program_rollout`)."""
 

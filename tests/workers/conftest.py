@@ -301,6 +301,7 @@ class Bench:
         self.now_s = 0.0  # of the broker; 0: no fact has an age
         self.saved: SavedWorld | None = None  # facts of a file that come with each sentence
         self.moving: list[Primitive] = []  # of other arms
+        self.rigid: list[str] = []  # exact arms
 
     def unsurveyed(self) -> None:
         """Things may be as far from where they are believed to be as the cell file says."""
@@ -325,6 +326,7 @@ class Bench:
             at_s=self.now_s,
             saved=self.saved,
             moving=self.moving,
+            rigid=self.rigid,
         )
         return elaborator.run(compiled(elaborator, self.programs["elaborator"]), model or self.model, self.world, data)
 

@@ -28,6 +28,7 @@ from workers.elaborator import (
     arm_candidates,
     as_tested,
     command_fields,
+    exact_arms,
     look,
     make_way,
     no_script,
@@ -95,6 +96,7 @@ def run(
         if data.saved is not None:
             teach.refuse_saved(data.parsed)
         script = _elaborated(compiled, query, data.parsed, data.owners, data.saved, advise=advise)
+        exact_arms.refuse(script, data.rigid)
         return installed_phases.applied(compiled.program.phases, data, script)
     except Refused as refused:
         return _advised(compiled, query, refused.refusal) if advise else refused.refusal

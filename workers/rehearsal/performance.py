@@ -88,7 +88,7 @@ class Performance:
 
     def run(self, parsed: ParsedCommand) -> Performance:
         """Elaborate the sentence and perform its steps until the last, or until one is refused."""
-        data = ElaboratorInput(command=self.command, parsed=parsed, at_s=self.now_s)
+        data = ElaboratorInput(command=self.command, parsed=parsed, at_s=self.now_s, rigid=[*self.rigid])
         try:
             program = self.programs[WorkerKind.ELABORATOR]
             self.script = _unless_refused(elaborate.run(program, self.model, self.world, data, advise=self.advise))

@@ -7,7 +7,7 @@ from typing import Any
 from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.resources import Claim
-from broker.decisions.state import Command, ParsedHead
+from broker.decisions.state import Command, ParsedHead, exact_arms_of
 from rtc.protocol.messages import Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS
@@ -82,6 +82,8 @@ def start_elaboration(context: DecisionContext, command: Command) -> None:
     data: dict[str, Any] = {"command": command.id, "parsed": command.parsed, "at_s": context.now}
     if command.head is not None and command.head.kind == "data":
         data["owners"] = {name: ", ".join(users) for name, users in context.state.resources.holders.items()}
+    if rigid := exact_arms_of(context.state):
+        data["rigid"] = rigid
     if command.rests_on:
         data["rests_on"] = command.rests_on
     if command.saved is not None:

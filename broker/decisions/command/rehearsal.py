@@ -13,7 +13,15 @@ import msgspec
 from broker.decisions.command.scope import scope_of
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
-from broker.decisions.state import Command, ParsedHead, PendingOutcome, RehearsedHead, State, Tested
+from broker.decisions.state import (
+    Command,
+    ParsedHead,
+    PendingOutcome,
+    RehearsedHead,
+    State,
+    Tested,
+    exact_arms_of,
+)
 from rtc.protocol import wire
 from rtc.protocol.digest import digest
 from rtc.protocol.messages import Phase, WorkerKind
@@ -40,7 +48,7 @@ def rehearse(context: DecisionContext, command: Command, head: ParsedHead) -> No
         "label": command.label,
         "live": [name for name in named if name in context.state.commands],
         "at_s": context.now,
-        "rigid": [name for one in context.state.subsystems.values() if one.rigid for name in one.performers],
+        "rigid": exact_arms_of(context.state),
     }
     if before is not None:
         data["before"] = before.paper

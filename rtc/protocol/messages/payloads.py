@@ -145,6 +145,7 @@ class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     owners: dict[str, str] = {}  # of a sentence that states or asks facts: name -> the commands that use it
     rests_on: RestsOn | None = None
     saved: SavedWorld | None = None
+    rigid: list[str] = []  # performers that neither comply with a force nor turn bolts
 
 
 class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):

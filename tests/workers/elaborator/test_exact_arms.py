@@ -1,0 +1,58 @@
+"""Exact arms refuse what must give way before anything moves, and perform what they can to the end."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc.model.cells.cell import Cell
+from rtc.protocol.messages import Script
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from tests.workers.conftest import MODEL, Bench, Kinematic, Reporter
+from workers.planning.robot_models import CellModel
+
+SERVICING = CellModel(Cell.load("servicing"))
+ARMS = ["LEFT-ARM", "RIGHT-ARM"]
+GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
+LIFTED = [GRASP, "LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM"]
+
+
+@pytest.mark.parametrize(
+    ("model", "before", "sentence", "word"),
+    [
+        (SERVICING, ["GRASP LEFT-END-EFF DOOR-2 LATCH-PULL"], "OPEN DOOR-2 BY 60 DEG WITH LEFT-ARM", "cannot comply"),
+        (SERVICING, ["GRASP LEFT-END-EFF DOOR-2 LATCH-PULL"], "TURN DOOR-2 BY 30 DEG WITH LEFT-ARM", "cannot comply"),
+        (SERVICING, ["GRASP RIGHT-END-EFF POWER-DRIVER TOOL-GRIP"], "LOOSEN BOLT-1 WITH RIGHT-ARM", "no bolts"),
+        (MODEL, LIFTED, "CARRY MACS-NEW TO BAY-2-FRONT WITH BOTH-ARMS", "cannot comply"),
+        (MODEL, LIFTED, "INSERT MACS-NEW INTO BAY-2 WITH RIGHT-ARM", "cannot comply"),
+    ],
+)
+def test_what_must_give_way_is_refused_by_exact_arms_alone(model, before, sentence, word) -> None:
+    bench = Bench(Reporter(model.cell), model)
+    for one in before:
+        bench.rigid = ARMS
+        assert bench.do(one).succeeded, one
+    bench.rigid = []
+    assert isinstance(bench.elaborate(sentence), Script)
+    bench.rigid = ARMS
+    refusal = bench.elaborate(sentence)
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason is RefusalReason.INFEASIBLE
+    assert word in refusal.message
+    assert "rtc up --mcm bullet" in refusal.clears
+
+
+@pytest.mark.physics
+def test_what_exact_arms_can_do_is_accepted_and_done() -> None:
+    bench = Bench(Kinematic())
+    bench.rigid = ARMS
+    for sentence in (
+        GRASP,
+        "LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM",
+        "CARRY MACS-NEW TO BAY-2-FRONT WITH RIGHT-ARM",
+        "MOVE RIGHT-ARM BY 5 CM ALONG UP",
+        "CARRY MACS-NEW TO RACK-1-FRONT WITH RIGHT-ARM",
+        "PLACE MACS-NEW ON RACK-1 WITH RIGHT-ARM",
+        "STOW RIGHT-ARM",
+    ):
+        run = bench.do(sentence)
+        assert run.succeeded, (sentence, run.refusal, run.failure)

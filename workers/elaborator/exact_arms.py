@@ -1,0 +1,36 @@
+"""Exact arms neither comply with a force nor turn bolts: a script that needs that is refused before anything moves.
+Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from rtc.protocol.messages import Script, Step
+from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
+from workers.planning import segments
+
+SKIP = "skip"  # of a trim: its steps stand in for the refused one
+PHYSICS = "arms with physics do (rtc up --mcm bullet)"
+
+
+def refuse(script: Script, rigid: Collection[str]) -> None:
+    """Refuse a script with a step that its arm cannot perform, and that no trim replaces. `rigid`: the exact arms."""
+    for n, step in enumerate(script.steps, 1):
+        arm = step.arm or script.context.arm
+        lacks = _lacks(step) if arm in rigid else ""
+        if lacks and not _is_replaced(script, step):
+            message = f"{arm} is exact and {lacks}; {PHYSICS}: step {n} needs it ({step.label})"
+            raise Refused.because(RefusalReason.INFEASIBLE, message, where=f"step {n}", clears=PHYSICS)
+
+
+def _lacks(step: Step) -> str:
+    if step.do == "turn":
+        return "turns no bolts"
+    complies = step.figures.stiffness_n_m is not None or step.space == segments.BOTH
+    return "cannot comply" if complies else ""
+
+
+def _is_replaced(script: Script, step: Step) -> bool:
+    """Whether a trim does something else if the arm refuses the step."""
+    fitting = (one for one in script.trims if one.n in step.trims and one.then == SKIP)
+    return any(StopReason.REFUSED in one.fits for one in fitting)
