@@ -34,6 +34,8 @@ class PredictedFact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     key: str
     value: Any
     validity: str
+    # How far the fact may be from the predicted one. What is sensed on the way may be found anywhere that was possible
+    # before it; after the sentence it is known better than this.
     spread: list[float] | None = None
 
 

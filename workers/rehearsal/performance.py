@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from operator import lt
 from typing import Any, NamedTuple
 
 import msgspec
@@ -20,6 +21,7 @@ from rtc.protocol.messages import (
     BoundStep,
     ElaboratorInput,
     EndReport,
+    Fact,
     Script,
     WorkerKind,
 )
@@ -27,6 +29,7 @@ from rtc.protocol.outcomes import Reflex, Refusal, RefusalReason, Refused, StopR
 from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Look, Primitive, SpindleMotion
 from rtc.protocol.rehearsal import RehearsedStep
 from rtc.protocol.sentence import ParsedCommand
+from rtc.world.spread import EXACT, Spread, widened
 from workers.analyzer import analyze
 from workers.binder import bind
 from workers.elaborator import elaborate
@@ -70,6 +73,8 @@ class Performance:
     refusal: Refusal | None = None
     given_up: Refusal | None = None
     remark: str = ""  # of the last step: what the result would state
+    # Pose -> how far a camera or a touch may find it from where the paper has it: what was known before that.
+    known_within: dict[str, Spread] = field(default_factory=dict)
 
     @property
     def predicted_s(self) -> float:
@@ -126,9 +131,37 @@ class Performance:
         self.actions.moved_s += report.duration_s
         data = AnalyzerInput(**self.actions.analyzer_input(bound.evaluation, report))
         judged: Assessment = self._call(analyze, WorkerKind.ANALYZER, data)
-        self.world = self.world.overlay(judged.changes, f"{self.command}/{len(self.steps)}", self.now_s)
+        before, self.world = (
+            self.world,
+            self.world.overlay(judged.changes, f"{self.command}/{len(self.steps)}", self.now_s),
+        )
+        self._note_measured(before.facts, judged)
         self.actions.assign(judged.keep)
         return judged
+
+    def _note_measured(self, before: Mapping[str, Fact], judged: Assessment) -> None:
+        """On paper a body is found where it is believed to be; in truth anywhere that was possible. What is brought
+        into a seat is where the seat is found."""
+        poses = [change for change in judged.changes if change.spread is not None and change.key.endswith(".frame")]
+        measured: Spread | None = None
+        for change in poses:
+            fact = before.get(change.key)
+            if fact is not None and fact.spread is not None and any(map(lt, change.spread or EXACT, fact.spread)):
+                measured = measured or fact.spread
+                self.known_within.setdefault(change.key, fact.spread)
+        for change in poses:  # a seat that is found with its module
+            if measured is not None and before.get(change.key) is None:
+                self.known_within.setdefault(change.key, measured)
+        for change in judged.changes:
+            thing, _, attribute = change.key.partition(".")
+            fact = before.get(change.key)
+            if attribute == "seat" and change.value and (fact is None or fact.value != change.value):
+                self.known_within[f"{thing}.frame"] = self.known_within.get(f"{change.value}.frame", EXACT)
+
+    def spread_of(self, fact: Fact) -> list[float] | None:
+        """How far the fact may be from what is predicted."""
+        within = self.known_within.get(fact.key)
+        return fact.spread if within is None else widened(fact.spread or EXACT, within)
 
     def follow(self, judged: Assessment) -> str:
         """Push the trim that the verdict asks for; what follows it. Raises Refused without one, with the failure."""

@@ -153,7 +153,7 @@ def _answer(
         remark=done.remark if done.refusal is None else "",
         assumes=list(dict.fromkeys(done.assumes)),
         changes=[
-            PredictedFact(key=fact.key, value=fact.value, validity=fact.validity.value, spread=fact.spread)
+            PredictedFact(key=fact.key, value=fact.value, validity=fact.validity.value, spread=done.spread_of(fact))
             for fact in after.facts
             if known.get(fact.key) != fact
         ],

@@ -63,6 +63,27 @@ def test_predicted_facts_have_their_spread_and_it_grows_in_the_hand(paper: OnPap
     assert sum(held[:3]) > sum(grasped[:3])
 
 
+@pytest.mark.parametrize(
+    ("sentence", "keys"), [("LOCATE MACS-NEW", ["MACS-NEW.frame", "RACK-1.frame"]), (GRASP, ["MACS-NEW.frame"])]
+)
+def test_what_is_sensed_on_the_way_may_be_found_anywhere_that_was_possible(paper: OnPaper, sentence, keys):
+    """The predicted pose had the spread of the look that was yet to come: most looks ended outside it."""
+    before = paper.world.facts["MACS-NEW.frame"].spread
+    found = paper.test(sentence)
+    for key in keys:
+        assert all(now >= was for now, was in zip(value(found, key).spread, before, strict=True))
+    known = next(fact for fact in found.after.facts if fact.key == keys[0])
+    assert known.spread[0] < 0.5 * before[0]  # the next sentence relies on what was sensed
+
+
+def test_what_is_placed_is_found_where_its_seat_is(paper: OnPaper):
+    for sentence in (GRASP, LIFT, "MOVE RIGHT-ARM TO BAY-2-FRONT"):
+        assert paper.test(sentence).refusal is None
+    placed = paper.test("INSERT MACS-NEW INTO BAY-2 WITH RIGHT-ARM")
+    assert placed.refusal is None
+    assert max(value(placed, "MACS-NEW.frame").spread[:3]) < 0.01
+
+
 def test_it_relies_on_the_facts_that_it_read_with_their_versions(paper: OnPaper):
     paper.know("LEFT-ARM.joints", list(MODEL.cell.arm("LEFT-ARM").home_rad))
     found = paper.test("STOW RIGHT-ARM").rehearsal.relies_on
