@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from operator import mul
 
 from rtc.programs.compatibility import row_of
-from rtc.protocol.outcomes import Compared, Figure, StopReason
+from rtc.protocol.outcomes import OF_OPERATOR, Compared, Figure, StopReason
 from rtc.world.spread import EXACT
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.world_changes import Changes
@@ -46,9 +46,10 @@ def in_words(drifts: Iterable[Figure]) -> str:
 
 
 def _duration(task: AnalyzeTask, _: Changes) -> Finding | None:
-    """Of an arm or a hand: a camera takes the time that its computer needs. A pause is not counted."""
+    """Of an arm or a hand: a camera takes the time that its computer needs, the operator the time that he wants. A
+    pause is not counted."""
     evaluation, report = task.evaluation, task.report
-    if evaluation.body or not evaluation.predicted_s:
+    if evaluation.body or not evaluation.predicted_s or report.reason in OF_OPERATOR:
         return None
     band_s = max(task.values["late_s"], task.values["late_factor"] * evaluation.predicted_s)
     return evaluation.predicted_s, report.duration_s - report.paused_s, evaluation.within_s + band_s

@@ -98,10 +98,12 @@ def _cell_of(client: Client) -> Cell:
 
 
 def _why(record: m.CommandRecord) -> list[str]:
-    lines = chain(record)
-    if record.outcome is not None and record.outcome.refusal is not None:
-        lines += refusal_lines(record.outcome.refusal, record.text, details=True)
-    return lines
+    """What a person can do comes first, then how it came about."""
+    outcome = record.outcome
+    if outcome is None or outcome.refusal is None:
+        return chain(record)
+    lines = refusal_lines(outcome.refusal, record.text)
+    return [*(line for line in lines if line != outcome.message), *chain(record)]  # the card has the message
 
 
 def _opened(browse: bool, link: str) -> None:

@@ -6,7 +6,7 @@ It holds no state of its own: facts, status and commands come from the cluster a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
@@ -25,6 +25,7 @@ from rtc.protocol.rehearsal import Rehearsal
 
 FRAME_S = 0.033  # shortest time between two frames
 CLOCK_S = 0.002  # a smaller difference of clocks is not reported again
+MAX_TESTS = 20  # commands of pages, TESTs and predictions that are kept
 BEAT_S = 0.5  # without a change the last frame is sent again: a page that gets none has lost the link
 TRUTH_S, STILL_TRUTH_S = 0.3, 1.5  # age from which on a truth is not shown: while an arm moves, and otherwise
 #: what a page shows of the status
@@ -32,6 +33,9 @@ STATUS = (
     *("processes", "workers", "resources", "subsystems", "queues", "counters", "halts", "uptime_s", "cluster"),
     "surrenders",
 )
+
+
+Kept = TypeVar("Kept")
 
 
 class InWords(NamedTuple):
@@ -42,8 +46,8 @@ class InWords(NamedTuple):
     names: Callable[[Callable[[], list[str]], Callable[[], list[str]]], Names]  # of places and of commands
 
 
-class Prediction(NamedTuple):
-    """The last TEST that was feasible."""
+class Prediction(msgspec.Struct, frozen=True):
+    """A TEST of a page that was feasible. `poses`: of what it changes; others are not numbers."""
 
     command: str
     text: str
@@ -61,7 +65,9 @@ class Hub:
         self.facts: dict[str, m.Fact] = {}
         self.status: dict[str, Any] = {}
         self.status_at_s = 0.0
-        self.prediction: Prediction | None = None
+        self._of_pages: dict[str, None] = {}  # the last commands of pages
+        self._tests: dict[str, m.CommandEnded] = {}  # the last TESTs of any client that were feasible
+        self._predictions: dict[str, Prediction] = {}  # of those that are of a page
         self.truth: m.SimTruthReply | None = None
         self.moving: list[str] = []
         self.frames: set[FrameSlot] = set()
@@ -96,6 +102,12 @@ class Hub:
                     self.story.take(event)
                     if isinstance(event, m.CommandEnded):
                         self._take_test(event)
+
+    def take_of_page(self, command: str) -> None:
+        """This command was submitted by a page. TESTs of other clients are not for pages."""
+        _keep(self._of_pages, command, None)
+        if command in self._tests:
+            self._predict(self._tests[command])
 
     def take_truth(self, truth: m.SimTruthReply) -> None:
         self.truth, self._truth_at_s = truth, self._now()
@@ -189,36 +201,42 @@ class Hub:
         self._frame_at_s = self._now()
         self._number += 1
         shown, belief, true = self._last
-        predicted = None if self.prediction is None else self.prediction.poses
-        frame = pack(self._number, self._measured_at_s, self._frame_at_s, shown, belief, predicted, true=true)
+        frame = pack(self._number, self._measured_at_s, self._frame_at_s, shown, belief, true=true)
         for slot in self.frames:
             slot.put(frame)
 
     def _take_test(self, ended: m.CommandEnded) -> None:
-        rehearsal = ended.outcome.rehearsal
-        if rehearsal is None:
+        if ended.outcome.rehearsal is None or ended.outcome.kind is not OutcomeKind.SUCCEEDED:
             return
-        if ended.outcome.kind is OutcomeKind.SUCCEEDED:
-            facts = self.facts | {
-                one.key: m.Fact(
-                    key=one.key, value=one.value, validity=m.Validity(one.validity), version=0, source="", at_s=0.0
-                )
-                for one in rehearsal.changes
-            }
-            scene = believed(self.cell, facts, {}, None).scene
-            changed = {one.key.rpartition(".")[0] for one in rehearsal.changes}
-            poses = self.bodies.poses(scene, only=changed)
-            self.prediction = Prediction(ended.command, ended.text, rehearsal, poses)
+        _keep(self._tests, ended.command, ended)
+        if ended.command in self._of_pages:
+            self._predict(ended)
+
+    def _predict(self, ended: m.CommandEnded) -> None:
+        rehearsal = ended.outcome.rehearsal
+        assert rehearsal is not None
+        facts = self.facts | {
+            one.key: m.Fact(
+                key=one.key, value=one.value, validity=m.Validity(one.validity), version=0, source="", at_s=0.0
+            )
+            for one in rehearsal.changes
+        }
+        scene = believed(self.cell, facts, {}, None).scene
+        changed = {one.key.rpartition(".")[0] for one in rehearsal.changes}
+        poses = self.bodies.poses(scene, only=changed)
+        _keep(self._predictions, ended.command, Prediction(ended.command, ended.text, rehearsal, poses))
         self._post(self._predicted())
 
     def _drop_stale(self) -> None:
         """A prediction is gone when a fact that it relies on has changed."""
-        if self.prediction is None:
-            return
-        relies_on = self.prediction.rehearsal.relies_on
-        if any(key in self.facts and self.facts[key].version != version for key, version in relies_on.items()):
-            self.prediction = None
+        fresh = {command: one for command, one in self._predictions.items() if self._is_fresh(one)}
+        if len(fresh) < len(self._predictions):
+            self._predictions = fresh
             self._post(self._predicted())
+
+    def _is_fresh(self, prediction: Prediction) -> bool:
+        relies_on = prediction.rehearsal.relies_on.items()
+        return all(key not in self.facts or self.facts[key].version == version for key, version in relies_on)
 
     def _arm_rows(self) -> dict[str, Any]:
         """Of each arm what a page shows in figures: grant and request of the operator, forces, width of the hand; the
@@ -235,10 +253,7 @@ class Hub:
         }
 
     def _predicted(self) -> dict[str, Any]:
-        found = self.prediction
-        if found is None:
-            return {"prediction": None}
-        return {"prediction": {"command": found.command, "text": found.text, "rehearsal": found.rehearsal}}
+        return {"predictions": list(self._predictions.values())}
 
     def _fact(self, fact: m.Fact) -> dict[str, Any]:
         words = self._in_words.fact(fact)
@@ -260,6 +275,12 @@ class Hub:
             text = _text(message)
             for box in self.boxes:
                 box.put(text)
+
+
+def _keep(kept: dict[str, Kept], command: str, one: Kept) -> None:
+    kept[command] = one
+    if len(kept) > MAX_TESTS:
+        del kept[next(iter(kept))]
 
 
 def _rounded(operation: m.Operation | None) -> m.Operation | None:

@@ -160,7 +160,10 @@ class Console:
             return {"command": handle.number}
 
         self._loop = asyncio.get_running_loop()
-        return JSONResponse(await _or_refusal(self._sentences.ask(submit)))
+        answer = await _or_refusal(self._sentences.ask(submit))
+        if "command" in answer:
+            self.hub.take_of_page(answer["command"])
+        return JSONResponse(answer)
 
     def _take_report(self, note: m.ProgressNote) -> None:
         """A report of EVERY or WHEN, which the event stream lacks. In the thread of the sentences."""

@@ -101,6 +101,10 @@ class Page:
         given: dict[str, Any] = {"button": button, "buttons": int(self._pressed)}
         self._call("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], clickCount=1, **given)
 
+    def resize(self, width: int, height: int) -> None:
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self._call("Emulation.setDeviceMetricsOverride", **metrics)
+
     def screenshot(self, selector: str = "") -> bytes:
         """A PNG of the window, or of one element."""
         clip: dict[str, Any] = {}

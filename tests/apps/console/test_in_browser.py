@@ -272,6 +272,75 @@ def test_space_in_the_line_is_a_blank(page: Page):
     assert page.ask("rtcConsole.halts.length") == count
 
 
+REFUSED = "MOVE LEFT-ARM TO RACK-1-FRONT"
+
+
+@pytest.mark.usefixtures("at_home")
+def test_a_refused_sentence_comes_back_with_its_reason_and_without_the_focus(page: Page):
+    page.type(REFUSED)
+    page.press("Enter")
+    page.wait("document.querySelector('#hint.wrong')?.textContent.includes('refused')")
+    assert page.ask("rtcConsole.state.line") == REFUSED
+    assert page.ask("document.querySelector('#hint').textContent.includes(' — ')")  # with what clears it
+    count = page.ask("rtcConsole.halts.length")
+    page.press(" ")
+    page.wait(f"rtcConsole.halts.length === {count} + 1")
+    page.wait("document.querySelectorAll('.card.open .why li').length > 2")
+    lines = page.ask("[...document.querySelectorAll('.card.open .why li')].map((line) => line.textContent)")
+    advice = next(n for n, line in enumerate(lines) if line.startswith("to clear it"))
+    assert advice < next(n for n, line in enumerate(lines) if "was given by" in line)
+
+
+@pytest.mark.usefixtures("at_home")
+def test_a_test_of_another_client_is_not_shown(page: Page, run_dir: Path):
+    text = "TEST MOVE LEFT-ARM BY 1 CM ALONG Z"
+    with Client(run_dir) as client:
+        client.run(text)
+    page.wait(ENDED.format(text=text, kind="succeeded"))
+    assert page.ask("rtcConsole.state.prediction?.text") != text
+    assert "LEFT-ARM" not in page.ask("document.querySelector('#tested').textContent")
+
+
+@pytest.mark.usefixtures("at_home")
+def test_before_the_first_measurement_there_is_no_age(page: Page):
+    found = """import('/static/store.js').then(({state, measuredAge, seconds}) => {
+        const was = state.measuredAt; state.measuredAt = 0;
+        const words = seconds(measuredAge()); state.measuredAt = was; return words; })"""
+    assert page.ask(found) == "–"
+
+
+@pytest.mark.usefixtures("at_home")
+def test_before_the_first_picture_there_is_no_image(page: Page):
+    page.ask("location.reload()")
+    page.wait(f"performance.now() < 20000 && {READY}")
+    assert page.ask("[...document.querySelectorAll('.cameras img')].every((image) => image.hidden)")
+    page.ask("rtcConsole.choose('cameras')")
+    page.wait("[...document.querySelectorAll('.cameras img')].every((image) => image.naturalWidth > 0)", 90.0)
+    page.ask("rtcConsole.choose('commands')")
+
+
+@pytest.mark.usefixtures("at_home")
+@pytest.mark.parametrize("width", [700, 1280])
+def test_no_tab_is_cut(page: Page, width: int):
+    page.resize(width, 700)
+    last = "Math.max(...[...document.querySelectorAll('#tabs button')].map((tab) => tab.getBoundingClientRect().right))"
+    page.wait(f"innerWidth === {width}")
+    assert page.ask(f"{last} <= document.querySelector('#tabs').getBoundingClientRect().right")
+    page.resize(1280, 720)
+
+
+@pytest.mark.usefixtures("at_home")
+def test_a_given_arm_that_was_taken_back_is_no_fault(page: Page):
+    page.ask("rtcConsole.submit('GIVE LEFT-ARM TO OPERATOR')")
+    page.wait("document.querySelector('.request') !== null")
+    page.ask("rtcConsole.submit('DONE')")
+    page.wait(ENDED.format(text="GIVE LEFT-ARM TO OPERATOR", kind="succeeded"))
+    bar = "[...document.querySelectorAll('.bar')].find((bar) => bar.title.includes('GIVE LEFT-ARM'))"
+    page.wait(f"{bar}?.querySelector('.end').textContent === '✓'")
+    assert page.ask(f"{bar}.querySelectorAll('.off, .warning').length") == 0
+    assert page.ask("!document.querySelector('#panels').textContent.match(/C-[0-9]+[.][0-9]/)")
+
+
 @pytest.mark.usefixtures("at_home")
 def test_no_element_covers_the_button(page: Page):
     page.type("GRASP ")

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from rtc.apps.console.pose_frame import HEADER, PREDICTED, TRUE, pack
+from rtc.apps.console.pose_frame import HEADER, TRUE, pack
 from rtc.apps.console.scene import Bodies
 from rtc.drawing.scene import SceneView
 from rtc.model.cells.cell import Cell
@@ -60,7 +60,7 @@ def test_a_prediction_has_poses_of_what_it_changes_only(cell):
 
 
 def test_a_frame_has_its_sets_one_after_another():
-    frame = pack(7, 1.5, 2.5, [1.0] * 7, [2.0] * 7, [3.0] * 7, true=True)
-    assert HEADER.unpack_from(frame) == (7, TRUE | PREDICTED, 1.5, 2.5)
-    assert struct.unpack_from("<21f", frame, HEADER.size) == (1.0,) * 7 + (2.0,) * 7 + (3.0,) * 7
-    assert len(pack(7, 1.5, 2.5, [1.0] * 7, [2.0] * 7, None, true=False)) == HEADER.size + 4 * 14
+    frame = pack(7, 1.5, 2.5, [1.0] * 7, [2.0] * 7, true=True)
+    assert HEADER.unpack_from(frame) == (7, TRUE, 1.5, 2.5)
+    assert struct.unpack_from("<14f", frame, HEADER.size) == (1.0,) * 7 + (2.0,) * 7
+    assert len(frame) == HEADER.size + 4 * 14

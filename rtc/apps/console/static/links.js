@@ -1,5 +1,5 @@
 // The three sockets of the page: poses, story, halt. Each connects again by itself, and says at once that it is lost.
-import { emit, state, takeClock } from './store.js';
+import { emit, state, takeClock, takePredictions } from './store.js';
 
 const AGAIN_MS = 400;
 const SILENT_MS = 1500; // the gateway sends poses every 500 ms at least, and answers pings every second
@@ -107,7 +107,7 @@ class Story extends Link {
     if (message.status) { state.status = message.status; state.statusAt = message.at_s; emit('status'); }
     if (message.moving) { state.moving = message.moving; emit('moving'); }
     if (message.arms) { state.arms = message.arms; emit('arms'); }
-    if ('prediction' in message) { state.prediction = message.prediction; emit('prediction'); }
+    if (message.predictions) takePredictions(message.predictions);
   }
 
   change(change) {

@@ -5,7 +5,7 @@ import { answers, hold, holding, release, sent, watchHold } from './operate.js';
 import { choose, openPanels } from './panels.js';
 import { dress, grip, openScene, redraw, view } from './scene.js';
 import { openLine, submit, write } from './sentence.js';
-import { element, measuredAge, nowS, on, post, seconds, state } from './store.js';
+import { ageOf, element, measuredAge, nowS, on, post, seconds, state } from './store.js';
 import { openTracks } from './tracks.js';
 
 const STALE_S = 1.5; // age of poses from which on the arms count as silent
@@ -55,14 +55,14 @@ function watch() {
 }
 
 function chips(lost, silent, old) {
-  const statusAge = nowS() - state.statusAt;
+  const statusAge = ageOf(state.statusAt);
   const chip = (name, good, words) => element('span', { class: `chip ${good ? 'good' : 'bad'}`, title: words }, element('i', {}), name);
   const arms = !lost && !silent;
   const subsystems = state.status.subsystems ?? [];
   document.getElementById('chips').replaceChildren(
     chip('link', !lost, lost ? 'the gateway does not answer' : `halt line ${links.halt?.wayMs?.toFixed(1)} ms`),
-    chip('broker', statusAge < 6, `last status ${seconds(statusAge)} ago`),
-    chip('arms', arms, `measured ${seconds(Math.max(0, old))} ago`),
+    chip('broker', statusAge < 6, state.statusAt ? `last status ${seconds(statusAge)} ago` : 'no status yet'),
+    chip('arms', arms, state.measuredAt ? `measured ${seconds(Math.max(0, old))} ago` : 'not measured yet'),
     ...subsystems.filter((one) => one.state !== 'connected').map((one) => chip(one.name, false, one.state)),
     state.role === 'operator' ? '' : element('span', { class: 'chip' }, state.role),
   );

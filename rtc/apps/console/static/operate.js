@@ -18,7 +18,7 @@ function send(hold) {
   const seen = Math.max(state.measuredAt, answers[arm]?.at_s ?? 0); // of the subsystem: the latest that has arrived
   const old = measuredAge();
   if (hold && !(old < OLD_S)) {
-    emit('operated', { ...answers[arm], arm, refused: `the picture is ${old.toFixed(1)} s old`, cut: '' });
+    emit('operated', { ...answers[arm], arm, refused: Number.isFinite(old) ? `the picture is ${old.toFixed(1)} s old` : 'no measurement of the arms yet', cut: '' });
     hold = false;
   }
   const message = { arm, primitive: grant, seen_at_s: seen, hold, ...(hold ? want() : {}) };

@@ -2,7 +2,7 @@
 import { halt } from './halt.js';
 import { openRequests } from './requests.js';
 import { submit, write } from './sentence.js';
-import { element, emit, nowS, on, seconds, state } from './store.js';
+import { ageOf, element, emit, nowS, on, seconds, state } from './store.js';
 
 const PANELS = [['commands', 'Commands'], ['requests', 'Requests'], ['world', 'World'], ['cameras', 'Cameras'], ['system', 'System']];
 const panels = {};
@@ -157,7 +157,7 @@ function world() {
   const facts = [...state.facts.values()].sort((a, b) => (a.key < b.key ? -1 : 1));
   const shown = facts.filter((fact) => !filter || `${fact.key} ${validity(fact)} ${fact.source}`.toLowerCase().includes(filter));
   let location = '';
-  const now = nowS(), children = [];
+  const children = [];
   for (const fact of shown) {
     const dot = fact.key.lastIndexOf('.');
     if (fact.key.slice(0, dot) !== location) { location = fact.key.slice(0, dot); children.push(element('h3', {}, location)); }
@@ -171,11 +171,11 @@ function world() {
     const [key, value, validityCell, age] = row.children;
     key.textContent = fact.key.slice(dot + 1);
     value.textContent = fact.words;
-    value.title = `${fact.words}\nversion ${fact.version}, by ${fact.source}`;
+    value.title = `${fact.words}\nby ${commandOf(fact.source)}`;
     validityCell.textContent = valid;
     validityCell.className = `validity ${valid}`;
-    age.textContent = seconds(Math.max(0, now - fact.at_s));
-    age.title = `by ${fact.source}`;
+    age.textContent = seconds(Math.max(0, ageOf(fact.at_s)));
+    age.title = `by ${commandOf(fact.source)}`;
     children.push(row);
   }
   body.replaceChildren(...children, ...(shown.length ? [] : [element('p', { class: 'empty' }, 'no such fact')]));
@@ -191,8 +191,8 @@ function openCameras() {
   const toggle = element('input', { type: 'checkbox' });
   toggle.addEventListener('change', () => { live = toggle.checked; });
   const boxes = cameras.map((name) => {
-    const image = element('img', { alt: `picture of ${name}` });
-    const words = element('span', { class: 'words' });
+    const image = element('img', { alt: `picture of ${name}`, hidden: true });
+    const words = element('span', { class: 'words' }, 'no picture yet');
     const box = element('figure', {}, image, element('figcaption', {}, name, words));
     return { name, image, words, box, at: 0, busy: false };
   });
@@ -210,11 +210,13 @@ function openCameras() {
 async function take(one) {
   if (one.busy) return;
   one.busy = true;
+  if (!one.at) one.words.textContent = 'is drawn …';
   try {
     const answer = await fetch(`/picture/${one.name}`);
     if (answer.ok) {
       URL.revokeObjectURL(one.image.src);
       one.image.src = URL.createObjectURL(await answer.blob());
+      one.image.hidden = false;
       one.at = performance.now();
     } else one.words.textContent = (await answer.json()).error;
   } catch {
@@ -239,7 +241,7 @@ function system() {
     resources.length ? table(['resource', 'owner', 'waiting'], resources.map((one) => [one.name, one.owner, one.waiting.join(', ')]))
       : element('p', { class: 'empty' }, 'all free'),
     element('h3', {}, 'Subsystems'),
-    table(['name', 'state', 'performs', 'executes'], subsystems.map((one) => [one.name, mark(one.state), one.performers.join(', '), one.executing.join(', ')])),
+    table(['name', 'state', 'performs', 'executes'], subsystems.map((one) => [one.name, mark(one.state), one.performers.join(', '), one.executing.map(commandOf).join(', ')])),
     element('h3', {}, 'Processes'),
     table(['name', 'state', 'restarts', 'busy with', 'done'], processes.filter((one) => !one.name.endsWith('template')).map((one) => [
       one.name, mark(one.state), String(one.restarts || ''), busy.get(one.name)?.busy_with ?? '', String(busy.get(one.name)?.done ?? '')])),
@@ -248,6 +250,9 @@ function system() {
       ...counted.map(([name, n]) => `${name} ${n}`), `${halts.called ?? 0} halts`].join(' · ')),
   );
 }
+
+// The command of a primitive (C-5.2@59ab) or of a job (C-5/7); other sources as they are.
+const commandOf = (id) => id.match(/^C-\d+/)?.[0] ?? id;
 
 function mark(word) {
   return element('span', { class: `validity ${['ready', 'connected'].includes(word) ? 'valid' : 'suspect'}` }, word);

@@ -143,11 +143,11 @@ function apply(data) {
   state.measuredAt = measuredAt;
   state.truthKnown = (flags & 1) !== 0;
   const shown = values.subarray(0, size), belief = values.subarray(size, 2 * size);
-  const prediction = flags & 2 ? values.subarray(2 * size, 3 * size) : null;
+  const prediction = state.prediction?.poses ?? null;
   const before = view.sets;
   const changed = !before.shown || differs(before.shown, shown) || differs(before.belief, belief)
-    || Boolean(prediction) !== Boolean(before.prediction) || (prediction && differs(before.prediction, prediction));
-  view.sets = { shown: shown.slice(), belief: belief.slice(), prediction: prediction && prediction.slice() };
+    || prediction !== before.prediction;
+  view.sets = { shown: shown.slice(), belief: belief.slice(), prediction };
   if (!changed) return false;
   bodies.forEach((body, n) => {
     const at = 7 * n;

@@ -4,12 +4,12 @@ import {
   historyKeymap, keymap, moveCompletionSelection, placeholder, Prec, setDiagnostics, startCompletion,
 } from './vendor.js';
 import { leaveFields } from './halt.js';
-import { element, emit, on, post, seconds, state } from './store.js';
+import { element, emit, on, post, seconds, state, takeOwn } from './store.js';
 
 const KEPT = 100; // sentences that the arrow keys bring back
 const hint = document.getElementById('hint');
 const tested = document.getElementById('tested');
-let editor, checking = 0, earlier = JSON.parse(sessionStorage.getItem('sentences') ?? '[]'), at = earlier.length;
+let editor, checking = 0, shown = null, earlier = JSON.parse(sessionStorage.getItem('sentences') ?? '[]'), at = earlier.length;
 
 export const text = () => editor.state.doc.toString();
 
@@ -32,9 +32,11 @@ async function complete(context) {
 
 async function check() {
   const now = (checking += 1), sentence = text();
+  if (sentence === shown) return; // why it was refused stays until it is changed
+  shown = null;
   if (!sentence.trim()) { mark(null); say(''); return; }
   const found = await post('/check', { text: sentence, at: sentence.length }).catch(() => ({}));
-  if (now !== checking || sentence !== text()) return; // it has been typed on
+  if (now !== checking || sentence !== text() || sentence === shown) return; // it has been typed on, or refused
   const refusal = found.refusal;
   if (!refusal) { mark(null); say('Enter: do it. Shift+Enter: test it on paper first.', 'fine'); return; }
   const open = refusal.column >= sentence.trimEnd().length;
@@ -84,9 +86,12 @@ export async function submit(sentence, about = {}) {
   const answer = await post('/sentence', { text: clean, ...about }).catch(() => ({ error: 'the gateway does not answer: it was not sent' }));
   if (answer.command) {
     state.chosen = answer.command;
+    takeOwn(answer.command);
+    typed.set(answer.command, text().trim() === clean ? clean : '');
     if (text().trim() === clean) put('');
     say(`${answer.command} accepted`, 'fine');
     emit('chosen');
+    giveBackRefused(); // it may have ended before this answer
   } else if (answer.halt) {
     if (text().trim() === clean) put('');
     say('');
@@ -98,7 +103,24 @@ export async function submit(sentence, about = {}) {
   return answer.command ?? '';
 }
 
-const testOf = (sentence) => (/^\s*(TEST|SIMULATE)\b/i.test(sentence) ? sentence : `TEST ${sentence.trim().replace(/\.$/, '')}`);
+// A sentence of this page that is refused comes back into the line, to be mended.
+const typed = new Map(); // command that has not ended -> the sentence that was taken out of the line
+
+function giveBackRefused() {
+  for (const [command, sentence] of typed) {
+    const outcome = state.rows.get(command)?.outcome;
+    if (!outcome) continue;
+    typed.delete(command);
+    if (outcome.kind !== 'refused' || TEST.test(state.rows.get(command).text)) continue; // a TEST has its strip
+    if (sentence && !text().trim()) put(sentence);
+    const { message, clears } = outcome.refusal ?? { message: outcome.message };
+    shown = text();
+    say([`${command} refused: ${message}`, clears].filter(Boolean).join(' — '), 'wrong');
+  }
+}
+
+const TEST = /^\s*(TEST|SIMULATE)\b/i;
+const testOf = (sentence) => (TEST.test(sentence) ? sentence : `TEST ${sentence.trim().replace(/\.$/, '')}`);
 
 export async function test(sentence) {
   if (!sentence.trim()) return;
@@ -155,6 +177,7 @@ export function openLine() {
   });
   on('prediction', showTested);
   on('rows', showRefusedTest);
+  on('rows', giveBackRefused);
   if (state.role === 'observer') {
     for (const name of ['do', 'test']) document.getElementById(name).disabled = true;
     say('this console has the role of an observer: it only looks', 'next');
@@ -195,7 +218,7 @@ let shownTest = '';
 function showRefusedTest() {
   const row = state.rows.get(state.chosen);
   const outcome = row?.outcome;
-  if (!outcome || shownTest === row.command || !/^\s*(TEST|SIMULATE)\b/i.test(row.text) || outcome.kind === 'succeeded') return;
+  if (!outcome || shownTest === row.command || !TEST.test(row.text) || outcome.kind === 'succeeded') return;
   shownTest = row.command;
   tested.hidden = false;
   tested.className = 'wrong';

@@ -24,6 +24,30 @@ export function emit(name, detail) {
   for (const listener of listeners.get(name) ?? []) listener(detail);
 }
 
+// --- the commands of this page, also of before it was loaded anew ---
+
+const KEPT = 50;
+const own = new Set(JSON.parse(sessionStorage.getItem('own') ?? '[]'));
+let predictions = [];
+
+export function takeOwn(command) {
+  own.add(command);
+  sessionStorage.setItem('own', JSON.stringify([...own].slice(-KEPT)));
+  takePredictions(predictions);
+}
+
+export const isOwn = (command) => own.has(command);
+
+// The last of this page; another page may have tested something else.
+export function takePredictions(all) {
+  predictions = all;
+  const found = all.findLast((one) => own.has(one.command)) ?? null;
+  if (found?.command === state.prediction?.command) return;
+  // What a TEST does not change has poses that are no numbers.
+  state.prediction = found && { ...found, poses: Float32Array.from(found.poses, (value) => value ?? NaN) };
+  emit('prediction');
+}
+
 // --- the clock of the gateway: the answer with the shortest way is the best estimate ---
 
 const answers = [];
@@ -39,8 +63,11 @@ export function nowS() {
   return performance.now() / 1000 + answers.reduce((a, b) => (b.way < a.way ? b : a)).offset;
 }
 
+// The age of what was measured or received at a time (s); no number before the first.
+export const ageOf = (atS) => (atS ? nowS() - atS : NaN);
+
 // The age of the shown poses (s).
-export const measuredAge = () => nowS() - state.measuredAt - state.clockS;
+export const measuredAge = () => ageOf(state.measuredAt) - state.clockS;
 
 // --- for people ---
 

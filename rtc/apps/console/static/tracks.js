@@ -3,7 +3,7 @@ import { element, emit, nowS, on, state } from './store.js';
 
 const WINDOW_S = 45, AHEAD_S = 8;
 const SYMBOL = { succeeded: '✓', failed: '✕', refused: '⊘', halted: '■', halt_not_confirmed: '■', aborted: '■', lost_subsystem: '✕' };
-const GOOD_ENDS = new Set(['goal', 'contact', 'found', '']);
+const GOOD_ENDS = new Set(['goal', 'contact', 'found', 'operator_done', '']);
 const holder = document.getElementById('tracks');
 let lanes = [], bars = new Map();
 
@@ -58,6 +58,15 @@ function belongs(row, lane) {
 const ofCamera = (span) => state.status.subsystems?.some((one) => one.name === span.node
   && one.performers.every((name) => state.scene.cameras.includes(name)));
 
+// Whether a step ended otherwise than its script expects: a correction followed it, or it was the last of a command
+// that did not succeed. Scripts expect other ends than the goal, too: a camera that finds nothing, no contact.
+function isOff(row, span) {
+  if (GOOD_ENDS.has(span.reason)) return false;
+  const next = row.spans[row.spans.indexOf(span) + 1];
+  if (!next) return row.outcome != null && row.outcome.kind !== 'succeeded';
+  return row.marks.some((mark) => mark.kind === 'trim' && mark.at_s >= span.to_s && mark.at_s <= next.from_s);
+}
+
 function drawBar(key, lane, row, now) {
   let bar = bars.get(key);
   if (!bar) {
@@ -73,7 +82,7 @@ function drawBar(key, lane, row, now) {
   const left = Math.max(0, percent(from - now)), right = Math.max(left, percent(to - now));
   bar.style.left = `${left}%`;
   bar.style.width = `max(6px, ${right - left}%)`;
-  const stamp = `${row.last_seq} ${row.ended_at_s ?? ''} ${own.length}`;
+  const stamp = `${row.last_seq} ${row.ended_at_s ?? ''} ${row.outcome?.kind} ${own.length}`;
   bar.title = `${row.command}  ${row.text}\n${row.step ?? ''}${row.outcome?.message ? `\n${row.outcome.message}` : ''}`;
   const paper = /^\s*(TEST|SIMULATE)\b/i.test(row.text) ? ' paper' : '';
   bar.className = `bar ${row.outcome?.kind ?? row.phase}${paper}`;
@@ -88,7 +97,7 @@ function drawBar(key, lane, row, now) {
       const end = span.to_s ?? now;
       if (end < begin) continue;
       const step = element('i', {
-        class: `step ${span.to_s == null ? 'running' : GOOD_ENDS.has(span.reason) ? '' : 'off'} ${!cameras && ofCamera(span) ? 'seen' : ''}`,
+        class: `step ${span.to_s == null ? 'running' : isOff(row, span) ? 'off' : ''} ${!cameras && ofCamera(span) ? 'seen' : ''}`,
         title: `${span.step}${span.reason ? `: ${span.reason}` : ''}` });
       step.style.left = part(span.from_s);
       step.style.width = `${(100 * (end - Math.max(begin, span.from_s))) / wide}%`;
