@@ -94,11 +94,11 @@ def can_be_seen(key: str, candidate: TaskCandidate) -> bool:
 def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor]:
     lines: dict[str, Anchor] = {}
     for n, line in enumerate(script.plan):
-        with _AtPlace(f"{script.script}.plan[{n}] ({line.name})"):
+        with _AtPlace(f"{script.script}.plan[{n}] ({line.name})", words=""):
             anchor = lines[line.at] if line.at in lines else _anchor(line, candidate)
             lines[line.name] = _moved(anchor, line, candidate)
     for name, place in zip(candidate.vias, candidate.parsed.through, strict=True):
-        with _AtPlace(f"THROUGH {place}"):
+        with _AtPlace(f"THROUGH {place}", words=f"THROUGH {place}"):
             lines[name] = anchors.named(candidate, place)
     return lines
 
@@ -277,7 +277,7 @@ def _unreachable(
         if line.solve and lines[line.name].joints is None:
             why = request.arm.why_no_ik(_world(candidate, lines[line.name]), request.margin_rad)
             if why is not None:
-                return Refused(_where(why, line.name))
+                return Refused(_where(why, line.name, words=""))
     message = f"{candidate.arm.name} cannot reach the postures of the plan in one chain"
     return Refused.because(RefusalReason.INFEASIBLE, message)
 
@@ -306,7 +306,7 @@ def _try(
         asked = request if step.space == "move_joint" else straight
         now = asked if here is start else replace(asked, joints={**request.joints, candidate.arm.name: here})
         tcp, clears = now.arm.fk(here), candidate.program.clears
-        with _AtPlace(f"step {n} ({step.to})"):
+        with _AtPlace(f"step {n} ({step.to})", words=f"step {n}"):
             target = target_of(step, candidate.query, candidate.arm.name, thing, tcp, bound)
         if step.space not in segments.SPACES:
             raise _program(f"step {n}: {unknown('space', step.space, segments.SPACES)}")
@@ -357,7 +357,7 @@ class _Test(NamedTuple):
     def run(self, ways: dict[int, PlannedPath]) -> segments.Segment:
         """The segment; the way of the first one is added to `ways`."""
         space = self.step.space
-        with _AtPlace(f"step {self.n} ({self.step.to})"):
+        with _AtPlace(f"step {self.n} ({self.step.to})", words=f"step {self.n}"):
             segment = segments.check_segment(self.request, space, self.target, self.detours, self.first)
         if self.first and (way := segment.way(self.request, space)) is not None:
             ways[self.n - 1] = way
@@ -381,22 +381,23 @@ class _AtPlace(NamedTuple):
     """Adds the place to a refusal that is raised inside."""
 
     where: str
+    words: str  # the same for the operator, who does not know lines of plans
 
     def __enter__(self) -> None:
         pass
 
     def __exit__(self, kind: object, raised: BaseException | None, _: object) -> None:
         if isinstance(raised, Refused):
-            raise Refused(_where(raised.refusal, self.where)) from None
+            raise Refused(_where(raised.refusal, self.where, self.words)) from None
 
 
-def _where(refusal: Refusal, where: str) -> Refusal:
-    """Add the place to the refusal; also to its message if a segment is blocked or the program is wrong."""
+def _where(refusal: Refusal, where: str, words: str) -> Refusal:
+    """Add the place to the refusal; to its message too, in words if a segment is blocked, as it is if the program is
+    wrong."""
     place = f"{where}, {refusal.where}" if refusal.where else where
-    in_message = refusal.reason in (RefusalReason.INFEASIBLE, RefusalReason.PROGRAM)
-    return msgspec.structs.replace(
-        refusal, where=place, message=f"{where}: {refusal.message}" if in_message else refusal.message
-    )
+    named = {RefusalReason.INFEASIBLE: words, RefusalReason.PROGRAM: where}.get(refusal.reason, "")
+    message = f"{named}: {refusal.message}" if named else refusal.message
+    return msgspec.structs.replace(refusal, where=place, message=message)
 
 
 def _program(message: str) -> Refused:

@@ -13,6 +13,7 @@ from broker.decisions.events import AnswerWasRefused
 from broker.decisions.state import Command, LinkState, ParsedHead
 from rtc.protocol.messages import EndReport, OperatorAnswer, Phase
 from rtc.protocol.outcomes import OF_OPERATOR, Refusal, RefusalReason
+from rtc.protocol.primitive_id import command_of
 
 TAKE, CANNOT, GIVE = "TAKE", "CANNOT", "GIVE"
 ANSWERS = ("DONE", CANNOT, TAKE)
@@ -58,9 +59,13 @@ def on_reported(context: DecisionContext, report: EndReport) -> None:
     """Settle the answers to a primitive that has ended."""
     if not context.state.answers:  # the usual case
         return
-    answered = report.reason in OF_OPERATOR
-    words = f"{report.primitive} ended: {report.reason.value}{f', {report.message}' if report.message else ''}"
-    settle_answers(context, report.primitive, "" if answered else f"{words}, before the answer", words)
+    step = f"the operator's step of {command_of(report.primitive)}"
+    if report.reason in OF_OPERATOR:
+        settle_answers(context, report.primitive, "", f"{step} is over")
+    else:
+        why = report.reason.value.replace("_", " ") + (f": {report.message}" if report.message else "")
+        words = f"{step} ended before the answer ({why})"
+        settle_answers(context, report.primitive, words, words)
 
 
 def on_refused(context: DecisionContext, event: AnswerWasRefused) -> None:

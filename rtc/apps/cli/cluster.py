@@ -36,6 +36,7 @@ from rtc.client.client import Client
 from rtc.model.robot import collision_checks
 from rtc.protocol.messages import REHEARSER, WorkerKind
 from rtc.protocol.outcomes import NoCluster, TimedOut
+from rtc.protocol.primitive_id import command_of
 from rtc.protocol.versions import BOXES
 from rtc.runtime import process_table
 from rtc.runtime.run_dir import supervised
@@ -325,7 +326,7 @@ def _resources(resources: list[dict[str, Any]]) -> None:
 
 def _subsystems(subsystems: list[dict[str, Any]]) -> None:
     for row in subsystems:
-        executing = ", ".join(row.get("executing", [])) or "nothing"
+        executing = ", ".join(map(command_of, row.get("executing", []))) or "nothing"
         performers = ", ".join(row.get("performers", []))
         console.print(
             Text(f"{row['name']}: ", style="bold")

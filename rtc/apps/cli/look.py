@@ -33,6 +33,7 @@ from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import KeyTrouble, TimedOut
+from rtc.protocol.primitive_id import command_of
 
 MEASURED_S = 1.0  # maximum wait for a telemetry sample of the arms; there are 50 per second
 SEEN_M, SEEN_RAD = 0.002, math.radians(1.0)  # differences above these get an outline
@@ -168,7 +169,7 @@ def in_words(scene: Believed) -> list[str]:
     """Notable facts in words: motions, held objects, doubtful facts, differences from the believed state."""
     phrases = []
     for arm in scene.arms:
-        parts = [f"moves ({arm.moving})"] if arm.moving else []
+        parts = [f"moves ({command_of(arm.moving)})"] if arm.moving else []
         parts += [f"holds {arm.holding}"] if arm.holding else []
         if arm.truly_holding is not None and arm.truly_holding != [arm.holding][: len(arm.holding)]:
             parts.append(f"truly holds {', '.join(arm.truly_holding) or 'nothing'}")
@@ -222,7 +223,7 @@ def _arm_cells(arm: ArmRow) -> list[str]:
     holds = arm.holding or "-"
     if arm.truly_holding is not None and arm.truly_holding != [arm.holding][: len(arm.holding)]:
         holds += f" (truly {', '.join(arm.truly_holding) or 'nothing'})"
-    return [arm.name, *where, f"{100 * arm.hand_width_m:.2f}", holds, arm.moving or "-"]
+    return [arm.name, *where, f"{100 * arm.hand_width_m:.2f}", holds, command_of(arm.moving) or "-"]
 
 
 def as_json(scene: Believed, out: Path) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from rtc.apps.cli.output import (
     quoted,
     refusal_lines,
 )
-from rtc.apps.cli.rehearsal_lines import in_lines, number_of_facts
+from rtc.apps.cli.rehearsal_lines import in_lines
 from rtc.apps.cli.sentence_files import Line
 from rtc.client.client import Client, as_text
 from rtc.client.rehearsing import digest_of, rehearse
@@ -127,7 +127,7 @@ def _show_all(report: dict[str, Any], lines: Sequence[Line], ended: Sequence[m.C
     feasible = sum(one.outcome.kind is OutcomeKind.SUCCEEDED for one in ended)
     left = len(lines) - len(ended)
     words = f"{feasible} of {len(lines)} feasible" + (f", {left} not tested (-k goes on)" if left else "")
-    words += f"; about {report['predicted_s']:.0f} s in all; relies on {number_of_facts(report['relies_on'])}"
+    words += f"; about {report['predicted_s']:.0f} s in all"
     console.print(Text(words))
     if report["digest"]:
         console.print(Text(f"digest {report['digest']}: rtc do --if-tested {report['digest']} ..."))

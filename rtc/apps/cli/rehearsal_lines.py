@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence, Sized
+from collections.abc import Iterator, Sequence
 
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.rehearsal import FaultBranch, Rehearsal, RehearsedStep, Repair
@@ -22,8 +22,6 @@ def in_lines(rehearsal: Rehearsal, *, full: bool) -> Iterator[str]:
         yield f"{name} is in use by {owner} now: the sentence would wait"
     if full:
         yield from (f"assumed: {words}" for words in rehearsal.assumes)
-        if rehearsal.relies_on:
-            yield f"relies on {number_of_facts(rehearsal.relies_on)}: {_facts(rehearsal.relies_on)}"
     yield from _faults(rehearsal.faults)
     yield from map(_repair, rehearsal.repairs)
     if full and rehearsal.digest:
@@ -46,21 +44,6 @@ def _step(step: RehearsedStep) -> str:
 
 def _position(pose: Sequence[float]) -> str:
     return "x {:.3f} y {:.3f} z {:.3f} m".format(*pose[:3])
-
-
-def number_of_facts(facts: Sized) -> str:
-    return f"{len(facts)} fact" + "s" * (len(facts) != 1)
-
-
-def _facts(versions: dict[str, int]) -> str:
-    """By what they are about. A version is stated from the second on."""
-    known = [(*key.rpartition(".")[::2], version) for key, version in versions.items() if version]
-    about: dict[str, list[str]] = {body: [] for body, _, _ in known}
-    for body, attribute, version in known:
-        about[body].append(attribute + f" v{version}" * (version > 1))
-    absent = len(versions) - len(known)
-    words = [f"{body} {', '.join(attributes)}" for body, attributes in about.items()]
-    return "; ".join([*words, *([f"{absent} that do not exist"] if absent else [])])
 
 
 def _faults(branches: Sequence[FaultBranch]) -> Iterator[str]:

@@ -153,7 +153,7 @@ def print_trace(record: m.CommandRecord) -> None:
         for line in trace_lines(note, record.accepted_at_s):
             console.print(Text(line))
     print_reports(record)
-    _print_decision(record)
+    _print_decision(record, details=True)
 
 
 def print_reports(record: m.CommandRecord) -> None:
@@ -239,7 +239,7 @@ def _taken(owner: str, commands: dict[str, Any]) -> str:
 def print_why(record: m.CommandRecord) -> None:
     for line in chain(record):
         console.print(Text(line))
-    _print_decision(record)
+    _print_decision(record, details=False)
 
 
 def address(node: str) -> str:
@@ -314,7 +314,8 @@ def _in_short(notes: list[m.ProgressNote]) -> str:
     return f"{note.node} {note.note} after {seconds(note.took_s)}{found}" if reports else link(note)
 
 
-def _print_decision(record: m.CommandRecord) -> None:
+def _print_decision(record: m.CommandRecord, *, details: bool) -> None:
+    """`details`: also places in programs, and figures of planning."""
     outcome = record.outcome
     if outcome is None:
         console.print(Text(f"now: {record.phase.value}", style="bold"))
@@ -329,6 +330,6 @@ def _print_decision(record: m.CommandRecord) -> None:
     if outcome.trims:
         console.print(Text("    " + mended(outcome) + ", ".join(outcome.trims)))
     if outcome.refusal is not None:
-        for text in refusal_lines(outcome.refusal, record.text, details=True):
+        for text in refusal_lines(outcome.refusal, record.text, details=details):
             if text != outcome.message:
                 console.print(Text("    " + text))

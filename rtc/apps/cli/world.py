@@ -101,7 +101,7 @@ def _follow(rtc: Client, seen: View, keys: list[str] | None, every_s: float, uni
         time.sleep(every_s)
         news = rtc.world.view(since=seen.version, keys=keys)
         for fact in sorted(news.facts, key=lambda fact: fact.version):
-            console.print(Text(f"{fact.version:>6}  {fact.key}  {stated(fact, units)}  {fact.validity}  {fact.source}"))
+            console.print(Text(f"{fact.version:>6}  {fact.key}  {stated(fact, units)}  {fact.validity}  {_by(fact)}"))
         seen = news
 
 
@@ -327,9 +327,14 @@ def print_facts(facts: Iterable[Fact], units: JointUnits) -> None:
     for fact in facts:
         validity = Text(fact.validity.value, style=COLOUR.get(fact.validity, ""))
         age = seconds(max(0.0, now_s - fact.at_s))
-        out.add_row(fact.key, Text(stated(fact, units)), validity, str(fact.version), Text(fact.source), age)
+        out.add_row(fact.key, Text(stated(fact, units)), validity, str(fact.version), Text(_by(fact)), age)
     console.print(out)
 
 
 def _unknown(key: str, world: WorldClient) -> typer.Exit:
     return cli_error(unknown("fact or location", key, (fact.key.partition(".")[0] for fact in world.view().facts)), 2)
+
+
+def _by(fact: Fact) -> str:
+    """Who has written it: C-5 of job 7 of C-5; JSON has the job."""
+    return fact.source.partition("/")[0]
