@@ -32,6 +32,8 @@ CARRIED = ("frame", "seat", "angle")
 #: states of a bolt: tightened; neither tightened nor out; turned out by all its turns, so that it fastens nothing
 TIGHT, TURNED, LOOSE = BOLT_STATES = ("TIGHT", "TURNED", "LOOSE")
 UNIT_TOLERANCE = 1e-4  # tolerance of the norm of a quaternion
+MOST_SPREAD = 100.0  # of a pose, m and rad: a larger one says nothing about where a body of a cell is
+MAX_LENGTH = 1000  # of texts, lists and maps in such values
 MAX_DEPTH = 8  # maximum nesting in values of attributes without a row in ATTRIBUTES
 
 
@@ -156,8 +158,9 @@ def problem(change: WorldChange) -> str:
     place, _, attribute = change.key.rpartition(".")
     if not place or not attribute or len(change.key) > 200:
         return f"{change.key!r} is not a key of the form LOCATION.attribute"
-    if change.spread is not None and not all(_finite(n) and n >= 0 for n in change.spread):
-        return f"the spread of {change.key} must be six finite numbers, none negative, not {_shown(change.spread)}"
+    if change.spread is not None and not all(_finite(n) and 0 <= n <= MOST_SPREAD for n in change.spread):
+        wanted = f"six numbers from 0 to {MOST_SPREAD:g} (m, rad)"
+        return f"the spread of {change.key} must be {wanted}, not {_shown(change.spread)}"
     if change.keep_value:
         return ""
     if change.value is None and change.validity != Validity.VALID:
@@ -200,7 +203,11 @@ def _text(value: Any) -> str:
 
 def _plain(value: Any, depth: int = 0) -> str:
     """Problem of a value of an additional attribute: it must be plain, comparable and printable."""
-    if value is None or isinstance(value, str | bool) or _finite(value):
+    if value is None or isinstance(value, bool) or _finite(value):
+        return ""
+    if isinstance(value, str | list | tuple | dict) and len(value) > MAX_LENGTH:
+        return f"must have at most {MAX_LENGTH} characters or parts, not {len(value)}"
+    if isinstance(value, str):
         return ""
     if isinstance(value, list | tuple | dict) and depth < MAX_DEPTH:
         parts = value.values() if isinstance(value, dict) else value

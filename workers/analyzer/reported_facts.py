@@ -15,17 +15,17 @@ import msgspec
 from rtc.model.cells import taught
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
-from rtc.spatial import geometry, hinges
+from rtc.spatial import geometry
 from rtc.world.model import LOOSE, initial_facts, location, problem
 from rtc.world.spread import even
+from workers.analyzer import impossible
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
 Changes = list[WorldChange]
 Values = Mapping[str, float]
 
-HINGE_OFF_M = 0.05  # maximum error of a hinge's place on its body in the cell file
-HINGE_OFF_RAD = 0.1  # maximum error of its axis, and of an angle at a stop
+HEAVIEST_KG = 10_000.0
 
 
 def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes:
@@ -45,6 +45,7 @@ def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) ->
             refuse_if(_beyond_limits(arm, value, query))
         changes.append(change)
         changes += FOLLOWS[attribute](thing, value, query, values) if attribute in FOLLOWS else []
+    impossible.refuse(changes, query, values)
     return changes
 
 
@@ -65,7 +66,7 @@ def _near(key: str, value: Any, values: Values) -> str:
 
 
 def _heavy(key: str, value: Any, values: Values) -> str:
-    return "" if value > 0 else f"{key} must be more than 0 kg"
+    return "" if 0 < value <= HEAVIEST_KG else f"{key} must be more than 0 kg, and at most {HEAVIEST_KG:g} kg"
 
 
 def _beyond_limits(arm: str, joints: list[float], query: WorldQuery) -> Refusal | None:
@@ -91,7 +92,7 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
     """Changes of seat, grasp or seated objects that follow from a new frame."""
     if any(seat.name == thing for seat in query.cell.seats):
         return _moved_with(thing, frame, query)
-    if off := _off_hinge(thing, frame, query):
+    if off := impossible.off_hinge(thing, frame, query):
         raise _refused(off, f"{thing}.frame", f"SET {thing} ANGLE and an angle in DEG; or its hinge in the cell file")
     if query.held_by(thing):
         return _in_hand(thing, frame, query, values)
@@ -128,28 +129,6 @@ def _unplaced(thing: str, query: WorldQuery) -> Changes:
         known = msgspec.structs.replace(frame, value=query.seat_frame(thing).tolist(), keep_value=False)
         return [known, *content]
     return [frame, WorldChange(key=f"{thing}.seat", keep_value=True, validity=Validity.UNKNOWN)]
-
-
-def _off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:
-    """Why an object with a hinge cannot be at this frame; empty if it can, or has no hinge.
-
-    Its hinge is where the body that it is mounted on has it, up to an error of the survey.
-    """
-    known = query.cell.object(thing)
-    if known.hinge is None:
-        return ""
-    home, (least, most) = query.mount(known), known.hinge.range_rad
-    angle = hinges.angle_of(home, known.hinge.axis, frame)
-    place = hinges.turned(home, known.hinge.axis, angle)
-    off_m, tilt_rad = geometry.distance(place, frame), geometry.angle(place, frame)
-    if off_m > HINGE_OFF_M:
-        return f"{thing} would be {off_m * 1000:.0f} mm from its hinge; {HINGE_OFF_M * 1000:.0f} mm is the most"
-    if tilt_rad > HINGE_OFF_RAD:
-        return f"{thing} would be tilted by {math.degrees(tilt_rad):.0f} deg against its hinge"
-    if not least - HINGE_OFF_RAD <= angle <= most + HINGE_OFF_RAD:
-        stops = f"from {math.degrees(least):g} to {math.degrees(most):g} deg"
-        return f"{thing} would be at {math.degrees(angle):.0f} deg; it turns {stops}"
-    return ""
 
 
 def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes:

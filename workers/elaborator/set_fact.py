@@ -14,7 +14,7 @@ from rtc.language.alike import nearest
 from rtc.model.cells import parts
 from rtc.programs.attributes import PLAIN
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
-from rtc.protocol.messages import SavedWorld, Script, ScriptContext, Step
+from rtc.protocol.messages import SavedWorld, Script, ScriptContext, Step, StepWords
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry, hinges
@@ -53,11 +53,19 @@ def script(
     inside += _seated(thing.name, query) if isinstance(thing, parts.Seat) else []
     if f"{thing.name}.frame" in facts and (holder := query.held_by(thing.name)):
         inside.append(holder)  # the hand's `holding` and the grasp follow from the frame
-    return _script(file, parsed, thing.name, (facts, [thing.name, *inside]))
+    return _script(file, parsed, thing.name, (facts, [thing.name, *inside]), _new(program, parsed, thing))
 
 
-def _script(file: ScriptFile, parsed: ParsedCommand, name: str, stated: teach.Stated) -> Script:
-    """The script that states these facts."""
+def _new(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing) -> str:
+    """The remark about an attribute that no program declares: it may be meant for another one."""
+    if _attribute(parsed) in program.settable:
+        return ""
+    known = ", ".join(map(_word, program.settable))
+    return f"{parsed.attribute} is kept, and no program uses it; those of {thing.name} that are used: {known}"
+
+
+def _script(file: ScriptFile, parsed: ParsedCommand, name: str, stated: teach.Stated, remark: str = "") -> Script:
+    """The script that states these facts. `remark`: about the success."""
     facts, concerned = stated
     texts = {
         "object": name,
@@ -72,7 +80,10 @@ def _script(file: ScriptFile, parsed: ParsedCommand, name: str, stated: teach.St
             stated=facts,
         ),
         case=file.case,
-        steps=[Step(do=step.do, label=_fill_in(step.label, texts), expect=step.expect) for step in file.steps],
+        steps=[
+            Step(do=step.do, label=_fill_in(step.label, texts), expect=step.expect, words=StepWords(says=remark))
+            for step in file.steps
+        ],
         resources=_names(file.resources, concerned),
         writes=_names(file.writes, concerned),
     )

@@ -8,10 +8,27 @@ from __future__ import annotations
 from typing import Any
 
 from rtc.plugins import guard
+from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.world.model import World, problem
 
 #: with `numpy.linalg.LinAlgError`, which is a ValueError
 ERRORS = (ArithmeticError, ValueError)
+LARGE = 1e6  # of a fact, in SI units
+
+
+def doubtful(world: World) -> str:
+    """A fact with a figure that no computation bears; empty without one."""
+    for fact in world.facts.values():
+        change = WorldChange(key=fact.key, value=fact.value, validity=fact.validity, spread=fact.spread)
+        if problem(change) or any(abs(part) > LARGE for part in (*_numbers(fact.value), *(fact.spread or ()))):
+            return f"{fact.key} is {fact.value!s:.80}"
+    return ""
+
+
+def _numbers(value: Any) -> list[float]:
+    parts = value if isinstance(value, list) else [value]
+    return [part for part in parts if isinstance(part, int | float)]
 
 
 def refusal(kind: str, error: Exception, data: Any, doubtful: str) -> Refusal:

@@ -281,7 +281,7 @@ class WorkerLoop:
             result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=lost)
         except arithmetic.ERRORS as error:
             self._me.log.exception("job %s attempt %d: its arithmetic has failed", job.id, job.attempt)
-            failed = arithmetic.refusal(self._hello.kind.value, error, self._read_input(job.input), "")
+            failed = arithmetic.refusal(self._hello.kind.value, error, self._read_input(job.input), self._view.doubtful)
             result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=failed)
         except Exception:
             self._me.log.exception("job %s attempt %d crashed", job.id, job.attempt)
@@ -398,6 +398,11 @@ class WorldView:
     def version(self) -> int:
         """Of the copy that the latest job read."""
         return self._world.version
+
+    @property
+    def doubtful(self) -> str:
+        """A fact of it that no computation bears, or ''."""
+        return arithmetic.doubtful(self._world)
 
     def at(self, came_s: float) -> World:
         """The current world, for a job that arrived at `came_s`.

@@ -114,3 +114,59 @@ def test_the_nearest_seat_if_it_is_near_enough(query, x_m, seat):
 
 def test_facts_that_are_not_reported_change_nothing(query):
     assert changes_from({}, query, VALUES) == []
+
+
+def in_seat(query, seat):
+    return query.seated_pose(seat).tolist()
+
+
+@pytest.mark.parametrize(
+    ("make", "where"),
+    [
+        (lambda q: {"MACS-NEW.seat": {"value": "NOWHERE"}}, "MACS-NEW.seat"),
+        (lambda q: {"MACS-NEW.frame": {"value": [0.5, 0.0, 0.5, *UPRIGHT], "spread": [1e308] * 6}}, "MACS-NEW.frame"),
+        (lambda q: {"MACS-NEW.frame": {"value": [0.5, 0.0, 0.5, *UPRIGHT], "spread": [9.0] * 6}}, "MACS-NEW.frame"),
+        (lambda q: {"MACS-NEW.frame": {"value": [0.5, 0.0, 0.5, *UPRIGHT], "spread": [0.0] * 6}}, "MACS-NEW.frame"),
+        (lambda q: {"MACS-NEW.seat": {"value": q.seat("MACS-OLD")}}, "MACS-NEW.seat"),
+        (
+            lambda q: {
+                "MACS-NEW.seat": {"value": q.seat("MACS-OLD")},
+                "MACS-NEW.frame": {"value": in_seat(q, q.seat("MACS-OLD"))},
+            },
+            "MACS-OLD.seat",
+        ),
+        (lambda q: {"MACS-NEW.frame": {"value": [0.5, 0.0, 0.5, *UPRIGHT]}}, "MACS-NEW.seat"),  # its seat is elsewhere
+        (
+            lambda q: {
+                "MACS-NEW.frame": {"value": q.model.arms["RIGHT-ARM"].fk(q.joints("RIGHT-ARM")).tolist()},
+                "MACS-NEW.seat": {"value": ""},
+            },
+            "MACS-NEW.frame",
+        ),
+        (lambda q: {"MACS-NEW.mass": {"value": 1e308}}, "MACS-NEW.mass"),
+        (lambda q: {"MACS-NEW.colour": {"value": "x" * 100_000}}, "MACS-NEW.colour"),
+    ],
+)
+def test_facts_of_a_file_that_cannot_be_are_refused_together(query, make, where):
+    refusal = refusal_of(changes_from, {"WORLD.facts": {"saved": make(query)}}, query, VALUES)
+
+    assert (refusal.reason, refusal.where) == (RefusalReason.INFEASIBLE, where)
+    assert refusal.clears
+
+
+def test_what_the_world_believes_can_be_restored(query):
+    facts = {
+        key: {"value": fact.value, "validity": fact.validity, "spread": fact.spread}
+        for key, fact in query.world.facts.items()
+        if key.rpartition(".")[0] not in query.model.arms
+    }
+
+    changes = changes_from({"WORLD.facts": {"saved": facts}}, query, VALUES)
+
+    assert {change.key for change in changes} >= facts.keys()
+
+
+def test_a_stated_frame_inside_an_arm_is_refused(query):
+    inside = query.model.arms["RIGHT-ARM"].fk(query.joints("RIGHT-ARM")).tolist()
+
+    assert "inside RIGHT-ARM" in refusal_of(changes_from, {"MACS-NEW.frame": inside}, query, VALUES).message

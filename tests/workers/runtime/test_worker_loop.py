@@ -41,8 +41,10 @@ from rtc.runtime.process import Process, now_s, send
 from rtc.world.__main__ import serve
 from rtc.world.client import WorldClient
 from rtc.world.lease import sign
+from rtc.world.model import World
 from rtc.world.server import Server
 from rtc.world.store import Store
+from workers.runtime import arithmetic
 from workers.runtime import worker_loop as shells
 from workers.runtime.worker_loop import WorkerLoop, WorldView
 
@@ -267,6 +269,12 @@ def test_a_refusal_and_a_crash_are_results_and_the_worker_lives_on(at):
     assert value(done) == "hello"
     assert (failed.refusal.reason, "phase ODD" in failed.refusal.message) == (RefusalReason.PROGRAM, True)
     assert "ZeroDivisionError: by a figure" in divided.refusal.message
+
+
+def test_arithmetic_that_fails_names_the_fact_that_no_computation_bears():
+    huge = Fact(key="A.mass", value=1e300, validity=Validity.VALID, version=1, source="test", at_s=0.0)
+    assert arithmetic.doubtful(World(1, {"A.mass": huge})).startswith("A.mass")
+    assert arithmetic.doubtful(World(1, {"A.mass": msgspec.structs.replace(huge, value=2.0)})) == ""
 
 
 def test_code_of_a_package_is_named_in_signs_of_life_and_announced_after_a_death(at, monkeypatch):

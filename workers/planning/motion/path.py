@@ -95,7 +95,7 @@ def even(first: float, last: float, count: int) -> Array:
     return values
 
 
-def distinct(points: Sequence[Floats], apart: Callable[[Array, Array], float], least: float) -> Array:
+def distinct(points: Sequence[Floats] | Array, apart: Callable[[Array, Array], float], least: float) -> Array:
     """The points without those that are nearer than `least` to the one before: equal neighbours are one point, for a
     piece without length has no direction. The first and the last point stay, so there are at least two."""
     rows = np.array(points, dtype=float)

@@ -1,0 +1,137 @@
+"""What no facts from outside may say, whichever way they come: SET of one, or all of a file. Pure.
+
+The facts are judged together, as the world would be after them: seats that do not exist, two objects in one seat, an
+object that is not where its seat is, a body inside an arm, an angle beyond its stops, a spread that says nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from rtc.protocol.messages import Limits, Validity, WorldChange
+from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.spatial import geometry, hinges
+from rtc.world.facts import TRUSTED
+from rtc.world.model import BOLT_STATES, location
+from workers.planning import scenes
+from workers.planning.world_query import WorldQuery
+
+Values = Mapping[str, float]
+Problems = Iterator[tuple[str, str]]  # key, problem
+
+HINGE_OFF_M = 0.05  # maximum error of a hinge's place on its body in the cell file
+HINGE_OFF_RAD = 0.1  # maximum error of its axis, and of an angle at a stop
+INSIDE_M = 0.005  # an object that is deeper in a link of an arm than this is not there; less is an error of its pose
+WHOLE_TURN = 1e-6  # tolerance of the turns of a bolt
+
+
+def refuse(changes: Sequence[WorldChange], query: WorldQuery, values: Values) -> None:
+    """Raises Refused with the first fact that cannot be."""
+    after = query.after(changes)
+    for check in CHECKS:
+        for key, problem in check(changes, query, after, values):
+            clears = "correct it, or leave it out"
+            raise Refused.because(RefusalReason.INFEASIBLE, problem, where=key, clears=clears)
+
+
+def _spreads(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
+    for change in changes:
+        if change.spread is None:
+            continue
+        now = query.world.get(change.key)
+        if max(change.spread[:3]) > values["reach_m"] or max(change.spread[3:]) > math.pi:
+            most = f"{values['reach_m']:g} m and half a turn are the most"
+            yield change.key, f"the spread of {change.key} does not say where it is; {most}"
+        elif not any(change.spread) and (now is None or now.spread is None or any(now.spread)):
+            yield change.key, f"the spread of {change.key} is 0 about all axes; nothing is known that well"
+
+
+def _names(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
+    seats = {seat.name for seat in query.cell.seats}
+    arms, things = {arm.name for arm in query.cell.arms}, {thing.name for thing in query.cell.objects}
+    known = {"seat": ("seat", seats), "held_by": ("arm", arms), "holding": ("object", things)}
+    for change in changes:
+        kind, names = known.get(change.key.rpartition(".")[2], ("", set[str]()))
+        if kind and change.value and not change.keep_value and change.value not in names:
+            there = ", ".join(sorted(names))
+            yield change.key, f"{change.key} is {change.value!s:.40}, and there is no such {kind}; there are {there}"
+
+
+def _figures(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
+    things = {thing.name: thing for thing in query.cell.objects}
+    for change in changes:
+        thing, attribute = things.get(location(change.key)), change.key.rpartition(".")[2]
+        if thing is None or change.value is None or change.keep_value:
+            continue
+        if thing.hinge is not None and attribute == "angle":
+            least, most = thing.hinge.range_rad
+            if not least - HINGE_OFF_RAD <= change.value <= most + HINGE_OFF_RAD:
+                stops = f"from {math.degrees(least):g} to {math.degrees(most):g} deg"
+                yield change.key, f"{change.key} would be {math.degrees(change.value):.0f} deg; it turns {stops}"
+        if thing.hinge is not None and attribute == "frame" and (off := off_hinge(thing.name, change.value, after)):
+            yield change.key, off
+        most = thing.thread.turns + WHOLE_TURN if thing.thread is not None else math.inf
+        if attribute == "turns" and not -WHOLE_TURN <= change.value <= most:
+            yield change.key, f"{change.key} would be {change.value:g}; it has {most:g}"
+        if thing.thread is not None and attribute == "state" and change.value not in BOLT_STATES:
+            yield change.key, f"{change.key} is {change.value!s:.40}; a bolt is {', '.join(BOLT_STATES)}"
+
+
+def _seats(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
+    stated = {location(change.key) for change in changes}
+    inside: dict[str, str] = {}
+    for thing in query.cell.objects:
+        key, seat = f"{thing.name}.seat", after.seat(thing.name)
+        if not seat or not after.trusts(key) or not query.is_seat(seat):
+            continue
+        other = inside.setdefault(seat, thing.name)
+        if other != thing.name and stated & {other, thing.name}:
+            yield key, f"{other} and {thing.name} would both be in {seat}"
+        frame = after.world.get(f"{thing.name}.frame")
+        if thing.name not in stated or frame is None or frame.validity not in TRUSTED:
+            continue
+        off_m = geometry.distance(after.frame(thing.name), after.seated_pose(seat))
+        if off_m > values["seated_m"]:
+            yield key, f"{thing.name} would be in {seat}, and {off_m * 1000:.0f} mm from its place there"
+
+
+def _arms(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
+    """Objects inside of arms. An object in a hand is judged by its grasp."""
+    placed = {location(c.key) for c in changes if c.key.endswith(".frame") and c.validity is Validity.VALID}
+    placed = {thing.name for thing in query.cell.objects if thing.name in placed and not after.held_by(thing.name)}
+    if not placed:
+        return
+    joints = {arm.name: after.joints(arm.name) for arm in query.cell.arms}
+    for arm in joints:
+        scene = scenes.scene_of(after, arm, Limits(), unsure=False)
+        for hit in query.model.collision.near(arm, joints, scene):
+            name = hit.body_b.split()[0]
+            if name in placed and hit.distance_m < -INSIDE_M:
+                yield f"{name}.frame", f"{hit.body_b} would be {-hit.distance_m * 1000:.0f} mm inside {hit.body_a}"
+
+
+CHECKS = (_spreads, _names, _figures, _seats, _arms)
+
+
+def off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:
+    """Why an object with a hinge cannot be at this frame; empty if it can, or has no hinge.
+
+    Its hinge is where the body that it is mounted on has it, up to an error of the survey.
+    """
+    known = query.cell.object(thing)
+    if known.hinge is None:
+        return ""
+    home, (least, most) = query.mount(known), known.hinge.range_rad
+    angle = hinges.angle_of(home, known.hinge.axis, frame)
+    place = hinges.turned(home, known.hinge.axis, angle)
+    off_m, tilt_rad = geometry.distance(place, frame), geometry.angle(place, frame)
+    if off_m > HINGE_OFF_M:
+        return f"{thing} would be {off_m * 1000:.0f} mm from its hinge; {HINGE_OFF_M * 1000:.0f} mm is the most"
+    if tilt_rad > HINGE_OFF_RAD:
+        return f"{thing} would be tilted by {math.degrees(tilt_rad):.0f} deg against its hinge"
+    if not least - HINGE_OFF_RAD <= angle <= most + HINGE_OFF_RAD:
+        stops = f"from {math.degrees(least):g} to {math.degrees(most):g} deg"
+        return f"{thing} would be at {math.degrees(angle):.0f} deg; it turns {stops}"
+    return ""
