@@ -1,8 +1,11 @@
-"""Context manager that runs a temporary cluster in its own directory and always removes it."""
+"""Context manager that runs a temporary cluster in its own directory and always removes it.
+
+The process `keeper` starts and ends the cluster, so that none is left behind by a program that is killed.
+"""
 
 from __future__ import annotations
 
-import shutil
+import json
 import signal
 import subprocess
 import sys
@@ -12,8 +15,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rtc.protocol.outcomes import ClusterError
-
-READY_S, DOWN_S = 700.0, 300.0  # longer than the limits of `rtc up` and `rtc down` themselves, on a busy machine
 
 
 @contextmanager
@@ -32,36 +33,35 @@ def own_cluster(
 
     `least`, `most`: limits of the number of local workers of each kind; None = as `rtc up` has them.
     `more`: command line for more workers.
-    SIGTERM to this process ends the cluster too.
+    The end of this process ends the cluster too, also by SIGKILL.
     """
     run_dir = Path(tempfile.mkdtemp(prefix="rtc-"))
     before = signal.signal(signal.SIGTERM, _interrupt)
+    options = ["--cell", cell, "--mcm", mcm, "--speed", speed, "--dim", str(dim), "--listen", listen]
+    if least is not None:
+        options += ["--least", str(least)]
+    if most is not None:
+        options += ["--most", str(most)]
+    if more:
+        options += ["--more", more]
+    keeper = subprocess.Popen(
+        [sys.executable, "-P", "-m", "rtc.apps.demos.keeper", str(run_dir), *options],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert keeper.stdout is not None
     try:
-        options = ["--cell", cell, "--mcm", mcm, "--speed", speed, "--dim", str(dim), "--listen", listen]
-        if least is not None:
-            options += ["--least", str(least)]
-        if most is not None:
-            options += ["--most", str(most)]
-        if more:
-            options += ["--more", more]
-        _deploy("up", run_dir, READY_S, "-d", *options)
+        if problem := json.loads(keeper.stdout.readline() or '"the keeper of the cluster has ended"'):
+            raise ClusterError(problem)
         yield run_dir
     finally:
         signal.signal(signal.SIGTERM, before)
-        try:
-            _deploy("down", run_dir, DOWN_S)
-        finally:
-            shutil.rmtree(run_dir, ignore_errors=True)
-
-
-def _deploy(what: str, run_dir: Path, limit_s: float, *options: str) -> None:
-    command = [sys.executable, "-P", "-m", "rtc.apps.cli.entry", what, "--run-dir", str(run_dir), *options]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=limit_s, start_new_session=True)
-    except subprocess.TimeoutExpired:
-        raise ClusterError(f"the cluster did not answer `{what}` within {limit_s:.0f} s") from None
-    if done.returncode != 0:
-        raise ClusterError(f"cluster {what} failed: {(done.stdout + done.stderr).strip()[-2000:]}")
+        _, trouble = keeper.communicate()  # it has limits of its own, and ends the cluster when its input ends
+    if trouble:
+        raise ClusterError(trouble)
 
 
 def _interrupt(*_: object) -> None:
