@@ -2,11 +2,13 @@
 
 Each dialogue is a function of `Hands`; it runs in a thread, with a client of its own, while the planner waits. Hands
 use what a person sees: the request, the goal that is shown with it, the measured force, whether the head of a bolt
-moves. A dialogue that cannot go on says CANNOT with the reason, which fails its command.
+moves. On a busy machine some of what he wants comes too late and does nothing: what a refused DONE shows to be missing,
+he does again. A dialogue that cannot go on says CANNOT with the reason, which fails its command.
 """
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -32,9 +34,8 @@ BEFORE_M = 0.006  # of the head; from there on it is felt for
 FEEL_M_S, FELT_N = 0.002, 2.0
 TURNED_M = 1e-4  # a head that moves by less within POLL_S rests
 POLL_S = 1.0
-WRIST_RAD_S, WRIST_S = 0.05, 1.0
+WRIST_RAD_S, WRIST_MOMENTS = 0.05, 50
 REST_RAD_S, REST_S = 0.002, 0.4
-TRIES = 20  # of a DONE that should be believed
 LIMIT_S = 1200.0  # of each wait, on a machine with many busy processes
 
 
@@ -99,17 +100,23 @@ class Hands:
         self._record(Act(sentence, "" if outcome.kind is OutcomeKind.SUCCEEDED else outcome.message))
         return outcome
 
-    def done(self) -> None:
-        """DONE until it is believed. Raises RtcError if it never is."""
-        for _ in range(TRIES):
+    def done(self, again: Callable[[], None] = lambda: None) -> None:
+        """DONE until it is believed; `again`: what he does after each refusal. Raises RtcError after the limit."""
+        end_s = time.monotonic() + LIMIT_S
+        while True:
             self.let_go()
             if (outcome := self.say("DONE")).kind is OutcomeKind.SUCCEEDED:
                 return
-        raise RtcError(f"DONE is not believed: {outcome.message}")
+            if self._over() or time.monotonic() > end_s:
+                raise RtcError(f"DONE is not believed: {outcome.message}")
+            again()
 
     def close_by_mistake(self) -> None:
-        for _ in range(10):
-            why = self.hold(hand="close")
+        """Until he is told that the hand is not his. Raises RtcError after the limit."""
+        end_s = time.monotonic() + LIMIT_S
+        while "the hand" not in (why := self.hold(hand="close")):
+            if time.monotonic() > end_s:
+                raise RtcError("the hand closes")
         self._record(Act("closes the hand", why))
         self.let_go()
 
@@ -151,11 +158,12 @@ def turn_the_bolt(it: Hands, cell: Cell) -> None:
     it.rtc.undo_fault(StrippedBolt(bolt=BOLT).name)  # in his hands the driver bites
     it.say("DONE")
     _turn(it)
-    it.done()
+    it.done(lambda: _turn(it))
 
 
 def _turn(it: Hands) -> None:
-    """Until the head no longer comes out: the spindle stops by itself after what was asked."""
+    """Until the head rests: the spindle stops by itself after what was asked, or nothing that he wants has come in
+    time."""
     end_s, before = time.monotonic() + LIMIT_S, it.rtc.truth().poses[BOLT]
     while time.monotonic() < end_s:
         polled_s = time.monotonic() + POLL_S
@@ -173,18 +181,24 @@ def guide_the_wrist(it: Hands, cell: Cell) -> None:
     it.wait("its WRIST is yours")
     it.say("DONE")
     level = cell.place(PLACE).poses[it.arm].pose
-    began_s = time.monotonic()
-    while True:
-        aside = [WRIST_RAD_S, 0.0, 0.0] if time.monotonic() - began_s < WRIST_S else [0.0] * 3
+    _hold_level(it, level, aside=WRIST_MOMENTS)
+    it.done(lambda: _hold_level(it, level))
+
+
+def _hold_level(it: Hands, level: Array, aside: int = 0) -> None:
+    """Until the arm is at the end of the way with this attitude. `aside`: for so many moments he also turns the hand
+    away. Raises RtcError after the limit."""
+    end_s = time.monotonic() + LIMIT_S
+    for moment in itertools.count():
         turn = geometry.rotation_vector(it.seen.tcp_pose, level)
         operation = it.operation
         arrived = (operation.off_m or 0.0) < 0.5 * (operation.done_m or 0.0)
         if arrived and np.linalg.norm(turn) < ARRIVED_RAD:
-            break
-        if time.monotonic() - began_s > LIMIT_S:
+            return
+        if time.monotonic() > end_s:
             raise RtcError("the arm does not arrive")
-        it.hold(twist=[0.0, 0.0, 0.0, *(a + GAIN_PER_S * b for a, b in zip(aside, turn, strict=True))])
-    it.done()
+        away = [WRIST_RAD_S if moment < aside else 0.0, 0.0, 0.0]
+        it.hold(twist=[0.0, 0.0, 0.0, *(a + GAIN_PER_S * b for a, b in zip(away, turn, strict=True))])
 
 
 Dialogue = Callable[[Hands, Cell], None]

@@ -84,11 +84,48 @@ def test_he_says_done_until_it_is_believed_and_gives_up_after_that() -> None:
     hands(arm).done()
     assert [bool(why) for _, why in arm.acts] == [True, True, False]
     with pytest.raises(RtcError, match="still moves"):
-        hands(Arm(believed=1000)).done()
+        hands(Arm(believed=100_000)).done()
 
 
 def test_a_mistaken_close_is_recorded_as_refused() -> None:
     arm = Arm()
+    hands(arm).close_by_mistake()
+    assert arm.acts == [Act("closes the hand", "the hand is not part of this request")]
+
+
+class Starved(Arm):
+    """On a busy machine: only every hundredth moment of his stream is in time, and turns the bolt a little."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.request, self.moments, self.turned = "turn BOLT-2 counterclockwise", 0, 0.0
+
+    def move(self, twist: Any = (0.0,) * 6, hand: str = "", turn: float = 0.0, **_: Any) -> str:
+        self.moments += 1
+        if self.moments % 100:
+            return "stale: it has seen nothing of this subsystem for 0.31 s; 0.2 s are allowed"
+        self.turned = min(8.0, self.turned + abs(turn))
+        return super().move(twist, hand)
+
+    def truth(self) -> Any:
+        return SimpleNamespace(poses={"BOLT-2": geometry.translate(START, [0.0, 0.0, 0.001 * self.turned])})
+
+    def run(self, sentence: str, **_: Any) -> Any:
+        good = self.turned > 7.9
+        kind = OutcomeKind.SUCCEEDED if good else OutcomeKind.REFUSED
+        return SimpleNamespace(outcome=Outcome(kind=kind, message="" if good else f"{self.turned} of 8 turns"))
+
+
+def test_he_turns_again_what_a_refused_done_shows_to_be_missing() -> None:
+    arm = Starved()
+    it = hands(arm)
+    it.done(lambda: scripted_operator._turn(it))
+    assert arm.turned == 8.0
+    assert len(arm.acts) >= 8  # a poll in which nothing moves is no proof
+
+
+def test_he_waits_for_the_answer_to_a_mistake() -> None:
+    arm = Starved()
     hands(arm).close_by_mistake()
     assert arm.acts == [Act("closes the hand", "the hand is not part of this request")]
 
