@@ -60,7 +60,7 @@ class Motions:
 
     def elaborator_input(self, n: int, beside: bool = False) -> m.ElaboratorInput:
         moving = self._beside(n) if beside else []
-        return m.ElaboratorInput(command=f"C-{n + 1}", parsed=self.record(n), at_s=1.0, moving=moving)
+        return m.ElaboratorInput(command=f"C-{n + 1}", parsed=self.record(n), moving=moving)
 
     def script(self, n: int, beside: bool = False) -> m.Script:
         """The elaborator's product."""
@@ -80,7 +80,6 @@ class Motions:
             context=script.context,
             step=step,
             bindings=script.bindings,
-            at_s=1.0,
             moving=moving,
         )
 

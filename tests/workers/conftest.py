@@ -298,7 +298,7 @@ class Bench:
         self.world = World().overlay(surveyed)
         self.programs = {kind: loader.default(kind) for kind in ("parser", "elaborator", "binder", "analyzer")}
         self.commands = 0
-        self.now_s = 0.0  # of the broker; 0: no fact has an age
+        self.now_s = 0.0  # of the broker
         self.saved: SavedWorld | None = None  # facts of a file that come with each sentence
         self.moving: list[Primitive] = []  # of other arms
         self.rigid: list[str] = []  # exact arms
@@ -323,7 +323,6 @@ class Bench:
         data = ElaboratorInput(
             command=f"C-{self.commands}",
             parsed=parsed,
-            at_s=self.now_s,
             saved=self.saved,
             moving=self.moving,
             rigid=self.rigid,
@@ -333,14 +332,12 @@ class Bench:
     def bind(self, script: Script, step: Step, bindings: dict[str, Binding] | None = None, n: int = 1) -> Any:
         given = script.bindings if bindings is None else bindings
         name = f"C-{self.commands}.{n}"
-        return self._bind(
-            BinderInput(primitive_id=name, context=script.context, step=step, bindings=given, at_s=self.now_s)
-        )
+        return self._bind(BinderInput(primitive_id=name, context=script.context, step=step, bindings=given))
 
     def bind_after(self, script: Script, step: Step, moved_s: float) -> Any:
         """As `bind`, after motions of the same command."""
         name = f"C-{self.commands}.2"
-        given = {"context": script.context, "step": step, "bindings": script.bindings, "at_s": self.now_s}
+        given = {"context": script.context, "step": step, "bindings": script.bindings}
         return self._bind(BinderInput(primitive_id=name, moved_s=moved_s, **given))
 
     def _bind(self, data: BinderInput) -> Any:
@@ -368,7 +365,7 @@ class Bench:
             actions.pop()
             name = f"C-{self.commands}.{len(run.labels) + 1}"
             run.labels.append(actions.step_body.label)
-            bound = self._bind(BinderInput(**actions.binder_input(name), at_s=self.now_s))
+            bound = self._bind(BinderInput(**actions.binder_input(name)))
             if isinstance(bound, Refusal):
                 run.refusal = bound
                 return run

@@ -85,8 +85,8 @@ def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
     if task.query.hinge(thing) is not None:
         spread = _rolled(task, thing, changes)
     else:
-        held_s = max(report.at_s - fact.at_s, report.duration_s)
-        spread = pose_spread.crept_spread(task.query.spread(fact.key), held_s, task.query.cell.numbers)
+        moved_s = report.duration_s - report.paused_s if report.moved_s is None else report.moved_s
+        spread = pose_spread.crept_spread(task.query.spread(fact.key), moved_s, task.query.cell.numbers)
         spread = pose_spread.struck_spread(spread, report.peak_force_n, task.values)
         if report.peak_force_n > task.values["twisted_n"]:
             spread = pose_spread.twisted_spread(spread, fact.value, task.values["twisted_rad"])

@@ -56,7 +56,7 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     """Bind the step to the current world."""
     assert cell is not None
     assert world is not None
-    query = WorldQuery(cell, world, data.at_s, seed_of(command_of(data.primitive_id)), data.moving)
+    query = WorldQuery(cell, world, seed_of(command_of(data.primitive_id)), data.moving)
     try:
         step = step_target.counted_from_now(data.step, query, data.context.object)
         bound = _bound(BindTask(compiled, query, msgspec.structs.replace(data, step=step)))

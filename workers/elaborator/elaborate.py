@@ -90,7 +90,7 @@ def run(
     """Choose and plan the script for a command. `advise`: search a sentence for an arm in the way of a refused one."""
     assert cell is not None
     assert world is not None
-    query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
+    query = WorldQuery(cell, world, seed_of(data.command), data.moving)
     try:
         as_tested.refuse_stale(data.rests_on, world)
         if data.saved is not None:

@@ -1,4 +1,4 @@
-"""Propagation of pose uncertainty: through rigid offsets, measurements and time in the hand. Pure.
+"""Propagation of pose uncertainty: through rigid offsets, measurements and motions in the hand. Pure.
 
 A spread is six half-widths: x y z (m), roll pitch yaw (rad), in the axes of the pose.
 """
@@ -88,10 +88,9 @@ def askew_spread(spread: Spread, grasp: Floats, wider_m: float, pad_m: float) ->
     return widened(spread, spread_at([0.0, 0.0, 0.0, turn_rad, 0.0, turn_rad], grasp))
 
 
-def crept_spread(spread: Spread, seconds: float, numbers: Numbers) -> list[float]:
-    """Spread of an object held for `seconds` more: it creeps in the grip."""
-    for_s = max(0.0, seconds)
-    return widened(spread, even(for_s * numbers.creep_m_s, for_s * numbers.creep_rad_s))
+def crept_spread(spread: Spread, moved_s: float, numbers: Numbers) -> list[float]:
+    """Spread of an object whose hand has moved for `moved_s` more: it creeps in the grip. At rest it does not."""
+    return widened(spread, even(moved_s * numbers.creep_m_s, moved_s * numbers.creep_rad_s))
 
 
 def struck_spread(spread: Spread, peak_force_n: float, values: Mapping[str, float]) -> list[float]:

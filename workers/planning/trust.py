@@ -3,8 +3,8 @@
 A fact that is not trusted yields a Refusal that states what would clear it. So does a held object whose pose is too
 uncertain for a step. A step states the requirement: `needs_m` and `needs_rad` for all axes, or `needs`, a
 seat with its own bounds (`needs_within` in the cell). The elaborator and the binder both check it, because uncertainty
-grows with time and with impacts. The elaborator adds the time of the motions before the step, so that an accepted
-command can end.
+grows with each motion and with impacts. The elaborator adds the time of the motions before the step, so that an
+accepted command can end. No time of a clock enters: a doubt is as large after an hour of rest as before it.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from workers.planning.world_query import WorldQuery
 
 UNSURE_STEP_M = 0.001  # spreads are rounded up to a multiple of this: a way stays valid while a grasp creeps a little
 # Time allowed for a motion at the cell's speed, in which a held object creeps. A carry across the default cell takes
-# 9 s.
-AHEAD_S = 15.0
+# 7.5 s.
+AHEAD_S = 10.0
 
 
 def distrusted(query: WorldQuery, key: str, clears: Mapping[str, str], own: str = "") -> Refusal | None:
@@ -113,11 +113,8 @@ def unsure_key(query: WorldQuery, body: str) -> str:
 
 
 def grasp_spread(query: WorldQuery, thing: str, ahead_s: float = 0.0) -> Spread:
-    """Uncertainty of a held object's pose `ahead_s` after the query; it grows with time in the hand."""
-    key = f"{thing}.grasp"
-    fact = query.world.get(key)
-    age_s = max(0.0, query.at_s - fact.at_s) if fact is not None else 0.0
-    return pose_spread.crept_spread(query.spread(key), age_s + ahead_s, query.cell.numbers)
+    """Uncertainty of a held object's pose after `ahead_s` more of motion."""
+    return pose_spread.crept_spread(query.spread(f"{thing}.grasp"), ahead_s, query.cell.numbers)
 
 
 def unsure_m(query: WorldQuery, poses: Iterable[str], held: Iterable[str]) -> dict[str, float]:
@@ -156,7 +153,7 @@ def why_uncertain(
 ) -> Refusal | None:
     """The refusal of a step for which the grasp of the held object is too uncertain; None: certain, or an empty hand.
 
-    `ahead_s`: when the step begins, after the time of the query.
+    `ahead_s`: how long the arm moves before the step begins.
     """
     held = query.holding(arm)
     within = needed(query, step) if held else None

@@ -26,16 +26,12 @@ UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ba
 class WorldQuery(Facts):
     """The facts of one world view, read with the models of the cell.
 
-    `at_s`: when the query is made (the clock of `Fact.at_s`); 0: unknown, so that no fact has an age.
     `seed`: of the sampling planner in this job. `moving`: the primitives that other arms execute now.
     """
 
-    def __init__(
-        self, model: CellModel, world: World, at_s: float = 0.0, seed: int = 0, moving: Sequence[Primitive] = ()
-    ) -> None:
+    def __init__(self, model: CellModel, world: World, seed: int = 0, moving: Sequence[Primitive] = ()) -> None:
         super().__init__(model.cell, world)
         self.model = model
-        self.at_s = at_s
         self.seed = seed
         self.moving = moving
         self._tcps: dict[str, Array] = {}
@@ -54,7 +50,7 @@ class WorldQuery(Facts):
 
     def after(self, changes: Iterable[WorldChange]) -> WorldQuery:
         """The same query in the world after these changes."""
-        return WorldQuery(self.model, self.world.overlay(changes), self.at_s, self.seed, self.moving)
+        return WorldQuery(self.model, self.world.overlay(changes), self.seed, self.moving)
 
     def joints(self, arm: str) -> list[float]:
         """Joint values as last reported (rad); the home position before any report. Of a moving arm: at its goal."""

@@ -93,7 +93,7 @@ class Performance:
 
     def run(self, parsed: ParsedCommand) -> Performance:
         """Elaborate the sentence and perform its steps until the last, or until one is refused."""
-        data = ElaboratorInput(command=self.command, parsed=parsed, at_s=self.now_s, rigid=[*self.rigid])
+        data = ElaboratorInput(command=self.command, parsed=parsed, rigid=[*self.rigid])
         try:
             program = self.programs[WorkerKind.ELABORATOR]
             self.script = _unless_refused(elaborate.run(program, self.model, self.world, data, advise=self.advise))
@@ -118,9 +118,7 @@ class Performance:
         """The current step, bound in the world on paper. Raises Refused."""
         assert self.actions is not None
         name = f"{self.command}.{len(self.steps) + 1}"
-        bound: BoundStep = self._call(
-            bind, WorkerKind.BINDER, BinderInput(**self.actions.binder_input(name), at_s=self.now_s)
-        )
+        bound: BoundStep = self._call(bind, WorkerKind.BINDER, BinderInput(**self.actions.binder_input(name)))
         self.actions.assign(bound.bindings)
         return bound
 
@@ -175,7 +173,7 @@ class Performance:
         return trim.then
 
     def query(self) -> WorldQuery:
-        return WorldQuery(self.model, self.world, self.now_s)
+        return WorldQuery(self.model, self.world)
 
     def _perform_step(self) -> None:
         assert self.actions is not None

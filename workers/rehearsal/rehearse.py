@@ -69,7 +69,7 @@ def run(programs: Programs, cell: CellModel | None, world: World | None, data: R
     if done.refusal is not None:
         offered: list[Repair] = []
         if not feasible:  # another sentence does not mend an ASSUMING that does not fit
-            query = WorldQuery(cell, paper, before.at_s)
+            query = WorldQuery(cell, paper)
             failed = repairs.Infeasible(plain(data.text), parsed, done.refusal, query)
             rehearser = _rehearser(done, paper, before.at_s)
             offered = repairs.tested(failed, programs[WorkerKind.ELABORATOR].program, rehearser)

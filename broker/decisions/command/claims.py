@@ -79,7 +79,7 @@ def elaborate(context: DecisionContext, command: Command) -> None:
 
 
 def start_elaboration(context: DecisionContext, command: Command) -> None:
-    data: dict[str, Any] = {"command": command.id, "parsed": command.parsed, "at_s": context.now}
+    data: dict[str, Any] = {"command": command.id, "parsed": command.parsed}
     if command.head is not None and command.head.kind == "data":
         data["owners"] = {name: ", ".join(users) for name, users in context.state.resources.holders.items()}
     if rigid := exact_arms_of(context.state):

@@ -104,7 +104,7 @@ def bind_step(context: DecisionContext, command: Command, note: str = "") -> Non
         return
     name = primitive_id(command.id, command.primitives + 1, context.state.life)
     others = len(context.state.commands) > 1
-    data = {**actions.binder_input(name), "at_s": context.now, "others": others}
+    data = {**actions.binder_input(name), "others": others}
     context.create_job(command, WorkerKind.BINDER, data)
     context.enter(command, Phase.BINDING, note)
 

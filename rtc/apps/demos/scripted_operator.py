@@ -112,7 +112,7 @@ class Hands:
             again()
 
     def close_by_mistake(self) -> None:
-        """Until he is told that the hand is not his. Raises RtcError after the limit."""
+        """Until the answer says that the hand is not his. Raises RtcError after the limit."""
         end_s = time.monotonic() + LIMIT_S
         while "the hand" not in (why := self.hold(hand="close")):
             if time.monotonic() > end_s:

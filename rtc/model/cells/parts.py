@@ -374,12 +374,11 @@ class Numbers(CellPart, frozen=True, kw_only=True):
     feel_force_n: Positive = 5.0
     guard_force_n: Positive = 20.0
     joint_margin_deg: NotNegative = 3.0  # IK solutions nearer to a limit are rejected; of a slide 5 mm for 3 deg
-    # Creep of an object in the hand, along and about each axis. Measured in the simulation, at the module's origin: a
-    # carry of 7 s moves it by 0.43 mm and 0.07 deg. The next 5 s add 0.5 mm and 0.17 deg. With 1.5 times the mass and
-    # 0.6 of the friction the carry moves it by 0.79 mm and 0.18 deg. Later it moves by 0.004 mm/s and 0.0014 deg/s at
-    # most. The rate is 2.5 times the mean of a carry and a minute of rest, and 10 times that of rest alone.
-    creep_m_s: NotNegative = 0.00004
-    creep_rad_s: NotNegative = 0.0003
+    # Creep of an object in the hand, along and about each axis, per second in which the arm moves; at rest there is
+    # none (decision 0128). In the simulation, at the module's origin, motions of 2 to 21 s: 0.005 to 0.061 mm/s and
+    # 0.003 to 0.014 deg/s; with 1.5 times the mass and 0.6 of the friction 0.068 to 0.084 mm/s.
+    creep_m_s: NotNegative = 0.00008
+    creep_rad_s: NotNegative = 0.0004
 
 
 Named = TypeVar("Named", Arm, Seat, Object, Place, Region, GraspPoint, Camera)

@@ -135,12 +135,10 @@ class RestsOn(Strict, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
-    """`at_s`: when the broker asks; what a hand holds is less certain with the age of its facts. 0 = unknown.
-    `saved`: as in `CommandText`."""
+    """`saved`: as in `CommandText`."""
 
     command: str
     parsed: ParsedCommand
-    at_s: float = 0.0
     moving: list[Primitive] = []  # of other arms: executing, or ended and not in the world database yet
     owners: dict[str, str] = {}  # of a sentence that states or asks facts: name -> the commands that use it
     rests_on: RestsOn | None = None
@@ -149,7 +147,7 @@ class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
-    """`at_s`, `moving`: as in `ElaboratorInput`. `moved_s`: how long this command has moved, in arm time.
+    """`moving`: as in `ElaboratorInput`. `moved_s`: how long this command has moved, in arm time.
 
     `others`: other commands are in progress, so another arm may begin to move before this step is sent."""
 
@@ -157,7 +155,6 @@ class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     context: ScriptContext
     step: Step
     bindings: dict[str, Binding]
-    at_s: float = 0.0
     moving: list[Primitive] = []
     moved_s: float = 0.0
     others: bool = False
@@ -182,7 +179,8 @@ class Paper(Strict, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class RehearsalInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
-    """A TEST sentence. `at_s`, `moving`: as in `ElaboratorInput`; the motions count as ended at their goals."""
+    """A TEST sentence. `at_s`: when the broker asks; predicted times count from it. `moving`: as in `ElaboratorInput`;
+    the motions count as ended at their goals."""
 
     command: str
     text: str  # the sentence with its TEST, for repairs

@@ -129,6 +129,7 @@ class EndReport(Message, frozen=True, kw_only=True):
     at_s: float
     duration_s: float  # in the time of the simulation, pauses included
     paused_s: float = 0.0  # of it
+    moved_s: float | None = None  # of it, the time in which the arm moved; None: all of it but the pauses
     joints: list[float] = []  # rad, after coming to rest; m for those of `slides`
     slides: list[int] = []  # numbers of the joints that slide
     tcp_pose: list[float] = []  # at rest

@@ -68,6 +68,7 @@ class Executor:
         self._stray = StrayWatch(self._seen, self._setpoints)
         self._ticks = 0  # since the start of this primitive
         self._paused_ticks = 0  # of them
+        self._moved_ticks = 0  # of them, with a motion
         self._stands = False  # on its path, in a pause
         self._stops: stop_functions.Stops = []
         self._bounds = Bounds([], arm.traits)
@@ -235,6 +236,7 @@ class Executor:
             seen.feel(True)
             if self._bounds.hold(seen, setpoints.command):
                 self._ticks += 1
+                self._moved_ticks += 1
                 command = setpoints.skip(n)
                 if self._compliant:
                     seen.arm.feel(seen.wrench)
@@ -260,6 +262,8 @@ class Executor:
         if not setpoints.allows(command):
             command = self._brake_instead(command)
         setpoints.command = command
+        if any(command[1]) or (self._compliant and not seen.joints_rest()):
+            self._moved_ticks += 1
         if (path := setpoints.new_block) is not None:
             self._look_ahead(path)
         if self._compliant:
@@ -304,7 +308,7 @@ class Executor:
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
         self._stray.release()
-        self._ticks = self._paused_ticks = 0
+        self._ticks = self._paused_ticks = self._moved_ticks = 0
         self._stands = self._releasing = False
         self._stopped_at_s, self._was_compliant = 0.0, False
         self._compliant = self.primitive.control_law.compliance is not None
@@ -616,6 +620,7 @@ class Executor:
             at_s=now_s,
             duration_s=self._ticks * TICK_S,
             paused_s=self._paused_ticks * TICK_S,
+            moved_s=self._moved_ticks * TICK_S,
             seen=self._seen,
             items=self.primitive.reporting.items,
             measure=self._measure,

@@ -36,6 +36,15 @@ def test_a_motion_to_its_goal_ends_with_one_full_report(rig) -> None:
     assert [message for message in rig.tick(1000) if isinstance(message, m.EndReport)] == []
 
 
+def test_a_report_states_how_long_the_arm_has_moved(rig, make) -> None:
+    rig.accept(rig.swing())
+    assert rig.until_end().moved_s == pytest.approx(1.0, abs=0.005)
+
+    rig.accept(make.primitive(p.HoldStill(duration_s=0.2), id="C-7.2"))
+    rested = rig.until_end()
+    assert (rested.duration_s, rested.moved_s) == (pytest.approx(0.2, abs=0.015), 0.0)
+
+
 def test_the_goal_waits_until_the_arm_is_there(rig) -> None:
     rig.arm.lag = 0.05  # a servo that lags behind, further than one that leans on something
     rig.accept(rig.swing(limit_s=2.0))

@@ -77,6 +77,8 @@ def test_a_pause_lasts_as_long_as_it_is_ordered_and_changes_nothing_of_the_path(
     assert paced(rig.sent) == [True, False]
     assert report.joints == pytest.approx(wanted.trajectory.positions[-1])
     assert report.duration_s > 2.0 + SLOWEST_TICKS * TICK_S - RAMPS_S[-1]
+    assert report.moved_s is not None
+    assert report.moved_s + 0.9 * report.paused_s < report.duration_s
 
 
 def test_an_order_during_a_ramp_takes_effect_after_it(rig, make) -> None:

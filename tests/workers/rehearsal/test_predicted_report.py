@@ -29,7 +29,7 @@ def test_predictions_are_what_exact_arms_report():
     perform = arms.perform
 
     def beside(made, bound):
-        query = WorldQuery(bench.model, bench.world, bench.now_s)
+        query = WorldQuery(bench.model, bench.world)
         predicted = end_report(query, bound, 0.0)
         measured = perform(made, bound)
         gains_n = max(0.0, predicted.hand_force_n - query.hand_force(made.performer))
@@ -71,7 +71,7 @@ def test_a_predicted_sighting_is_as_certain_as_one_of_ideal_pictures():
     perform = arms.perform
 
     def beside(made, bound):
-        predicted = end_report(WorldQuery(bench.model, bench.world, bench.now_s), bound, 0.0)
+        predicted = end_report(WorldQuery(bench.model, bench.world), bound, 0.0)
         measured = perform(made, bound)
         pairs.append((made, predicted.sighting, measured.sighting))
         return measured
