@@ -12,6 +12,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import coal
 import msgspec
 import numpy as np
 import pinocchio as pin
@@ -295,7 +296,9 @@ def _differ(where: str, what: str, mine: str, theirs: str) -> Difference:
 
 
 def _box(item: Any, at: pin.SE3) -> Array:
-    """The box around a shape that is placed: that of the shape's own axes, turned."""
+    """The box around a shape that is placed: that of the shape's own axes, turned; a sphere does not turn."""
+    if isinstance(item.geometry, coal.Sphere):
+        at = pin.SE3(np.eye(3), at.translation)
     item.geometry.computeLocalAABB()
     local = item.geometry.aabb_local
     middle, half = 0.5 * (local.max_ + local.min_), 0.5 * (local.max_ - local.min_)

@@ -15,9 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 
 from rtc.apps.authoring.hull import hull_of
-from rtc.apps.authoring.robot_file import PACKAGE, RobotFile, implausible
+from rtc.apps.authoring.robot_file import PACKAGE, RobotFile, implausible, kinematics
 from rtc.language.alike import unknown
 from rtc.model.cells import urdf_values
 from rtc.model.cells.urdf import number, numbers, origin
@@ -28,11 +29,15 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 
 HAND = Path(__file__).with_name("hand.urdf")
+ASIDE_M = 0.02  # by which a link extends to one side of the axis of its joint, if it points there
+STRAIGHT = 0.98  # cosine of the angle to an axis of the link that is taken for that axis
+CLEAR_M = 0.01  # between the middles of two bodies, to tell which is farther out
 BELOW_TIP_M = 0.015  # distance of the tcp below the finger tips, at most a quarter of a finger
 TCP, MOUNT = "tcp", "wrist_ft"
 GYRATION = 1.0  # greatest plausible radius of gyration, as a share of the size of a link
 INERTIA = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-DEFAULT_EFFORT, DEFAULT_SPEED = 50.0, 1.0  # of a joint without a motor in the URDF
+DEFAULT_EFFORT, DEFAULT_SPEED = 50.0, 1.0  # of a joint without a motor in the URDF, at least
+OVER_WEIGHT, SEED, POSTURES = 2.5, 1, 200  # of its motor, over the greatest weight on it in these postures
 #: whole words in the name of a fixed joint that is a wrist sensor
 SENSOR_WORDS = {"force", "torque", "ft", "fts", "wrench", "forcetorque", "ftsensor"}
 #: whole words in the name of a joint that opens a hand
@@ -55,6 +60,7 @@ class AdaptedArm:
     fingers: tuple[str, str]
     sensor: str | None = None
     hulls: dict[str, str] = field(default_factory=dict)  # file -> text
+    without_effort: list[str] = field(default_factory=list)  # joints to which the URDF gives none
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -97,8 +103,28 @@ def adapt(path: Path, folder: str, tip: str = "") -> AdaptedArm:
     _tidy(arm)
     _meshes(arm, folder)
     _tool(arm)
+    _assume_efforts(arm)
     arm.sensor = _sensor(arm)
     return arm
+
+
+def _assume_efforts(arm: AdaptedArm) -> None:
+    """Motors that carry the arm, for the joints to which the URDF gives no effort: a large arm needs large ones."""
+    if not arm.without_effort:
+        return
+    model = kinematics(arm.urdf, arm.robot.path)
+    model.gravity.linear[:] = (0.0, 0.0, -9.81)
+    data, still = model.createData(), np.zeros(model.nv)
+    postures = np.random.default_rng(SEED).uniform(
+        model.lowerPositionLimit, model.upperPositionLimit, (POSTURES, model.nq)
+    )
+    weights = np.abs([pin.rnea(model, data, q, still, still) for q in postures]).max(axis=0)
+    for name in arm.without_effort:
+        effort = max(DEFAULT_EFFORT, float(np.ceil(OVER_WEIGHT * weights[model.joints[model.getJointId(name)].idx_v])))
+        limit = arm.robot.joints[name].find("limit")
+        assert limit is not None
+        limit.set("effort", f"{effort:g}")
+        arm.notes.append(f"{name} has no effort: {effort:g} is assumed; see its data sheet")
 
 
 def _refuse_wrong_values(robot: RobotFile) -> None:
@@ -296,12 +322,8 @@ def _cut(robot: RobotFile, tip: str, notes: list[str]) -> None:
 
 
 def _mount_hand(robot: RobotFile, tip: str, notes: list[str]) -> None:
-    """Adds the parallel hand on the last link, along the axis of the last joint."""
-    last = robot.moving_way(tip)[-1]
-    turn = robot.pose_in(tip, robot.child[last])[:3, :3].T
-    axis = turn @ robot.axis(last)
-    if float(_before(robot, tip) @ axis) > 0.0:
-        axis = -axis
+    """Adds the parallel hand on the last link, where that points."""
+    axis = _outwards(robot, tip)
     reach = max([0.0, *(float((points @ axis).max()) for points in _points(robot, tip))])
     mount = ElementTree.SubElement(robot.robot, "joint", name=MOUNT, type="fixed")
     ElementTree.SubElement(mount, "parent", link=tip)
@@ -318,16 +340,30 @@ def _mount_hand(robot: RobotFile, tip: str, notes: list[str]) -> None:
     robot.index()
 
 
-def _before(robot: RobotFile, tip: str) -> Array:
-    """The middle of the body before the last moving joint, in the axes of the tip: the hand points away from it."""
-    link = robot.parent[robot.moving_way(tip)[-1]]
-    while not _points(robot, link) and link in robot.carrier:
-        link = robot.parent[robot.carrier[link]]
-    clouds = _points(robot, link)
-    middle = np.vstack(clouds).mean(axis=0) if clouds else np.zeros(3)
-    pose = np.linalg.inv(robot.pose_in(tip, link))
-    found: Array = pose[:3, :3] @ middle + pose[:3, 3]
-    return found
+def _outwards(robot: RobotFile, tip: str) -> Array:
+    """The direction in which the last link points, in its axes: along the axis of the last joint, away from the body
+    before it; or square to it, if the last joint bends a link that is long that way."""
+    last = robot.moving_way(tip)[-1]
+    at = robot.pose_in(tip, robot.child[last])
+    axis, joint = at[:3, :3].T @ robot.axis(last), -at[:3, :3].T @ at[:3, 3]
+    clouds = _points(robot, tip)
+    own = np.vstack(clouds).mean(axis=0) if clouds else None
+    if own is not None:
+        aside = own - joint - axis * float((own - joint) @ axis)
+        if float(np.linalg.norm(aside)) > max(ASIDE_M, 2.0 * abs(float((own - joint) @ axis))):
+            bent: Array = aside / np.linalg.norm(aside)
+            straight: Array = np.round(bent)
+            return straight if np.abs(bent).max() > STRAIGHT else bent
+    beyond = 0.0
+    for link in (robot.parent[one] for one in reversed(robot.way_to(tip))):
+        if before := _points(robot, link):
+            pose = np.linalg.inv(robot.pose_in(tip, link))
+            middle = pose[:3, :3] @ np.vstack(before).mean(axis=0) + pose[:3, 3]
+            beyond = float(((own if own is not None else np.zeros(3)) - middle) @ axis)
+            if abs(beyond) > CLEAR_M:
+                break
+    outwards: Array = axis if beyond >= 0.0 else -axis
+    return outwards
 
 
 def _looking_along(axis: Array, at: Array) -> Array:
@@ -438,10 +474,12 @@ def _motor(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None:
     limit = joint.find("limit")
     if limit is None:
         raise ProgramError(f"{arm.robot.path}: joint {name} has no <limit>: state lower, upper, effort and velocity")
-    for key, otherwise in (("effort", DEFAULT_EFFORT), ("velocity", DEFAULT_SPEED)):
-        if not number(limit, key) > 0.0:
-            limit.set(key, f"{otherwise:g}")
-            arm.notes.append(f"{name} has no {key}: {otherwise:g} is assumed; see its data sheet")
+    if not number(limit, "velocity") > 0.0:
+        limit.set("velocity", f"{DEFAULT_SPEED:g}")
+        arm.notes.append(f"{name} has no velocity: {DEFAULT_SPEED:g} is assumed; see its data sheet")
+    if not number(limit, "effort") > 0.0:
+        limit.set("effort", f"{DEFAULT_EFFORT:g}")
+        arm.without_effort.append(name)
     lower, upper = arm.robot.limits(name)
     if not lower < upper:
         raise ProgramError(

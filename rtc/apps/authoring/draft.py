@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,7 +51,8 @@ MARGIN_RAD = math.radians(8.0)
 ABOVE_M = 0.20  # a pad is reachable with the hand over it up to this height
 CARRY_M = 0.25  # height of the place before the arm
 REACHES, BEARINGS_DEG = (0.6, 0.5, 0.7, 0.4, 0.8), (25.0, 35.0, 15.0, 50.0)
-HEIGHTS = (1.0, 0.3)  # shares of the heights over the pads, for arms with fewer than six joints
+HEIGHTS, LOW = (1.0, 0.6), 0.3  # shares of the heights over the pads; the last one for arms with fewer than six joints
+TABLES_M = (0.0, 0.2, 0.4, 0.7)  # by which the pads are higher, for arms whose hand does not point down near the floor
 STEPS = 8
 
 
@@ -167,10 +169,14 @@ def _with_postures(cell: Cell, adapted: AdaptedArm) -> Cell:
     """The cell with home, stow, accelerations and payload of its arm."""
     name = cell.arms[0].name
     model, world = ArmModel.of(cell, name), CollisionWorld(cell)
-    free = [q for q in _samples(model) if world.check({name: q}, Scene(clearance_m=0.01)) is None]
+    drawn = list(_samples(model))
+    hits = [world.check({name: q}, Scene(clearance_m=0.01)) for q in drawn]
+    free = [q for q, hit in zip(drawn, hits, strict=True) if hit is None]
     held = np.array([q for q in free if _weight_share(model, q) < EFFORT])
     if not len(held):
-        why = "every sampled posture collides" if not free else "its motors cannot hold it against gravity"
+        most = Counter(f"{hit.body_a} with {hit.body_b}" for hit in hits if hit is not None).most_common(1)
+        collides = f"every sampled posture collides, most often {most[0][0]}" if most else ""
+        why = "its motors cannot hold it against gravity" if free else collides
         raise ProgramError(f"{adapted.robot.path}: no posture of {name} was found: {why}")
     if len(free) < POSTURES / 20:
         adapted.notes.append(f"only {len(free)} of {POSTURES} postures are free of collisions")
@@ -262,7 +268,7 @@ def _with_pads(cell: Cell, adapted: AdaptedArm) -> Cell:
     farthest = max(float(np.linalg.norm(model.fk(q)[:2])) for q in _samples(model))
     for how, share in itertools.product(_layouts(cell, model), REACHES):
         down, reach_m = (180.0, 0.0, how.yaw_deg), share * farthest
-        front = Frame(xyz=(round(reach_m, 3), 0.0, round(PAD_HEIGHT_M + how.height * CARRY_M, 3)), rpy_deg=down)
+        front = Frame(xyz=(round(reach_m, 3), 0.0, round(how.pad_m + how.height * CARRY_M, 3)), rpy_deg=down)
         if not model.ik(front.pose, home, margin):
             continue  # at any bearing
         for bearing_deg in BEARINGS_DEG:
@@ -278,18 +284,25 @@ def _with_pads(cell: Cell, adapted: AdaptedArm) -> Cell:
             if _can_work(tried, how.height * ABOVE_M):
                 return tried
     adapted.notes.append(
-        "no pads were placed: the hand cannot point down near the floor; add objects and seats yourself"
+        "no pads were placed: no two places were found at which the hand points down freely, near the floor or up to "
+        f"{PAD_HEIGHT_M + TABLES_M[-1]:g} m above it; add objects and seats yourself"
     )
     return cell
 
 
 class _Layout(NamedTuple):
     """`yaw_deg`: of the hand that points down; `radial`: pads and cube turn with the bearing, as the hand of an arm
-    does that cannot turn it; `height`: share of the usual heights over the pads."""
+    does that cannot turn it; `height`: share of the usual heights over the pads; `table_m`: these are higher by it."""
 
     yaw_deg: float = 0.0
     radial: bool = False
     height: float = 1.0
+    table_m: float = 0.0
+
+    @property
+    def pad_m(self) -> float:
+        """The height of the pads above the floor."""
+        return PAD_HEIGHT_M + self.table_m
 
     @property
     def quarter_deg(self) -> float:
@@ -305,30 +318,31 @@ def _layouts(cell: Cell, model: ArmModel) -> Iterator[_Layout]:
     """Ways to place the pads. Of an arm with fewer than six joints the hand has the yaw that it has at home, seen from
     the world or from the base."""
     if len(model.joints) >= WHOLE:
-        yield from (_Layout(yaw_deg) for yaw_deg in (0.0, 90.0, 180.0, -90.0))
+        for table_m, height, yaw_deg in itertools.product(TABLES_M, HEIGHTS, (0.0, 90.0, 180.0, -90.0)):
+            yield _Layout(yaw_deg, False, height, table_m)
         return
     hand = model.fk(cell.arms[0].home_rad)
     turned = geometry.to_matrix(hand)[:3, :3]
     x, y = turned[:, 0], turned[:, 1]
     yaw = math.atan2(y[0], -y[1]) if abs(y[2]) < abs(x[2]) else math.atan2(x[1], x[0])
     bearing = math.atan2(hand[1] - model.base_pose[1], hand[0] - model.base_pose[0])
-    for height in HEIGHTS:
-        yield _Layout(height=height)
+    for table_m, height in itertools.product(TABLES_M, (*HEIGHTS, LOW)):
+        yield _Layout(height=height, table_m=table_m)
         for half_turn in (0.0, 180.0):
-            yield _Layout(round(math.degrees(yaw) + half_turn, 1), False, height)
-            yield _Layout(round(math.degrees(yaw - bearing) + half_turn, 1), True, height)
+            yield _Layout(round(math.degrees(yaw) + half_turn, 1), False, height, table_m)
+            yield _Layout(round(math.degrees(yaw - bearing) + half_turn, 1), True, height, table_m)
 
 
 def _pad(name: str, reach_m: float, bearing: float, how: _Layout) -> Seat:
     at: Vec3 = (
         round(reach_m * math.cos(bearing), 3),
         round(reach_m * math.sin(bearing), 3),
-        PAD_HEIGHT_M + 0.5 * CUBE_M,
+        round(how.pad_m + 0.5 * CUBE_M, 3),
     )
     block = Box(
         name="block",
-        size_m=(PAD_M, PAD_M, PAD_HEIGHT_M),
-        frame=Frame(xyz=(0.0, 0.0, -0.5 * (PAD_HEIGHT_M + CUBE_M))),
+        size_m=(PAD_M, PAD_M, round(how.pad_m, 3)),
+        frame=Frame(xyz=(0.0, 0.0, round(-0.5 * (how.pad_m + CUBE_M), 4))),
         colour=(0.45, 0.48, 0.52, 1.0),
     )
     return Seat(
@@ -368,12 +382,10 @@ def _can_work(cell: Cell, above_m: float) -> bool:
     model, world = ArmModel.of(cell, name), CollisionWorld(cell)
     grasp = cell.object("CUBE").grasp_points[0].frame.pose
     aside = Scene(poses={"CUBE": geometry.make_pose((0.0, 0.0, -1.0))})
-    goals = [geometry.compose(cell.seated_pose(seat.name), grasp) for seat in cell.seats]
-    goals.append(cell.places[0].poses[name].pose)
     margin = math.radians(cell.numbers.joint_margin_deg)
-    for goal in goals:
-        heights = np.linspace(above_m, 0.0, STEPS)
-        line = [geometry.translate(goal, (0.0, 0.0, float(h))) for h in heights]
+    goals = [(geometry.compose(cell.seated_pose(seat.name), grasp), above_m) for seat in cell.seats]
+    for goal, way_m in ((cell.places[0].poses[name].pose, 0.0), *goals):
+        line = [geometry.translate(goal, (0.0, 0.0, float(h))) for h in np.linspace(way_m, 0.0, STEPS if way_m else 1)]
         if not any(
             _line_is_free(model, world, aside, line, q, margin)
             for q in model.ik(line[0], cell.arms[0].home_rad, margin)
@@ -387,7 +399,10 @@ def _line_is_free(
 ) -> bool:
     rows = model.ik_along(line, start)
     return len(rows) == len(line) and all(
-        model.limit_margin_rad(q) >= margin and world.check({model.name: q}, scene) is None for q in rows
+        model.limit_margin_rad(q) >= margin
+        and _weight_share(model, q) < EFFORT
+        and world.check({model.name: q}, scene) is None
+        for q in rows
     )
 
 

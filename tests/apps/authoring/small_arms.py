@@ -71,6 +71,12 @@ def _xyz(values: Sequence[float]) -> str:
     return " ".join(f"{value:g}" for value in values)
 
 
+def scaled(joint: Joint, factor: float) -> Joint:
+    """The joint with its link, smaller or larger; no side gets thinner than 30 mm."""
+    at, middle = (tuple(factor * x for x in one) for one in (joint.at, joint.middle))
+    return joint._replace(at=at, middle=middle, size=tuple(max(0.03, factor * x) for x in joint.size))
+
+
 ALL_ROUND = (-2.9, 2.9)
 
 

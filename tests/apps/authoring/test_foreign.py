@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import re
+import sys
 
+import numpy as np
 import pytest
 
+from rtc.apps.authoring import draft as drafts
+from rtc.apps.authoring import self_collisions
 from rtc.apps.authoring.adapt import adapt, words
 from rtc.apps.authoring.review import review
+from rtc.apps.cli import main
+from rtc.drawing.renderer import Renderer
+from rtc.model.cells import two_readers
 from rtc.protocol.outcomes import ProgramError
 from sim_mcm.arms.readers import differences
 from tests.apps.authoring import small_arms
@@ -242,3 +249,76 @@ def test_soft_limits_are_kept(tmp_path):
 def test_a_material_without_a_name_gets_one(tmp_path):
     text = six(("<collision>", "<visual><geometry><box size='1 1 1'/></geometry><material/></visual><collision>"))
     assert adapted(tmp_path, text).robot.links["base"].find("visual/material").get("name")
+
+
+# --- the mounted hand, motors and pads -----------------------------------------------------------------
+
+
+def towards(arm):
+    """The direction of the mounted hand, in the axes of the last link."""
+    return np.round(arm.robot.placement("wrist_ft")[:3, 2], 3).tolist()
+
+
+FLANGE = '<origin xyz="0 0 0.025"/><geometry><box size="0.06 0.06 0.03"/></geometry>'
+FOREARM = '<origin xyz="0 0 0.05"/><geometry><box size="0.06 0.06 0.08"/></geometry>'
+
+
+@pytest.mark.parametrize(
+    ("flange", "forearm", "direction"),
+    [
+        ("0 0 0.025", "0 0 0.05", [0.0, 0.0, 1.0]),
+        ("0 0 0.15", "0 0 0.11", [0.0, 0.0, 1.0]),  # the body before it reaches beyond the origin of the flange
+        ("0 0 -0.15", "0 0 0.05", [0.0, 0.0, -1.0]),  # the axis of the last joint points back
+        ("0 0.08 0", "0 0 0.05", [0.0, 1.0, 0.0]),  # the last joint bends the link
+    ],
+)
+def test_a_mounted_hand_points_where_the_last_link_does(flange, forearm, direction, tmp_path):
+    """It pointed back into arms whose wrist is longer than their flange is far."""
+    text = six(
+        (FLANGE, FLANGE.replace("0 0 0.025", flange, 1)), (FOREARM, FOREARM.replace("0 0 0.05", forearm, 1)), hand=False
+    )
+    assert towards(adapted(tmp_path, text)) == direction
+
+
+def test_motors_that_a_file_leaves_out_carry_the_arm(tmp_path):
+    """An arm of 1.3 t had motors of 50 N.m, and no posture that they hold."""
+    text = six(hand=False).replace(' effort="100.0"', "").replace(' effort="150.0"', "")
+    heavy = re.sub(r'mass value="([0-9.]+)"', lambda found: f'mass value="{100 * float(found[1])}"', text)
+    efforts = [
+        float(adapted(tmp_path, one).robot.joints["joint_2"].find("limit").get("effort")) for one in (text, heavy)
+    ]
+    assert 50.0 <= efforts[0] < 400.0
+    assert efforts[1] > 5000.0
+
+
+@pytest.mark.parametrize("factor", [0.55, 0.65])
+def test_a_small_arm_gets_its_pads(factor, tmp_path, monkeypatch):
+    """20 cm of free line above the place before it, and above each pad, is more than a reach of 0.7 m has."""
+    monkeypatch.setattr(drafts, "POSTURES", 400)
+    monkeypatch.setattr(self_collisions, "SAMPLES", 250)
+    file = tmp_path / "arm.urdf"
+    file.write_text(small_arms.urdf("small", [small_arms.scaled(joint, factor) for joint in small_arms.SIX]))
+    made = drafts.draft(file, "UNIT")
+    assert [seat.name for seat in made.cell.seats] == ["PAD-1", "PAD-2"]
+    assert not any("no pads" in note for note in made.notes)
+
+
+def test_a_cell_whose_readers_differ_is_not_written(tmp_path, monkeypatch):
+    differing = [two_readers.Difference("joint j", "its axis differs", "one axis")]
+    monkeypatch.setattr(two_readers, "differences", lambda *_, **__: differing)
+    file = tmp_path / "arm.urdf"
+    file.write_text(six())
+    with pytest.raises(ProgramError, match="joint j: its axis differs; expected: one axis"):
+        drafts.draft(file, "UNIT")
+
+
+def test_findings_are_printed_when_the_renderer_is_late(tmp_path, monkeypatch, capsys):
+    """They were not: the error of the picture came first."""
+    monkeypatch.setattr(Renderer, "drawn", lambda *_: False)
+    monkeypatch.setattr(sys, "argv", ["rtc", "cell", "check", "panda", "-o", str(tmp_path / "a.png")])
+    with pytest.raises(SystemExit) as ended:
+        main.main()
+    assert not ended.value.code
+    out = " ".join(capsys.readouterr().out.split())
+    assert "0 errors" in out
+    assert "no picture: the renderer has not answered" in out
