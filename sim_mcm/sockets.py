@@ -104,6 +104,9 @@ class Sockets:
             wanted = self._decode(_read_operate, parts, "operate", now_s)
             if wanted is not None:
                 yield caller, wanted
+            else:
+                unread = "it is not a message of this protocol, or has a value of another kind"
+                self.answer_operator(caller, m.OperateReply(primitive="", at_s=now_s, refused=unread))
 
     def questions(self, now_s: float) -> Iterator[tuple[bytes, Question]]:
         """Queries and commands of the test bench: (caller, message)."""

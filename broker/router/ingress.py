@@ -122,6 +122,9 @@ class Ingress:
         core = self._core
         if self._count(name):
             core.me.log.warning("dropped a message on %s from %r: %s", name, peer[:40], error)
+        if name == "front" and wire.is_hello(parts):  # the answers to what follows it could not be read either
+            refusal = Refusal(reason=RefusalReason.VERSION, message=f"the hello of this client cannot be read: {error}")
+            core.refused_peers.refuse(name, peer, m.ClientHello(protocol=0, client="unreadable"), refusal, core.clock())
         if name in ("front", "halt"):
             refusal = Refusal(reason=RefusalReason.SENTENCE, message=f"not a message of this protocol: {error}")
             send(core.sockets[name], m.Declined(request=wire.name_in(parts), refusal=refusal), peer)

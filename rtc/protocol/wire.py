@@ -143,6 +143,11 @@ class _Named(msgspec.Struct):
     halt: str = ""
 
 
+class _Typed(msgspec.Struct):
+    type: str = ""
+
+
+_read_type = msgspec.msgpack.Decoder(_Typed).decode
 _read_name = msgspec.msgpack.Decoder(_Named).decode
 
 
@@ -157,6 +162,14 @@ def name_in(parts: Sequence[bytes]) -> str:
         return ""
     name = named.request or named.halt
     return name if len(name) <= NAME_CHARACTERS else ""
+
+
+def is_hello(parts: Sequence[bytes]) -> bool:
+    """Whether an invalid message is a hello by its type."""
+    try:
+        return _read_type(parts[-1]).type.endswith("Hello")
+    except (*_NO_MESSAGE, IndexError):
+        return False
 
 
 def decoder(kind: Any) -> Callable[[bytes | msgspec.Raw], Any]:

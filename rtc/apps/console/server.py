@@ -120,7 +120,7 @@ class Console:
         given = await body(request)
         text = str(given.get("text", ""))[:CHARACTERS]
         at = given.get("at")
-        place = max(0, at) if isinstance(at, int) else len(text)
+        place = min(max(0, at), len(text)) if type(at) is int else len(text)
         return JSONResponse(check(self._grammar, text, place, self._names))
 
     async def _chain(self, request: Request) -> Response:

@@ -20,6 +20,7 @@ from rtc.subsystems.motion.observation import Observation
 from rtc.subsystems.motion.shared_way import SharedWay
 
 LOST_S = 0.06  # a stream that is silent for this long is lost; the arm then needs up to 40 ms to stop
+MOST_TWIST = 1000.0  # m/s, rad/s: a larger part of a twist is no hand of a person
 STALE_S = 0.2  # a message that has seen nothing of this process for this long does nothing
 TURNED = 0.98  # share of a turn that proves it
 DONE_RAD = 0.02  # of the attitude that the program gives to a shared motion, at its end
@@ -52,6 +53,8 @@ class OperatedArm:
         """Why a message does nothing; empty: it counts, and is followed from now on."""
         if not all(map(math.isfinite, (*wanted.twist, wanted.turn, wanted.seen_at_s))):
             return "a number of it is not finite"
+        if max(map(abs, wanted.twist)) > MOST_TWIST:  # in other axes its square is no number any more
+            return f"a part of its twist is beyond {MOST_TWIST:g} m/s or rad/s"
         if self._is_moved_by_another(caller, now_s):
             return f"{self._operator} moves this arm; it is free when he lets go"
         if (age_s := now_s - wanted.seen_at_s) > STALE_S:

@@ -130,6 +130,20 @@ def test_what_has_no_name_is_answered_without(bench: Bench, data: bytes) -> None
     assert wire.reader(m.BrokerToClient)(front.sent[-1][1:]).request == ""
 
 
+def test_after_a_hello_that_cannot_be_read_nothing_counts_until_a_hello_that_can(bench: Bench) -> None:
+    front = bench.sockets["front"]
+    front.put([b"ann", wire.PROTOCOL, wire.encode({"type": "ClientHello", "protocol": "new", "client": 7})])
+    bench.turn()
+    read = wire.reader(m.BrokerToClient)
+    assert isinstance(read(front.sent[-1][1:]), m.Declined)
+    bench.send("front", b"ann", m.CommandText(request="r1", text="STOW RIGHT-ARM"))
+    assert isinstance(read(front.sent[-1][1:]), m.Declined)
+    assert not bench.state.commands
+    bench.send("front", b"ann", m.ClientHello(protocol=VERSION, client="ann"))
+    bench.send("front", b"ann", m.CommandText(request="r2", text="STOW RIGHT-ARM"))
+    assert bench.state.commands
+
+
 def test_an_answer_counts_only_from_whom_the_job_was_given_to(working: Bench) -> None:
     forged = m.JobRefused(id="C-1/1", attempt=1, refusal=m.Refusal(reason="sentence", message="forged"))
     working.send("workers", b"parser@9", m.ResultBatch(name="parser@0", results=[forged]))

@@ -108,6 +108,8 @@ def test_a_silent_stream_stops_the_arm_within_100_ms(hands_on) -> None:
         {"seen_at_s": 100.0 - STALE_S - 0.01},
         {"seen_at_s": 101.0},
         {"seen_at_s": math.nan},
+        {"twist": [1.7e308, -1.7e308, 1.7e308, 0.0, 0.0, 0.0], "frame": "tool"},  # it becomes nan in world axes
+        {"twist": [0.0, 0.0, 0.0, -1001.0, 0.0, 0.0]},
         {"twist": [math.nan] * 6},
         {"twist": [math.inf, 0, 0, 0, 0, 0]},
         {"hand": "close"},
