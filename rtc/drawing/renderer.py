@@ -21,13 +21,15 @@ from rtc.protocol.outcomes import RtcError
 from rtc.sensing.optics import Window
 
 COMMAND = [sys.executable, "-P", "-m", "sim_mcm.cameras.render"]
-NICENESS = 5  # as the workers: a person waits for most pictures, and the ticks go first
+NICENESS = 5  # as the workers: the ticks go first
+ASKED_NICENESS = -10  # of a picture that a person has asked for, if it is permitted
 LIMIT_S = 60.0  # for one picture on a slow, busy machine; it takes one or two seconds
 END_S = 2.0
 
 
 class Renderer:
-    """Context manager; the process starts with it and ends with it. It draws in the order of the requests."""
+    """Context manager; the process starts with it and ends with it. It draws in the order of the requests. Without the
+    permission for a negative niceness the process has that of its parent."""
 
     def __init__(self, niceness: int = NICENESS) -> None:
         self._niceness = niceness
@@ -60,7 +62,9 @@ class Renderer:
         """Returns once the file is there. Raises RtcError with the reason when it cannot be drawn."""
         self.request(picture)
         if not self.drawn(LIMIT_S):
-            raise RtcError(f"the renderer has not answered within {LIMIT_S:.0f} s")
+            load = os.getloadavg()[0]
+            words = f"the picture is not drawn after {LIMIT_S:.0f} s; {load:.0f} processes compete for {os.cpu_count()}"
+            raise RtcError(f"{words} processors: repeat it when the machine is less busy")
 
     def photograph(self, cell: str, camera: str, scene: SceneView, seed: int | None = None) -> NDArray[np.uint8]:
         """What a camera of the cell sees: height x width x 3. `seed`: of its noise. Raises RtcError."""

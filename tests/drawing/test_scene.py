@@ -55,7 +55,7 @@ def test_what_is_held_is_where_its_hand_is_measured(cell: Cell, facts: dict[str,
     assert module.where == "RIGHT-ARM's hand"
     assert module.off_m is None
     assert (arm.tcp, arm.moving, arm.hand_width_m) == (HAND, "C-7.2", 0.02)
-    assert in_words(scene) == ["RIGHT-ARM moves (C-7.2), holds MACS-NEW"]
+    assert in_words(scene) == ["RIGHT-ARM moves (C-7), holds MACS-NEW"]
 
 
 def test_a_held_door_turns_about_its_hinge_whatever_the_attitude_of_the_hand() -> None:

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from rtc.model.cells.cell import Cell
 
 REFUSED = 2  # exit status
-BY_THE_BROKER = {"HALT", "PAUSE", "RESUME", "ABORT", "LOAD", "TEST"}  # verbs that need no script of their own
+# verbs that need no script of their own
+BY_THE_BROKER = {"HALT", "PAUSE", "RESUME", "ABORT", "LOAD", "TEST", "TAKE", "DONE", "CANNOT"}
 
 
 def parse(

@@ -16,7 +16,7 @@ from rtc.apps.cli.cluster_cell import cell_file
 from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, duration_s, emit_json, errors, table
 from rtc.apps.cli.world import COLOUR
 from rtc.client.client import Client
-from rtc.drawing.renderer import Renderer
+from rtc.drawing.renderer import ASKED_NICENESS, Renderer
 from rtc.drawing.scene import (
     VIEWS,
     ArmRow,
@@ -34,6 +34,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import KeyTrouble, TimedOut
 from rtc.protocol.primitive_id import command_of
+from rtc.runtime import process
 
 MEASURED_S = 1.0  # maximum wait for a telemetry sample of the arms; there are 50 per second
 SEEN_M, SEEN_RAD = 0.002, math.radians(1.0)  # differences above these get an outline
@@ -65,6 +66,7 @@ def look(
     Example:  rtc look --watch --for 60s
     """
     every_s, for_s = duration_s(every, "--every"), duration_s(for_, "--for") if for_ else math.inf
+    process.nice(ASKED_NICENESS)  # with its renderer; without the permission a busy machine makes it wait
     if (folder := out.absolute().parent) and not folder.is_dir():
         raise cli_error(f"there is no directory {folder} for the picture", 2)
     with (
@@ -74,7 +76,7 @@ def look(
         cell = Cell.load(name)
         view = _camera(cell, camera)
         eye = _Eye(rtc, cell)
-        with Renderer() as renderer:
+        with Renderer(0) as renderer:
             scene, truth = eye.see()
             renderer.draw(picture(name, scene, truth, out, view))
             if not watch:

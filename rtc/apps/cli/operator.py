@@ -10,7 +10,7 @@ from rich.text import Text
 
 from rtc.apps.cli.output import EXIT, AsJson, RunDir, With, cli_error, console, emit_json
 from rtc.client.client import Client
-from rtc.drawing.renderer import Renderer
+from rtc.drawing.renderer import ASKED_NICENESS, Renderer
 from rtc.drawing.scene import CameraPicture, Picture, believed, request_camera, true_scene
 from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import ArmSample, Operation, SimTruthReply
@@ -91,7 +91,7 @@ def _show(name: str, arm: ArmSample) -> None:
 def _pictures(rtc: Client, asked: list[str], arms: dict[str, ArmSample], file: Path) -> dict[str, str]:
     """Write the picture of each request. Returns, by arm, its file and what it shows. Raises RtcError."""
     made, cell = dict[str, str](), Cell.load(rtc.settings.cell)
-    with Renderer() as renderer:
+    with Renderer(ASKED_NICENESS) as renderer:
         for name in asked:
             one = file if len(asked) == 1 else file.with_stem(f"{file.stem}-{name}")
             out, camera = str(one.absolute()), request_camera(cell.cameras, name, arms[name])

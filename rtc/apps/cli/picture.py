@@ -17,7 +17,7 @@ from rich.text import Text
 
 from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, table
 from rtc.client.client import Client
-from rtc.drawing.renderer import Renderer
+from rtc.drawing.renderer import ASKED_NICENESS, Renderer
 from rtc.drawing.scene import CameraPicture, believed, centimetres, degrees, true_scene
 from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
@@ -69,7 +69,7 @@ def picture(
             ) from error
         scene, found = true_scene(truth), cell.camera(name)
         seed = secrets.randbits(32)  # the picture and the pixels that are evaluated have the same noise
-        with Renderer() as renderer:
+        with Renderer(ASKED_NICENESS) as renderer:
             renderer.draw(
                 CameraPicture(out=str(file.absolute()), cell=rtc.settings.cell, camera=name, scene=scene, seed=seed)
             )

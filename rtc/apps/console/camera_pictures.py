@@ -1,4 +1,4 @@
-"""Pictures of the cell's cameras for pages: drawn on request by a process of low priority, one at a time."""
+"""Pictures of the cell's cameras for pages: drawn on request by a process of their own, one at a time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class CameraPictures:
             if kept and time.monotonic() < at_s + KEPT_S:
                 return kept
             if self._renderer is None:
-                self._renderer = Renderer().__enter__()
+                self._renderer = Renderer(0).__enter__()
             out = Path(self._folder.name) / "camera.jpg"
             try:
                 self._renderer.draw(CameraPicture(out=str(out), cell=self._cell, camera=camera, scene=scene))
