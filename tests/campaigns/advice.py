@@ -2,7 +2,8 @@
 
 An advice has steps (`; ` or `, then ` between them), and a step has alternatives (`or`). An operator who looks sees:
 `SET X FRAME x y z` and `SET X STATE LOOSE or TIGHT` state the truth. `do it again` is the sentence on which the advice
-was given. A smaller distance of AVOID-NEIGHBORS is put into that sentence, and no other advice is followed.
+was given; a sentence with its verb and object, such as that for the rest of an amount, takes its place. A smaller
+distance of AVOID-NEIGHBORS is put into that sentence, and no other advice is followed.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ MAX_OBSTACLES = 4
 LIMIT_S = 600.0  # of one sentence, in the time of the simulation
 
 VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET|APPROACH|HOLD|TRACK"
+VERBS += "|CARRY|TURN|PUSH|PULL|LOOSEN|TIGHTEN|EXTRACT|ALIGN"
 WORD = r"(?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?)"
 SENTENCE = re.compile(rf"\b(?:{VERBS})(?: {WORD})+")
 ELSEWHERE = re.compile(r"MOVE (.+?) TO another place first \(([A-Z0-9-]+)")
@@ -102,6 +104,8 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
                 given.append(sentence)
                 done = say(sentence)
                 history.append(f"{sentence}: {done}")
+                if done.succeeded and _takes_its_place(sentence, aim):
+                    return Followed("reached", given, history)
                 if done.succeeded:
                     break
         if closer:
@@ -116,6 +120,11 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
             return Followed("same advice", given, history)
         advised.add(answer.clears)
     return Followed("too many obstacles", given, history)
+
+
+def _takes_its_place(sentence: str, aim: str) -> bool:
+    """Whether an advised sentence does what the aim should: the same to the same, by what is left or another way."""
+    return sentence.split()[:2] == aim.split()[:2] and (" BY " in aim or aim in sentence)
 
 
 def _kept_apart(sentence: str, by: str) -> str:

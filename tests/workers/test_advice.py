@@ -129,6 +129,18 @@ def test_a_distance_that_the_sentence_does_not_state_is_put_before_its_other_cla
     assert given == [again]
 
 
+def test_a_sentence_for_the_rest_takes_the_place_of_the_aim() -> None:
+    given = []
+
+    def say(sentence: str) -> Answer:
+        given.append(sentence)
+        return Answer(True, "", "")
+
+    refused = Answer(False, "late", "OPEN DOOR-2 BY 12.5 DEG WITH LEFT-ARM")
+    assert advice.follow(say, "OPEN DOOR-2 BY 60 DEG WITH LEFT-ARM", refused, lambda: TRUTH).end == "reached"
+    assert given == ["OPEN DOOR-2 BY 12.5 DEG WITH LEFT-ARM"]
+
+
 def test_the_advice_of_a_command_that_was_refused_in_a_cluster_is_followed() -> None:
     cluster = OneProcess(KinematicCell(CELL), eyes=Ideal(CELL))
     aim = "LIFT MACS-NEW BY 10 CM"  # the hand is empty
