@@ -17,7 +17,12 @@ GOAL_RAD = 0.002  # maximum joint error at the goal
 # spring of a compliant arm at the stop of a door is stretched by 13 mm, which turned a joint of its wrist by 0.031 rad.
 LEANING_TICKS, LEANING_RAD = 100, 0.04
 WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
-PRESSED = 0.95  # share of the commanded force at which the grip is complete
+# Shares of the commanded force. At the first a grip is complete at once. A hand may exert less than it is told: one
+# that has stopped to press harder has gripped from the second on, between the 0.9 of a weak hand and the 0.5 of a
+# failing one.
+PRESSED, STEADY = 0.95, 0.7
+# It has stopped if the force has changed by less than this share over this time. A hand at work adds 5 % in 0.01 s.
+CHANGED, STEADY_S = 0.02, 0.1
 TURNED_RAD = 1e-6  # tolerance of the turn of a spindle
 
 Arrived = Callable[[float], Finding | None]  # time of the profile (s) -> (measured, limit, '') at the goal
@@ -26,7 +31,7 @@ Arrived = Callable[[float], Finding | None]  # time of the profile (s) -> (measu
 def arrival(trajectory: p.Trajectory, seen: Observation, duration_s: float, turned: Callable[[], float]) -> Arrived:
     """The test of a trajectory. `duration_s`: of its profile; `turned`: what the spindle has turned (rad)."""
     if isinstance(trajectory, p.HandMotion):
-        return lambda time_s: _hand(trajectory, seen, time_s)
+        return _Hand(trajectory, seen)
     if isinstance(trajectory, p.SpindleMotion):
         wanted = abs(trajectory.turn_rad) - TURNED_RAD
         return lambda time_s: (done, wanted, "") if (done := abs(turned())) >= wanted else None
@@ -58,17 +63,28 @@ class _Path:
         return None
 
 
-def _hand(trajectory: p.HandMotion, seen: Observation, time_s: float) -> Finding | None:
-    if not seen.fingers_rest():
+class _Hand:
+    """The end of a motion of the fingers: at their width, or with a grip."""
+
+    def __init__(self, trajectory: p.HandMotion, seen: Observation) -> None:
+        self._width_m, self._force_n, self._seen = trajectory.width_m, trajectory.force_n, seen
+        self._level_n, self._since_s = 0.0, 0.0  # the force that has not changed since then
+
+    def __call__(self, time_s: float) -> Finding | None:
+        seen, force_n = self._seen, self._force_n
+        # On an object off the centre of the hand one finger presses more and the other less by the same amount.
+        pressed = 0.5 * sum(seen.sample.finger_forces)
+        if abs(pressed - self._level_n) > CHANGED * force_n:
+            self._level_n, self._since_s = pressed, time_s
+        if not seen.fingers_rest():
+            return None
+        error = abs(seen.width_m - self._width_m)
+        if error <= WIDTH_M:
+            return error, WIDTH_M, ""
+        if time_s < RELAXED_S and PRESSED * pressed > force_n:
+            return None  # an earlier command has closed it more strongly
+        share = STEADY if time_s - self._since_s >= STEADY_S else PRESSED
+        closing = seen.width_m > self._width_m
+        if closing and pressed >= share * force_n and seen.grip_n >= 0.5 * force_n:
+            return pressed, force_n, ""
         return None
-    error = abs(seen.width_m - trajectory.width_m)
-    if error <= WIDTH_M:
-        return error, WIDTH_M, ""
-    # On an object off the centre of the hand one finger presses more and the other less by the same amount.
-    pressed = 0.5 * sum(seen.sample.finger_forces)
-    closing = seen.width_m > trajectory.width_m
-    if time_s < RELAXED_S and PRESSED * pressed > trajectory.force_n:
-        return None  # an earlier command has closed it more strongly
-    if closing and pressed >= PRESSED * trajectory.force_n and seen.grip_n >= 0.5 * trajectory.force_n:
-        return pressed, trajectory.force_n, ""
-    return None

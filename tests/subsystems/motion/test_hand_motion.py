@@ -44,6 +44,22 @@ def test_a_hand_that_shall_press_less_has_reached_its_goal_when_it_does_or_after
     assert (found is not None) is arrived
 
 
+@pytest.mark.parametrize(("share", "grips"), [(0.9, True), (0.75, True), (0.6, False)])
+def test_a_hand_that_exerts_less_than_it_is_told_has_gripped_when_it_presses_no_harder(share, grips):
+    """Its own figure is not the evidence: it would echo the command."""
+    sample = SimpleNamespace(finger_forces=(0.0, 0.0))
+    seen = SimpleNamespace(fingers_rest=lambda: True, width_m=0.02, grip_n=0.0, sample=sample)
+    arrived = goals.arrival(p.HandMotion(width_m=0.0, force_n=30.0), seen, 0.0, lambda: 0.0)
+    for tick in range(1000):  # 150 N/s, as the hand of the simulation
+        pressed = min(0.15 * tick, share * 30.0)
+        sample.finger_forces, seen.grip_n = (pressed, pressed), pressed
+        if arrived(0.001 * tick) is not None:
+            assert grips
+            assert pressed == share * 30.0  # not while the force still rises
+            return
+    assert not grips
+
+
 def test_opening_a_hand_that_still_presses_is_not_yet_the_goal(rig, make) -> None:
     rig.arm.width, rig.arm.forces = 0.02, (30.0, 30.0)
     rig.arm.hand = HandCommand(0.02, 30.0, 0.05)
