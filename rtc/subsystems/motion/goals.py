@@ -17,7 +17,7 @@ GOAL_RAD = 0.002  # maximum joint error at the goal
 # spring of a compliant arm at the stop of a door is stretched by 13 mm, which turned a joint of its wrist by 0.031 rad.
 LEANING_TICKS, LEANING_RAD = 100, 0.04
 WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
-# Shares of the commanded force. At the first a grip is complete at once. A hand may exert less than it is told: one
+# Shares of the commanded force. At the first a grip is complete at once. A hand may exert less than that: one
 # that has stopped to press harder has gripped from the second on, between the 0.9 of a weak hand and the 0.5 of a
 # failing one.
 PRESSED, STEADY = 0.95, 0.7
