@@ -38,7 +38,8 @@ def inside(rng: np.random.Generator) -> list[tuple[str, bool]]:
         within = CELL.object(name).known_within
         if within is not None:
             sim.displace(name, (0.5 * np.array(within.spread) * rng.normal(size=6)).tolist())
-    cluster, found = OneProcess(sim, MODEL, World().overlay(initial_facts(CELL)), Ideal(CELL)), []
+    cluster = OneProcess(sim, MODEL, World().overlay(initial_facts(CELL)), Ideal(CELL))
+    found: list[tuple[str, bool]] = []
     for sentence in (*SENTENCES[:2], GRASP, SENTENCES[2]):
         tested = cluster.give(f"TEST {sentence}")
         cluster.run(200.0)
