@@ -18,6 +18,15 @@ PATTERNS = {
     "^[0-9]+(\\\\.[0-9]+)? m/s2$": "a number and its unit is expected, such as 1 m/s2",
 }
 
+OF_COMMAND = re.compile(r"C-\d+$", re.ASCII)
+#: words with a meaning of their own that are not reserved: commands, values of SET, units
+STANDS_FOR = frozenset(
+    {
+        *("ALL", "LAST", "HERE", "NONE", "UNKNOWN", "INITIAL", "SAVED", "WORLD", "OPERATOR"),
+        *("N", "NM", "KG", "G", "M", "CM", "MM", "DEG", "RAD", "SEC", "S", "MIN"),
+    }
+)
+
 Row = tuple[str, str, str, str]  # place, problem, severity, expected
 
 
@@ -26,7 +35,12 @@ def misnamed(arm: str) -> str:
     pattern = next(iter(PATTERNS))
     if not re.match(pattern, arm):
         return PATTERNS[pattern]
-    return "" if arm in ARM_OF_WORD or arm not in default_grammar().vocabulary.reserved else no_name(arm)
+    return "" if arm in ARM_OF_WORD or not _is_taken(arm) else no_name(arm)
+
+
+def _is_taken(name: str) -> bool:
+    """Whether it stands for something else at a place where a sentence may have it."""
+    return name in default_grammar().vocabulary.reserved or name in STANDS_FOR or OF_COMMAND.match(name) is not None
 
 
 def no_name(word: str) -> str:
@@ -42,9 +56,8 @@ def faults(plain: Any) -> Iterator[Row]:
     """Names that are words of the language, which a sentence reads otherwise; and a gravity that points upwards."""
     if not isinstance(plain, dict):
         return
-    reserved = default_grammar().vocabulary.reserved
     for where, name in _names(plain):
-        if isinstance(name, str) and name in reserved and not (where.startswith("arms") and name in ARM_OF_WORD):
+        if isinstance(name, str) and _is_taken(name) and not (where.startswith("arms") and name in ARM_OF_WORD):
             yield where, no_name(name), "error", "another name"
     gravity = plain.get("gravity_m_s2")
     if isinstance(gravity, list) and len(gravity) == 3 and isinstance(gravity[2], int | float) and gravity[2] > 0.0:

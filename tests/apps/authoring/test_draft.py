@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from rtc.apps.authoring import words_and_keys
 from rtc.apps.authoring.draft import draft
 from rtc.apps.authoring.hull import hull_of
 from rtc.apps.authoring.review import review
@@ -185,3 +186,9 @@ def test_a_missing_mesh_is_named(tmp_path):
     file.write_text(ARMS["PANDA"][0].read_text())
     with pytest.raises(ProgramError, match=r"mesh package://meshes/collision/link0\.obj is not found"):
         draft(file)
+
+
+@pytest.mark.parametrize("name", ["C-1", "C-007", "LAST", "N", "MM", "HERE", "ALL", "WORLD", "UNKNOWN"])
+def test_a_word_with_a_meaning_of_its_own_is_no_name(name: str) -> None:
+    rows = list(words_and_keys.faults({"objects": [{"name": name}, {"name": f"{name}-BOX"}]}))
+    assert [(where, severity) for where, _, severity, _ in rows] == [("objects[0].name", "error")]
