@@ -7,7 +7,7 @@ measured values of the parameters. This module must not know primitives.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,7 @@ GRIPS_N = 1.0  # a hand whose fingers press less holds nothing
 LOCKED_N = 1e4  # N or N.m, of a joint that is stuck or braked: more than any servo exerts
 NOTHING: Mapping[str, float] = {}
 TORQUE_CONTROL = pybullet.TORQUE_CONTROL
-BODY_B, LINK_A, LINK_B, ON_B, DISTANCE, NORMAL_FORCE = 2, 3, 4, 6, 8, 9  # fields of a contact point
+BODY_B, LINK_A, LINK_B, ON_B, NORMAL_ON_B, DISTANCE, NORMAL_FORCE = 2, 3, 4, 6, 7, 8, 9  # fields of a contact point
 
 
 class BulletArm:
@@ -71,6 +71,7 @@ class BulletArm:
         self._finger_joints = [joints[joint] for joint in spec.gripper.finger_joints]
         self.fingers = [links[link] for link in spec.gripper.finger_links]
         self._links = {n: link for link, n in links.items()}
+        self._moved_by = self._joints_before()
         self.others: list[BulletArm] = []  # the other arms of the world
         self._all = [*self._arm, *self._finger_joints]
         self._dof = len(self._arm)
@@ -205,15 +206,37 @@ class BulletArm:
         return self._links.get(index, "base")
 
     def near(self, within_m: float) -> Sequence[Near]:
-        own = {self.body, *self.pressed_on()}
-        found = []
-        for body, name in self._world.names.items():
-            if body in own:
-                continue
-            for point in pybullet.getClosestPoints(self.body, body, within_m, physicsClientId=self._client):
-                if point[LINK_A] >= 0 and point[DISTANCE] < within_m:
-                    found.append((point[DISTANCE], point[ON_B], f"{self.link_name(point[LINK_A])} near {name}"))
+        pressed_on = self.pressed_on()
+        load = pressed_on & self._world.free_bodies
+        found = self._near(self.body, {self.body, *pressed_on}, within_m)
+        for body in load:
+            holders = {arm.body for arm in (self, *self.others) if arm is self or body in arm.pressed_on()}
+            found += self._near(body, {*load, *holders}, within_m)
+            found += self._near_own(body, within_m)
         return found
+
+    def _near(self, body: int, but: set[int], within_m: float) -> list[Near]:
+        """Bodies near this arm, or what it holds, without some of them."""
+        found, moves = [], (0, self._dof)
+        for other in self._world.around(body, within_m) - but:
+            for point in pybullet.getClosestPoints(body, other, within_m, physicsClientId=self._client):
+                if body == self.body:
+                    moves = (0, self._moved_by[point[LINK_A]])
+                if moves[1] and point[DISTANCE] < within_m:
+                    found.append(self._nearness(point, body, self._world.names[other], moves))
+        return found
+
+    def _near_own(self, load: int, within_m: float) -> Iterator[Near]:
+        """Links of this arm that the load may come near to."""
+        for point in pybullet.getClosestPoints(load, self.body, within_m, physicsClientId=self._client):
+            behind = self._moved_by[point[LINK_B]]
+            if behind < self._dof and point[DISTANCE] < within_m:
+                name = f"{self.traits.name} {self.link_name(point[LINK_B])}"
+                yield self._nearness(point, load, name, (behind, self._dof))
+
+    def _nearness(self, point: tuple[Any, ...], body: int, name: str, moves: tuple[int, int]) -> Near:
+        mine = self.link_name(point[LINK_A]) if body == self.body else self._world.names[body]
+        return Near(point[DISTANCE], point[ON_B], mine, name, point[NORMAL_ON_B], moves)
 
     # --- simulation step --------------------------------------------------------------------------------
 
@@ -266,6 +289,14 @@ class BulletArm:
         count = pybullet.getNumJoints(self.body, physicsClientId=self._client)
         infos = [pybullet.getJointInfo(self.body, n, physicsClientId=self._client) for n in range(count)]
         return {info[field].decode(): info[0] for info in infos}
+
+    def _joints_before(self) -> dict[int, int]:
+        """Link -> how many joints of the arm move it."""
+        count = {-1: 0}
+        for n in range(pybullet.getNumJoints(self.body, physicsClientId=self._client)):
+            parent = pybullet.getJointInfo(self.body, n, physicsClientId=self._client)[16]
+            count[n] = count[parent] + (n in self._arm)
+        return count
 
     def _prepare(self, spec: parts.Arm, sensor: int | None) -> None:
         client = self._client

@@ -96,6 +96,7 @@ class PhysicsWorld:
         self.free = {thing.name for thing in cell.objects if not thing.fixed and thing.hinge is None}
         self.threaded = {thing.name for thing in cell.objects if thing.thread is not None}
         self.movable = {thing.name for thing in cell.objects if not thing.fixed}
+        self.free_bodies = {self.objects[name].id for name in self.free - self.threaded}
 
     def close(self) -> None:
         pybullet.disconnect(physicsClientId=self.client)
@@ -111,6 +112,15 @@ class PhysicsWorld:
             self.in_contact = bool(found)
             if found:
                 self._ask_at = steps + ASK_AGAIN
+
+    def around(self, body: int, within_m: float) -> set[int]:
+        """Bodies that may be within a distance of this one."""
+        found: set[int] = set()
+        for link in range(-1, pybullet.getNumJoints(body, self.client)):
+            least, most = pybullet.getAABB(body, link, self.client)
+            low, high = [x - within_m for x in least], [x + within_m for x in most]
+            found |= {other for other, _ in pybullet.getOverlappingObjects(low, high, self.client) or ()}
+        return found & self.names.keys()
 
     def load_arm(self, name: str) -> int:
         """Load an arm from its URDF text; returns the pybullet body id."""

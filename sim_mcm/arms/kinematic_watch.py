@@ -74,9 +74,9 @@ class Watch:
         return found
 
     def near(self, arm: str, within_m: float, joints: Mapping[str, Sequence[float]]) -> Sequence[Near]:
-        """Bodies and other arms nearer to this arm than a distance, without what it holds."""
-        hits = self._world.near(arm, joints, self._scene(arm, within_m))
-        return [(hit.distance_m, hit.point, f"{hit.body_a.split()[-1]} near {hit.body_b.split()[0]}") for hit in hits]
+        """Bodies and other arms nearer than a distance to this arm, or to what it holds."""
+        found = self._world.near(arm, joints, self._scene(arm, within_m))
+        return [Near(n.distance_m, n.point.tolist(), n.link, n.body, n.away, n.joints) for n in found if n.joints[1]]
 
     def _look(self, pair: _Pair, joints: Mapping[str, Sequence[float]]) -> None:
         now = [joints[name] for name in pair.names]

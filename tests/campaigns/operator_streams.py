@@ -158,10 +158,11 @@ class Judge:
             off_m = math.dist(self._tcp, self.motion.centre)
             if off_m > self._reach_m + 0.001:
                 yield f"it is {1e3 * (off_m - self._reach_m):.1f} mm outside the neighbourhood"
-        for away_m, _, words in self.executor.arm.near(0.001):
-            about = self.grant is not None and self.grant.id in self.bench.steps and words.endswith(THINGS[self.arm][0])
-            if away_m <= 0.0 and not about:
-                yield f"it touches: {words}"
+        for one in self.executor.arm.near(0.001):
+            about = self.grant is not None and self.grant.id in self.bench.steps
+            about &= one.body.split()[0] == THINGS[self.arm][0]
+            if one.distance_m <= 0.0 and not about:
+                yield f"it touches: {one.link} {one.body}"
 
     def _place(self) -> Any:
         return self.executor.arm.tcp_pose(self.executor.command[0])[:3]

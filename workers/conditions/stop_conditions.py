@@ -239,14 +239,18 @@ def _overloads(rows: list[StopRow], values: Values) -> list[reflexes.Overload]:
 
 
 def _beside(data: BinderInput, query: WorldQuery) -> list[Vector]:
-    """Balls round the object and the target of the command, and round their seats: a command may come near to them."""
+    """Balls round the object and the target of the command, and round their seats: a command may come near to them.
+
+    There is none round what the hand holds, which is watched itself. It may come near to its seat; not by hand, because
+    he needs no way through it: what is near at the start he may leave."""
     context, cell = data.context, query.cell
     things = {thing.name: thing.shapes for thing in cell.objects}
     seats = {seat.name: seat.shapes for seat in cell.seats}
-    meant = [context.object, context.target, query.holding(data.step.arm or context.arm)]
-    meant += [query.seat(name) for name in meant if name in things]
+    meant, held = [context.object, context.target], query.holding(data.step.arm or context.arm)
+    by_hand = data.step.op == "operate"
+    meant += [query.seat(name) for name in (*meant, *([] if by_hand else [held])) if name in things]
     balls = []
-    for name in dict.fromkeys(meant):
+    for name in dict.fromkeys(name for name in meant if name != held):
         if shapes := things.get(name) or seats.get(name):
             frame = query.seat_frame(name) if name in seats else query.frame(name)
             reach_m = max(math.hypot(*shape.frame.xyz) + parts.radius_m(shape) for shape in shapes)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,17 @@ if TYPE_CHECKING:
 class PathCollision:
     index: int  # of the first configuration in collision
     collision: Collision
+
+
+class Approach(NamedTuple):
+    """A link of an arm, or what it holds, and a body near it."""
+
+    link: str
+    body: str
+    distance_m: float
+    point: Array  # the nearest one of the body (m, world)
+    away: list[float]  # unit vector from the body to the link (world)
+    joints: tuple[int, int]  # the first joint that moves the one against the other, and the first that does not
 
 
 NOTHING: Part = (0, 1, [])  # the part before a path
@@ -260,17 +271,31 @@ class CollisionWorld:
         """Radius of a ball around the origin of a seat, object or region that contains it; 0 without shapes."""
         return self._state.radius_m.get(name, 0.0)
 
-    def near(self, arm: str, joints: Mapping[str, Floats], scene: Scene) -> list[Collision]:
-        """All pairs of a link of this arm and another body that are nearer than the clearance of the scene. The link is
-        first; what the arm holds is left out."""
+    def near(self, arm: str, joints: Mapping[str, Floats], scene: Scene) -> list[Approach]:
+        """All pairs of a link of this arm, or of what it holds, and another body that are nearer than the clearance of
+        the scene; also of what it holds and its own links."""
         self._state.update(joints, scene)
-        mine = self._state.table.matching(arm) & self._state.table.arm_piece
-        others = self._state.table.carriers(scene) != self._state.table.number[arm]
-        wanted = self._state.table.between(mine, others)
-        hits = [self._state.describe(n) for n in self._state.hits() if wanted[n]]
-        return [
-            hit if hit.body_a.split()[0] == arm else replace(hit, body_a=hit.body_b, body_b=hit.body_a) for hit in hits
-        ]
+        table = self._state.table
+        mine = table.carriers(scene) == table.number[arm]
+        load = mine & (table.owner != table.number[arm])
+        wanted = table.between(mine, ~mine) | table.between(load, mine & ~load)
+        return [self._approach(arm, n) for n in self._state.hits() if wanted[n]]
+
+    def _approach(self, arm: str, pair: int) -> Approach:
+        """A pair of which an arm moves one body, or the one more than the other."""
+        nearest, bodies = self._state.nearest(pair), self._state.bodies
+        counts = [self._state.joints_before(arm, piece) for piece in bodies.pairs[pair]]
+        last = 0 if counts[0] > counts[1] else 1
+        link, body = (bodies.pieces[bodies.pairs[pair][n]] for n in (last, 1 - last))
+        sign = 1.0 if last else -1.0
+        return Approach(
+            link.part if link.kind == "arm" else link.label,
+            body.label,
+            nearest.distance_m,
+            nearest.points[1 - last],
+            (sign * nearest.normal).tolist(),
+            (counts[1 - last], counts[last]),
+        )
 
     def too_near(self, joints: Mapping[str, Floats], scene: Scene) -> list[Collision]:
         """All pairs that are nearer than their clearance in the scene."""

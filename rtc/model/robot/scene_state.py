@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -58,6 +59,14 @@ class Collision:
         )
 
 
+class Nearest(NamedTuple):
+    """How far two bodies are apart, below 0 how deep they are in one another."""
+
+    distance_m: float
+    points: tuple[Array, Array]  # one of each (m, world)
+    normal: Array  # unit vector from the first to the second
+
+
 def _mm(metres: float) -> str:
     return f"{math.floor(1e4 * metres + 1e-6) / 10:g} mm"  # never more than there is
 
@@ -88,6 +97,7 @@ class SceneState:
         self._elsewhere: dict[str, tuple[int, pin.SE3]] = {}  # bodies that coal has not yet: parent joint, pose there
         self._pairs_of_coal: Pairs | None = None  # the pairs that coal has
         self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `PairTable.of_scene` reads
+        self._joints_before: dict[tuple[str, int], int] = {}  # by arm and joint
         self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
         self.table = PairTable(self.bodies)
         self._measure_bodies()
@@ -156,17 +166,30 @@ class SceneState:
 
     def describe(self, pair: int) -> Collision:
         i, j = self.bodies.pairs[pair]
-        result = coal.DistanceResult()
-        a, b = (self.bodies.geometry.geometryObjects[n].geometry for n in (i, j))
-        placements = (self.geometry_data.oMg[n] for n in (i, j))
-        at, bt = (coal.Transform3s(one.rotation, one.translation) for one in placements)
-        distance = coal.distance(a, at, b, bt, coal.DistanceRequest(), result)
-        middle = 0.5 * (np.asarray(result.getNearestPoint1()) + np.asarray(result.getNearestPoint2()))
-        x, y, z = (float(n) for n in middle)
+        nearest = self.nearest(pair)
+        x, y, z = (float(n) for n in 0.5 * (nearest.points[0] + nearest.points[1]))
         first, second = self.bodies.pieces[i], self.bodies.pieces[j]
         if first.kind == "movable" and second.kind in ("arm", "base"):
             first, second = second, first
-        return Collision(first.label, second.label, float(distance), (x, y, z), float(self.pairs.margin[pair]))
+        return Collision(first.label, second.label, nearest.distance_m, (x, y, z), float(self.pairs.margin[pair]))
+
+    def nearest(self, pair: int) -> Nearest:
+        """Where the two bodies of a pair are nearest to each other, or deepest in one another."""
+        result, numbers = coal.DistanceResult(), self.bodies.pairs[pair]
+        a, b = (self.bodies.geometry.geometryObjects[n].geometry for n in numbers)
+        placements = (self.geometry_data.oMg[n] for n in numbers)
+        at, bt = (coal.Transform3s(one.rotation, one.translation) for one in placements)
+        distance_m = float(coal.distance(a, at, b, bt, coal.DistanceRequest(), result))
+        points = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
+        return Nearest(distance_m, points, np.array(result.normal))
+
+    def joints_before(self, arm: str, piece: int) -> int:
+        """How many joints of an arm move a piece where it is now."""
+        known, joint = self._joints_before, self.bodies.geometry.geometryObjects[piece].parentJoint
+        if (arm, joint) not in known:
+            slots, joints = self.bodies.arms[arm].joints, self.bodies.model.joints
+            known[arm, joint] = sum(joints[n].idx_q in slots for n in self.bodies.model.supports[joint] if n)
+        return known[arm, joint]
 
     def distance_m(self, pair: int) -> float:
         return float(pin.computeDistance(self.bodies.geometry, self.geometry_data, pair).min_distance)

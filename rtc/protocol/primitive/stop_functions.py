@@ -164,9 +164,9 @@ class JointTurnAbove(Strict, frozen=True, kw_only=True, tag="joint-turn-above"):
 
 
 class ClearanceBelow(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="clearance-below"):
-    """A link of the arm, the palm or a finger is nearer than this to another body, without what the fingers hold.
+    """A link of the arm, its hand or what it holds is nearer than this to another body.
 
-    A body that is that near at the start counts once it has been farther. Filter: measured every 20 ms.
+    A body that is that near at the start may only get farther. Filter: measured every 20 ms; by hand every 5 ms.
     """
 
     limit_m: float

@@ -8,7 +8,7 @@ of the hand (m), pressing force >= 0 (N). This module must not know how an arm m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import msgspec
 
@@ -19,8 +19,18 @@ from rtc.spatial.geometry import Array
 
 TICK_S = 0.001  # period of the servo and of the simulation
 
-Near = tuple[float, Sequence[float], str]  # distance (m), nearest point of the body (world), "LINK near BODY"
 Motion = tuple[list[float], list[float], list[float]]  # joints (rad), velocities, accelerations
+
+
+class Near(NamedTuple):
+    """A body that is near to the arm, or to what it holds."""
+
+    distance_m: float  # below 0: how deep they are in one another
+    point: Sequence[float]  # the nearest one of the body (m, world)
+    link: str  # of the arm, or what its hand holds
+    body: str  # its owner, or a part of it
+    away: Sequence[float]  # unit vector from the body to the arm (world)
+    joints: tuple[int, int]  # the first joint that moves the one against the other, and the first that does not
 
 
 class Sample(msgspec.Struct, gc=False):
@@ -159,7 +169,7 @@ class ArmInterface(Protocol):
         """Contacts of the arm or its hand with other arms: "LINK touches ARM LINK" -> normal force (N)."""
 
     def near(self, within_m: float) -> Sequence[Near]:
-        """Bodies within a distance of the arm's links, its palm or a finger, without what the fingers hold."""
+        """Bodies within a distance of the arm's links, its hand, or what its fingers hold."""
 
 
 class Simulation(Protocol):

@@ -21,10 +21,12 @@ from rtc.subsystems.base.report_items import Measure, measured
 from rtc.subsystems.motion import acceptance, profiles, stop_functions
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
 from rtc.subsystems.motion.bounds import Bounds
+from rtc.subsystems.motion.clearance import Clearance
 from rtc.subsystems.motion.goals import GOAL_RAD, Arrived, arrival
 from rtc.subsystems.motion.hand import Hand
 from rtc.subsystems.motion.jog import Jog
 from rtc.subsystems.motion.modes import AFTER_STOP, COUNTING, MOVING, TRANSITIONS, Mode, Trigger
+from rtc.subsystems.motion.moment import Finding
 from rtc.subsystems.motion.observation import WINDOW_TICKS, Observation
 from rtc.subsystems.motion.operation import OperatedArm
 from rtc.subsystems.motion.reports import Trip, end_report, not_begun
@@ -334,7 +336,13 @@ class Executor:
         still = self.command[0]
         most_m_s = trajectory.speed_m_s if trajectory.along is None else math.inf  # the program has speeds of its own
         wanted = lambda: operated.twist(self._seen.tcp())  # noqa: E731
-        self._setpoints.use(Jog(still, arm.traits, arm.jacobian, wanted, laden=laden, most_m_s=most_m_s))
+        shared = trajectory.along is not None  # a path slides along nothing: it waits
+        jog = Jog(still, arm.traits, arm.jacobian, wanted, laden=laden, most_m_s=most_m_s, shared=shared)
+        for stop, check in self._stops:
+            if isinstance(check, Clearance) and (stop.reason, stop.reflex) == (StopReason.OUT_OF_RANGE, Reflex.STOP):
+                jog.guides.append(check.guide(arm.jacobian))
+        operated.cut_by_arm = lambda: jog.cut
+        self._setpoints.use(jog)
 
     def operate(self, wanted: m.Operate, caller: bytes, now_s: float) -> str:
         """Follow the hand of the operator. Returns why it does nothing; empty: it counts."""
@@ -361,8 +369,6 @@ class Executor:
         assert running is not None
         if self.operated is not None:
             self.operated.follow(now_s)
-            if isinstance(setpoints.profile, Jog) and setpoints.profile.at_limit:
-                self.operated.cut = "a joint is at its limit"
         arrived = self._arrived(setpoints.time_s) if self.operated is None else self._arrived_by_hand()
         reports, found = NOTHING, None
         in_time = arrived is None and elapsed_s <= bounds.time_s
@@ -401,7 +407,7 @@ class Executor:
         self._stands = stands
         return [m.PauseChanged(primitive=self.primitive_id, at_s=now_s, paused=stands, done=self._done())]
 
-    def _arrived_by_hand(self) -> stop_functions.Finding | None:
+    def _arrived_by_hand(self) -> Finding | None:
         assert self.operated is not None
         return (None, None, "") if self.operated.done else None
 
@@ -466,7 +472,7 @@ class Executor:
         self._apply(Trigger.DONE)
         return self._settle(now_s)
 
-    def _cut_retreat(self, reason: StopReason, finding: stop_functions.Finding) -> None:
+    def _cut_retreat(self, reason: StopReason, finding: Finding) -> None:
         """Stop the retreat. The reason of the primitive stays; its message gets the obstacle."""
         assert self.trip is not None
         measured, limit, words = finding

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rtc.protocol import primitive as p
+from rtc.subsystems.motion.moment import Finding
 from rtc.subsystems.motion.observation import Observation
-from rtc.subsystems.motion.stop_functions import RELAXED_S, Finding
+from rtc.subsystems.motion.stop_functions import RELAXED_S
 
 GOAL_RAD = 0.002  # maximum joint error at the goal
 # An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position. The

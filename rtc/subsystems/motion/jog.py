@@ -11,8 +11,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from rtc.protocol.units import measured_in_words
 from rtc.spatial.geometry import Array
 from rtc.subsystems.motion.arm import TICK_S, Motion, Traits
+from rtc.subsystems.motion.clearance import Guide
 from rtc.subsystems.motion.profiles import LADEN_ACCELERATION_RAD_S2, STOP_ACCELERATION_RAD_S2
 
 DAMPING = 0.02  # of the least squares: near a singular posture the arm is slow instead of fast
@@ -36,9 +38,11 @@ class Jog:
         *,
         laden: bool,
         most_m_s: float = math.inf,
+        shared: bool = False,
     ) -> None:
         self._jacobian, self._wanted = jacobian, wanted
         self._joints, self._speeds = np.array(start, dtype=float), np.zeros(len(start))
+        self._limits = traits.lower, traits.upper
         margin = np.array(traits.margins(MARGIN_RAD))
         self._lower, self._upper = np.array(traits.lower) + margin, np.array(traits.upper) - margin
         fastest = LADEN_RAD_S if laden else FASTEST_RAD_S
@@ -46,9 +50,11 @@ class Jog:
         self._accelerates = min(min(traits.acceleration), LADEN_ACCELERATION_RAD_S2 if laden else math.inf)
         self._brakes = LADEN_ACCELERATION_RAD_S2 if laden else STOP_ACCELERATION_RAD_S2
         self._inverse: Array = np.zeros((len(start), 6))
-        self._forward, self._most_m_s = np.zeros((3, len(start))), most_m_s
+        self._forward, self._most_m_s, self._shared = np.zeros((3, len(start))), most_m_s, shared
         self._ticks = 0
-        self.at_limit = False
+        self._names, self._slides = traits.joint_names, traits.slides or [False] * len(start)
+        self.guides: list[Guide] = []  # they keep the arm away from bodies
+        self.cut = ""  # why the arm moves less than is wanted
 
     def at(self, time_s: float) -> Motion:
         """One tick further, whatever the time."""
@@ -65,7 +71,7 @@ class Jog:
     def _aim(self) -> Array:
         """The joint speeds that give the wanted twist, within the limits."""
         wanted = np.asarray(self._wanted(), dtype=float)
-        self.at_limit = False
+        self.cut = ""
         if not wanted.any():
             return np.zeros_like(self._speeds)
         if self._ticks % REFRESH_TICKS == 0:
@@ -74,12 +80,25 @@ class Jog:
             square = jacobian @ jacobian.T + DAMPING**2 * np.eye(6)
             self._inverse = jacobian.T @ np.linalg.inv(square)
         self._ticks += 1
+        for guide in self.guides:
+            guide.at(self._joints)
+            if not self._shared:
+                wanted = guide.slide(wanted)
         aim: Array = self._inverse @ wanted
         aim = aim * min(1.0, float((self._fastest / np.maximum(np.abs(aim), 1e-12)).min()))
         # Near a singular posture the least squares give a turn that moves the tcp, also faster than it may.
         aim = aim * min(1.0, self._most_m_s / max(float(np.linalg.norm(self._forward @ aim)), 1e-12))
         ahead = self._joints + aim * np.abs(aim) / (2.0 * self._brakes) + aim * TICK_S
-        if ((ahead < self._lower) & (aim < 0.0)).any() or ((ahead > self._upper) & (aim > 0.0)).any():
-            self.at_limit = True
+        beyond = ((ahead < self._lower) & (aim < 0.0)) | ((ahead > self._upper) & (aim > 0.0))
+        if beyond.any():
+            self.cut = self._at_limit(int(beyond.argmax()), aim)
             return np.zeros_like(aim)
+        for guide in self.guides:
+            aim = guide.slow(aim)
+        self.cut = next((guide.cut for guide in self.guides if guide.cut), "")
         return aim
+
+    def _at_limit(self, joint: int, aim: Array) -> str:
+        limit = (self._limits[1] if aim[joint] > 0.0 else self._limits[0])[joint]
+        unit = "m" if self._slides[joint] else "rad"
+        return f"{self._names[joint]} is at its limit of {measured_in_words(limit, unit)}"

@@ -14,7 +14,7 @@ from math import dist
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface, Motion, Sample
-from rtc.subsystems.motion.stop_functions import Finding, Moment
+from rtc.subsystems.motion.moment import Finding, Moment
 
 # Rest means that joints and fingers stay within these spreads for a window of ticks. Speeds are not used: they
 # alternate from tick to tick while a held object is pressed. Equal to 0.005 rad/s and 0.002 m/s of uniform motion.

@@ -8,6 +8,7 @@ counts holds for `LOST_S`; then the arm stops. This module must not know how an 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from rtc.protocol.messages import Operate, Operation
 from rtc.protocol.primitive import HandMotion, Operated
@@ -39,6 +40,7 @@ class OperatedArm:
         self._latest: Operate | None = None  # that counts
         self._at_s = -math.inf  # its arrival
         self.cut = ""  # why the arm moves less than he wants
+        self.cut_by_arm: Callable[[], str] = str  # the same, of the arm that follows
         self.done = False
         self.paused = False
         self._turns = 0.0  # the present command of the spindle
@@ -196,7 +198,7 @@ class OperatedArm:
             hand=motion.hand,
             spindle=motion.spindle,
             operator=self._operator,
-            cut=self.cut,
+            cut=self.cut_by_arm() or self.cut,
             towards=self._way.towards if self._way is not None else [],
         )
 

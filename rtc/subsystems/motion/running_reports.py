@@ -9,6 +9,7 @@ from rtc.protocol.primitive import Primitive
 from rtc.subsystems.base.report_items import STANDARD, Measure, reading
 from rtc.subsystems.motion import stop_functions
 from rtc.subsystems.motion.arm import TICK_S
+from rtc.subsystems.motion.moment import Moment
 from rtc.subsystems.motion.observation import Observation
 
 
@@ -30,7 +31,7 @@ class RunningReports:
         """Until the next periodic report is due, after these ticks of the primitive."""
         return float("inf") if self.period is None else self.period - ticks % self.period
 
-    def conditions_met(self, moment: stop_functions.Moment, now_s: float) -> list[m.ProgressReport]:
+    def conditions_met(self, moment: Moment, now_s: float) -> list[m.ProgressReport]:
         """A report for each condition that is true for the first time."""
         met: dict[int, m.ProgressReport] = {}
         for n, check in self.conditions:

@@ -17,40 +17,9 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from rtc.subsystems.motion.arm import TICK_S, Near, Traits
-
-Finding = tuple[float | None, float | None, str]  # measured, limit, words
-
-
-class Moment(msgspec.Struct):
-    """The input of a check: the sample of this tick with the bias subtracted from the wrench, and derived values."""
-
-    elapsed_s: float
-    joints: list[float]
-    velocities: list[float]
-    wrench: list[float]
-    force_n: float  # magnitudes
-    torque_nm: float
-    fingers: tuple[float, float]  # as in Sample
-    finger_forces: tuple[float, float]
-    arrived: Finding | None  # (greatest error, tolerance, '') once the goal is reached
-    tcp: Callable[[], Array]  # called on demand: tcp and touch cost more than the other values
-    touch: Callable[[], str]
-    commanded: list[float]  # commanded joints of this tick (rad)
-    commanded_tcp: Callable[[], Array]
-    tcp_speed_m_s: Callable[[], float]
-    arm_touch: Callable[[], str] = str  # contact with another arm, in words
-    near: Callable[[float], Sequence[Near]] = lambda within_m: ()  # bodies within a distance (m), see ArmInterface
-
-    @property
-    def width_m(self) -> float:
-        return self.fingers[0] + self.fingers[1]
-
-    @property
-    def grip_n(self) -> float:
-        """Force of the finger that presses less."""
-        return min(self.finger_forces)
-
+from rtc.subsystems.motion.arm import TICK_S, Traits
+from rtc.subsystems.motion.clearance import Clearance
+from rtc.subsystems.motion.moment import Finding, Moment
 
 Check = Callable[[Moment], Finding | None]
 Stops = list[tuple[p.StopFunction, Check]]
@@ -63,7 +32,6 @@ RIGID_RAD, COMPLIANT_RAD = 0.1, 0.5
 STUCK_RAD, STILL_RAD_S, MOVING_RAD_S = 0.01, 0.002, 0.05
 GRIPPED_S = 0.02  # time for which a grip force must have fallen, while the hand closes
 RELAXED_S = 0.2  # until then a hand that an earlier command closed more strongly has taken up its new force
-NEAR_TICKS = 20  # interval of ClearanceBelow: a look for near bodies costs as much as three ticks
 
 
 def always(primitive: p.Primitive) -> list[p.StopFunction]:
@@ -410,32 +378,6 @@ def _angle_about(axis: Sequence[float], before: Sequence[float], after: Sequence
     return math.atan2(sine, a * d + b * e + c * f - along_before * along_after)
 
 
-class _Clearance:
-    """The nearest body, see ClearanceBelow."""
-
-    def __init__(self, when: p.ClearanceBelow) -> None:
-        self._limit, self._balls = when.limit_m, when.except_near
-        self._wait = 0
-        self._near_at_start: set[str] | None = None
-        self._found: Finding | None = None
-
-    def __call__(self, now: Moment) -> Finding | None:
-        if self._wait > 0:
-            self._wait -= 1
-            return self._found
-        self._wait = NEAR_TICKS - 1
-        near = {words: away for away, point, words in now.near(self._limit) if not self._excepted(point)}
-        if self._near_at_start is None:
-            self._near_at_start = set(near)
-        self._near_at_start &= near.keys()
-        words = min((name for name in near if name not in self._near_at_start), key=lambda name: near[name], default="")
-        self._found = (near[words], self._limit, f"{words}, {1e3 * near[words]:.0f} mm away") if words else None
-        return self._found
-
-    def _excepted(self, point: Sequence[float]) -> bool:
-        return any(math.dist(point, ball[:3]) < ball[3] for ball in self._balls)
-
-
 class _Fallen:
     """True when a value has been below its limit for some ticks, after it has been above `armed` once."""
 
@@ -493,7 +435,7 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
     p.TcpTurned: _turned,
     p.TurnAbove: lambda when, traits: _Turn(when),
     p.JointTurnAbove: _joint_turn,
-    p.ClearanceBelow: lambda when, traits: _Clearance(when),
+    p.ClearanceBelow: lambda when, traits: Clearance(when),
     p.UnseenAbove: _unseen,
 }
 

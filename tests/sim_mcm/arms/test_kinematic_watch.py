@@ -11,6 +11,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.subsystems.base.subsystem import BROKER
+from rtc.subsystems.motion.clearance import Guide
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.period import period
@@ -75,14 +76,43 @@ def test_a_contact_of_two_arms_stops_both(sim):
     assert np.abs(np.array(sim.arms[RIGHT].joints) - home[RIGHT]).max() < ACROSS.max() - 0.1
 
 
-def test_bodies_near_an_arm_are_found_and_what_it_holds_is_not(sim):
+def test_bodies_near_an_arm_and_near_what_it_holds_are_found(sim):
     assert sim.arms[RIGHT].near(0.005) == []
-    wide = {words for _, _, words in sim.arms[RIGHT].near(0.9)}
-    assert any(words.endswith(" near SATELLITE") for words in wide)
-    assert any(words.endswith(" near LEFT-ARM") for words in wide)
-    distances = [away for away, _, _ in sim.arms[RIGHT].near(0.9)]
-    assert min(distances) > 0.005
-    assert max(distances) <= 0.9
-    sim.carried["MACS-NEW"] = (RIGHT, CELL.object_pose("MACS-NEW"))
+    wide = sim.arms[RIGHT].near(0.9)
+    owners = {one.body.split()[0] for one in wide}
+    assert {"SATELLITE", "LEFT-ARM", "MACS-NEW"} <= owners
+    assert min(one.distance_m for one in wide) > 0.005
+    assert max(one.distance_m for one in wide) <= 0.9
+    sim.carried["MACS-NEW"] = (RIGHT, np.array([0.0, 0.0, 0.19, 0.0, 0.0, 0.0, 1.0]))
     sim.step()
-    assert not any(words.endswith(" near MACS-NEW") for _, _, words in sim.arms[RIGHT].near(0.9))
+    wide = sim.arms[RIGHT].near(0.9)
+    assert not any(one.body.startswith("MACS-NEW") for one in wide)
+    beside = {one.body for one in wide if one.link.startswith("MACS-NEW")}
+    assert {"SATELLITE right-panel", "RIGHT-ARM forearm"} <= beside
+    assert not any(name.startswith("RIGHT-ARM finger") for name in beside)
+
+
+@pytest.mark.parametrize("laden", [False, True])
+def test_near_bodies_come_nearer_as_the_joints_that_move_them_say(sim, laden):
+    """The distance of each pair, by the rates that a guided arm uses, against a small motion."""
+    rng = np.random.default_rng(7)
+    arm = sim.arms[RIGHT]
+    guide = Guide(arm.jacobian)
+    if laden:
+        sim.carried["MACS-NEW"] = (RIGHT, np.array([0.0, 0.0, 0.19, 0.0, 0.0, 0.0, 1.0]))
+    pairs = 0
+    for _ in range(30):
+        joints = np.array(CELL.arm(RIGHT).home_rad) + rng.uniform(-0.4, 0.4, 6)
+        put(sim, {RIGHT: joints})
+        near = [one for one in arm.near(0.2) if one.distance_m > 0.002]
+        if not near:
+            continue
+        guide.see(joints.tolist(), arm.tcp_pose(joints), near, [0.0] * len(near))
+        turn = 1e-4 * rng.normal(size=6)
+        put(sim, {RIGHT: joints + turn})
+        after = arm.near(0.21)
+        for one, change in zip(near, guide._rates @ turn, strict=True):
+            found = [n.distance_m for n in after if (n.link, n.body) == (one.link, one.body)]
+            assert min(abs(m - one.distance_m - change) for m in found) < 2e-5
+            pairs += 1
+    assert pairs > 20

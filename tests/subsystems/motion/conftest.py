@@ -77,7 +77,7 @@ class SteeredArm:
         return self.model.jacobian(joints)
 
     def near(self, within_m: float) -> list[Near]:
-        return [(away, point, words) for away, point, words in self.around if away < within_m]
+        return [one for one in self.around if one.distance_m < within_m]
 
     def fault(self) -> str:
         return ""

@@ -16,9 +16,9 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import PRIORITY, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from rtc.subsystems.motion import stop_functions
+from rtc.subsystems.motion import clearance, stop_functions
 from rtc.subsystems.motion.arm import Near, Traits
-from rtc.subsystems.motion.stop_functions import Moment
+from rtc.subsystems.motion.moment import Moment
 
 HERE = np.array([0.5, 0.0, 0.7, 0.0, 0.0, 0.0, 1.0])
 
@@ -109,7 +109,8 @@ def turned(*rpy: float, x: float = 0.5, y: float = 0.0) -> Callable[[], Array]:
 
 
 def beside(*, away_m: float, point: tuple[float, ...] = (0.5, 0.1, 0.7)) -> Callable[[float], Sequence[Near]]:
-    return lambda within_m: [(away_m, point, "forearm near RACK-1 floor")] if away_m < within_m else []
+    near = Near(away_m, point, "forearm", "RACK-1 floor", (0.0, 1.0, 0.0), (0, 4))
+    return lambda within_m: [near] if away_m < within_m else []
 
 
 # (condition, moments in order that do not meet it, and one that then does)
@@ -163,16 +164,25 @@ def watched(make, traits, when: p.Predicate, *moments: dict[str, object]) -> lis
     """Whether the condition holds in the last tick of each moment; each lasts as long as the filter."""
     stops = stop_functions.compile_stops(make.primitive(p.HoldStill(), make.stop(StopReason.HALT, when)), traits)
     return [
-        [stop_functions.first(stops, moment(**now)) is not None for _ in range(stop_functions.NEAR_TICKS)][-1]
+        [stop_functions.first(stops, moment(**now)) is not None for _ in range(clearance.NEAR_TICKS)][-1]
         for now in moments
     ]
 
 
-def test_a_body_that_comes_near_is_seen_and_one_that_was_near_first_has_to_leave(traits, make) -> None:
+def test_a_body_that_comes_near_is_seen_and_one_that_was_near_may_only_get_farther(traits, make) -> None:
     when = p.ClearanceBelow(limit_m=0.03)
-    far, close = {"near": beside(away_m=0.04)}, {"near": beside(away_m=0.02)}
+    far, close, closer = ({"near": beside(away_m=away_m)} for away_m in (0.04, 0.02, 0.019))
     assert watched(make, traits, when, far, close, far) == [False, True, False]
     assert watched(make, traits, when, close, close, far, close) == [False, False, False, True]
+    assert watched(make, traits, when, close, closer, close) == [False, True, False]
+    assert watched(make, traits, when, closer, close, closer) == [False, False, True]
+
+
+def test_what_was_near_is_one_body_of_several_parts(traits, make) -> None:
+    when, wall = p.ClearanceBelow(limit_m=0.03), Near(0.02, HERE[:3], "palm", "RACK-1 wall", (0.0, 0.0, 1.0), (0, 6))
+    moments = [wall, wall._replace(body="RACK-1 lip"), wall._replace(body="RACK-2 wall")]
+    seen = [{"near": lambda within_m, one=one: [one]} for one in moments]
+    assert watched(make, traits, when, *seen) == [False, False, True]
 
 
 def test_a_body_that_may_come_near_is_left_out(traits, make) -> None:
