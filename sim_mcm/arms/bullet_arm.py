@@ -81,7 +81,7 @@ class BulletArm:
         self._read_from = [*self._all, self._all[-1] if sensor is None else sensor]
         hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
         self.upstream = {n: link for link, n in links.items() if n not in hand}
-        self._wrench = _no_wrench if sensor is None else _wrench_at_tcp(world.cell, name)
+        self._wrench = _no_wrench if sensor is None else _wrench_at_tcp(world.cell, name, self._centre(sensor))
         self._prepare(spec, sensor)
         self._load: Load | None = None  # of the present control law
         self._hand_weight: HandWeight | None = None
@@ -314,6 +314,11 @@ class BulletArm:
         half = 0.5 * spec.gripper.max_opening_m
         self._put([*spec.home_rad, half, half])
 
+    def _centre(self, link: int) -> pin.SE3:
+        """The pose of a link's centre of mass and principal axes, in the link's axes."""
+        com, turn = pybullet.getDynamicsInfo(self.body, link, physicsClientId=self._client)[3:5]
+        return pin.SE3(geometry.to_matrix([*com, *turn]))
+
     def _hand_inertia(self, sensor: int) -> pin.Inertia:
         """Inertia of the links beyond the sensor, in tool axes about the tcp; of fingers where they are now."""
         client, found = self._client, pin.Inertia.Zero()
@@ -504,18 +509,18 @@ def _no_wrench(reading: tuple[float, ...]) -> list[float]:
     return [0.0] * 6
 
 
-def _wrench_at_tcp(cell: cells.Cell, name: str) -> Callable[[tuple[float, ...]], list[float]]:
+def _wrench_at_tcp(cell: cells.Cell, name: str, centre: pin.SE3) -> Callable[[tuple[float, ...]], list[float]]:
     """Return the map from pybullet's sensor reading to the wrench on the hand, in tool axes, about the tcp.
 
-    pybullet reads MINUS the force on the link beyond the joint, in that link's axes. Its torque is about the link's
-    centre of mass, which our URDF places in the link's origin.
+    pybullet reads MINUS the force on the link beyond the joint, in the principal axes of that link's inertia, and its
+    torque about the link's centre of mass. `centre`: their pose in the link, which is the identity in our own URDFs.
     """
     spec = cell.arm(name)
     model = pin.buildModelFromXML(cell.urdf(name))
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     sensor, tcp = (data.oMf[model.getFrameId(frame)] for frame in (spec.sensor_joint, spec.tcp_link))
-    at = tcp.actInv(sensor)  # pose of the sensor in tool axes
+    at = tcp.actInv(sensor * centre)  # pose of what is read in tool axes
     x, y, z = at.translation.tolist()
     if not np.allclose(at.rotation, np.eye(3)):
         matrix = -at.toDualActionMatrix()

@@ -16,6 +16,8 @@ from rtc.apps.cli import main
 from rtc.drawing.renderer import Renderer
 from rtc.model.cells import two_readers
 from rtc.protocol.outcomes import ProgramError
+from rtc.subsystems.motion.executor import Executor
+from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.readers import differences
 from tests.apps.authoring import small_arms
 
@@ -322,3 +324,24 @@ def test_findings_are_printed_when_the_renderer_is_late(tmp_path, monkeypatch, c
     out = " ".join(capsys.readouterr().out.split())
     assert "0 errors" in out
     assert "no picture: the renderer has not answered" in out
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize("origin", ['xyz="0.01 0.02 0.05"', 'xyz="0.01 0.02 0.05" rpy="0.5 0.3 1"'])
+def test_a_sensor_whose_link_has_its_mass_elsewhere_feels_nothing_at_rest(origin, tmp_path, monkeypatch):
+    """The simulator states what it feels in the axes of the inertia: 6 N and 0.3 N.m were felt in the air."""
+    monkeypatch.setattr(drafts, "POSTURES", 300)
+    monkeypatch.setattr(self_collisions, "SAMPLES", 150)
+    hand = '<inertial><origin xyz="0 0 0"/><mass value="0.5"/>'
+    file = tmp_path / "arm.urdf"
+    file.write_text(six(('"hand_mount"', '"ft_300"'), (hand, hand.replace('xyz="0 0 0"', origin))))
+    sim = BulletCell(drafts.draft(file, "UNIT").cell)
+    try:
+        executor = Executor(sim.arms["UNIT"])
+        for tick in range(200):
+            executor.tick(1e-3 * tick)
+            sim.step()
+        assert np.linalg.norm(executor.sample.wrench[:3]) < 0.2
+        assert np.linalg.norm(executor.sample.wrench[3:]) < 0.02
+    finally:
+        sim.close()
