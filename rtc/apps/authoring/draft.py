@@ -53,7 +53,7 @@ CARRY_M = 0.25  # height of the place before the arm
 REACHES, BEARINGS_DEG = (0.6, 0.5, 0.7, 0.4, 0.8), (25.0, 35.0, 15.0, 50.0)
 HEIGHTS, LOW = (1.0, 0.6), 0.3  # shares of the heights over the pads; the last one for arms with fewer than six joints
 TABLES_M = (0.0, 0.2, 0.4, 0.7)  # by which the pads are higher, for arms whose hand does not point down near the floor
-STEPS = 8
+STEPS, JUMP_RAD = 8, 0.6  # of a line down to a pad, 30 mm each at most; a joint that moves more is in another branch
 
 
 @dataclass
@@ -398,7 +398,9 @@ def _line_is_free(
     model: ArmModel, world: CollisionWorld, scene: Scene, line: list[Array], start: Array, margin: float
 ) -> bool:
     rows = model.ik_along(line, start)
-    return len(rows) == len(line) and all(
+    if len(rows) < len(line) or np.abs(np.diff(rows, axis=0)).max(initial=0.0) > JUMP_RAD:
+        return False  # it ends, or goes on in another branch
+    return all(
         model.limit_margin_rad(q) >= margin
         and _weight_share(model, q) < EFFORT
         and world.check({model.name: q}, scene) is None
