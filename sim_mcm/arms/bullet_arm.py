@@ -336,13 +336,15 @@ class BulletArm:
         return found
 
     def rub(self, factor: float) -> None:
-        """Scale the friction of the pads."""
+        """Scale the friction of the pads. They stick: a point of contact that does not slide is pulled back to where it
+        was, so what the solver leaves over in a step does not add up (decision 0129)."""
         for finger in self.fingers:
             pybullet.changeDynamics(
                 self.body,
                 finger,
                 lateralFriction=factor * FINGER_FRICTION,
                 spinningFriction=SPINNING_FRICTION,
+                frictionAnchor=1,
                 physicsClientId=self._client,
             )
 
