@@ -94,8 +94,29 @@ def narrows(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
     location, _, _ = key.rpartition(".")
     fact, sighting = query.world.get(key), query.world.get(f"{location}.sighting")
     measured = fact is not None and sighting is not None and fact.source == sighting.source
-    row = "spread_seen" if "spread_seen" in clears and not measured and _look_helps(query, location) else "spread"
-    return clears.get(row, "sense {location} again").replace("{location}", location)
+    row, place = "spread", ""
+    if "spread_seen" in clears and not measured and _look_helps(query, location):
+        row = "spread_seen"
+    elif "spread_shown" in clears and not query.cameras(location) and (place := _shown_at(query, location)):
+        row = "spread_shown"
+    words = clears.get(row, "sense {location} again").replace("{location}", location).replace("{place}", place)
+    return words.replace("{holder}", query.held_by(location))
+
+
+def _shown_at(query: WorldQuery, held: str) -> str:
+    """The place to which its hand may bring a held object so that a camera sees it; empty if there is none."""
+    arm, grasp = query.held_by(held), query.grasp(held)
+    if not arm or grasp is None or query.sharers(arm) or query.seat(held):
+        return ""
+    for place in query.places:
+        joints = place.joints_rad(arm)
+        if joints is None and arm not in place.poses:
+            continue
+        tcp = query.model.arms[arm].fk(joints) if joints is not None else place.poses[arm].pose
+        hands = {**{one.name: query.tcp(one.name) for one in query.cell.arms}, arm: tcp}
+        if query.model.sight.cameras(held, geometry.compose(tcp, grasp), hands.__getitem__):
+            return place.name
+    return ""
 
 
 def _look_helps(query: WorldQuery, body: str) -> bool:
