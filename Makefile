@@ -79,5 +79,11 @@ $(VENV)/.ready: pyproject.toml constraints.txt $(wildcard rtc/model/robot/_*.[ch
 	@test -n "$(PYTHON)" || { echo "rtc needs Python 3.11 or later; name one with: make PYTHON=... $(MAKECMDGOALS)"; exit 1; }
 	@test -x $(BIN)/python || { echo "creating $(VENV) with $(PYTHON)"; $(PYTHON) -m venv $(VENV); }
 	@$(BIN)/python -c 'import sys; sys.version_info < (3, 12) or print("pybullet has no wheel for this Python: it is compiled now; this takes some minutes and needs a C++ compiler")'
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[dev]"
-	@touch $@
+	@echo "set-up: the packages of constraints.txt are downloaded and installed; one to three minutes in all"
+	@rm -f $@; { $(BIN)/python -u -m pip install --progress-bar off --disable-pip-version-check -c constraints.txt \
+		-e ".[dev]" && touch $@; } | awk '\
+		/^Collecting / { if (++n % 10 == 0) say(n " packages found, up to " $$2) } \
+		/^Building wheel/ { say("rtc itself is built, with its compiled part if there is a C++ compiler") } \
+		/^Installing collected/ { say("all is downloaded; now it is installed, which takes about half of the time") } \
+		function say(words) { print "set-up: " words; fflush() }'
+	@test -e $@  # pip has succeeded
