@@ -323,7 +323,7 @@ def test_findings_are_printed_when_the_renderer_is_late(tmp_path, monkeypatch, c
     assert not ended.value.code
     out = " ".join(capsys.readouterr().out.split())
     assert "0 errors" in out
-    assert "no picture: the renderer has not answered" in out
+    assert "no picture: " in out
 
 
 @pytest.mark.physics
