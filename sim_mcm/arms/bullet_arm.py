@@ -337,7 +337,7 @@ class BulletArm:
 
     def rub(self, factor: float) -> None:
         """Scale the friction of the pads. They stick: a point of contact that does not slide is pulled back to where it
-        was, so what the solver leaves over in a step does not add up (decision 0129)."""
+        was, so what the solver leaves over in a step does not add up (decision 0130)."""
         for finger in self.fingers:
             pybullet.changeDynamics(
                 self.body,
