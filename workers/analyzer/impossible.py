@@ -98,18 +98,21 @@ def _seats(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery,
 
 
 def _arms(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
-    """Objects inside of arms. An object in a hand is judged by its grasp."""
+    """Objects inside of arms. An object in a hand is judged by its grasp, and the fingers may be around one that is
+    believed some millimetres off."""
     placed = {location(c.key) for c in changes if c.key.endswith(".frame") and c.validity is Validity.VALID}
     placed = {thing.name for thing in query.cell.objects if thing.name in placed and not after.held_by(thing.name)}
     if not placed:
         return
     joints = {arm.name: after.joints(arm.name) for arm in query.cell.arms}
-    for arm in joints:
-        scene = scenes.scene_of(after, arm, Limits(), unsure=False)
-        for hit in query.model.collision.near(arm, joints, scene):
-            name = hit.body_b.split()[0]
-            if name in placed and hit.distance_m < -INSIDE_M:
-                yield f"{name}.frame", f"{hit.body_b} would be {-hit.distance_m * 1000:.0f} mm inside {hit.body_a}"
+    for arm in query.cell.arms:
+        scene = scenes.scene_of(after, arm.name, Limits(), unsure=False)
+        hand = {f"{arm.name} {link}" for link in (arm.gripper.palm_link, *arm.gripper.finger_links)}
+        for hit in query.model.collision.too_near(joints, scene):
+            of_arm = hit.body_a.startswith(f"{arm.name} ") and hit.body_a not in hand
+            if of_arm and hit.body_b.split()[0] in placed and hit.distance_m < -INSIDE_M:
+                depth_mm = -hit.distance_m * 1000
+                yield f"{hit.body_b.split()[0]}.frame", f"{hit.body_b} would be {depth_mm:.0f} mm inside {hit.body_a}"
 
 
 CHECKS = (_spreads, _names, _figures, _seats, _arms)
