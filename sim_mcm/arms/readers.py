@@ -29,7 +29,8 @@ GRAVITY = (0.0, 0.0, -9.81)
 STEP_S = 1e-4
 ACCELERATION = 2.0  # rad/s^2, m/s^2: of one joint after the other
 SLACK = 0.02  # of it
-# Of 40 arms that both read alike the differences are below 1e-6; a wrong value that a person would notice makes 1e-3.
+# Of 49 published arms, adapted, 48 are below these thresholds, 47 below a tenth and 46 below a hundredth of them. The
+# one above has links without mass. An axis of length 1.5 or 0.1 is beyond TURN_RAD a thousand times.
 PLACE_M, TURN_RAD = 1e-4, 3e-4
 TINY_KG_M2 = 1e-8  # more than a frame without mass gets
 SHARE = 1e-3  # of a mass, a moment of inertia or a torque

@@ -283,7 +283,7 @@ def test_a_mounted_hand_points_where_the_last_link_does(flange, forearm, directi
 
 
 def test_motors_that_a_file_leaves_out_carry_the_arm(tmp_path):
-    """An arm of 1.3 t had motors of 50 N.m, and no posture that they hold."""
+    """An arm of 1.3 t had motors of 50 N.m, as one of 13 kg."""
     text = six(hand=False).replace(' effort="100.0"', "").replace(' effort="150.0"', "")
     heavy = re.sub(r'mass value="([0-9.]+)"', lambda found: f'mass value="{100 * float(found[1])}"', text)
     efforts = [
