@@ -26,7 +26,8 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.wire import frames, reader
-from rtc.runtime.process import real_time, real_time_io
+from rtc.runtime.priority import real_time
+from rtc.runtime.process import real_time_io
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.subsystems.motion.arm import ArmState, CellState, HandCommand

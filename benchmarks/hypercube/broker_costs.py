@@ -39,7 +39,8 @@ from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.runtime.handover import Handover
-from rtc.runtime.process import Every, Process, freeze_heap, open_socket, real_time
+from rtc.runtime.priority import real_time
+from rtc.runtime.process import Every, Process, freeze_heap, open_socket
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.world.lease import KEY_BYTES
 

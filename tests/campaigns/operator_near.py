@@ -25,6 +25,7 @@ from rtc.protocol import primitive as p
 from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.executor import Executor
+from sim_mcm.period import period
 from tests.campaigns import numbered_runs
 from tests.campaigns.held_module import HeldModule
 
@@ -135,9 +136,8 @@ class NearBench:
                 holds = tick < seconds / TICK_S
                 wanted = m.Operate(primitive=primitive.id, operator="ADA", seen_at_s=now_s, hold=holds, twist=twist)
                 executor.operate(wanted, b"ada", now_s)
-            for report in executor.tick(now_s):
+            for report in period(executor.tick, self.sim, now_s):
                 end = report.reason.value if isinstance(report, m.EndReport) else end
-            self.sim.step()
             touched_n = max(touched_n, self.touched_n()) if self.world.in_contact else touched_n
             if tick % 10 == 0:
                 found = min(((away, pair) for away, pair, _ in self.distances(FAR_M)), default=(math.inf, ""))
@@ -149,8 +149,7 @@ class NearBench:
             executor.answer(m.OperatorAnswer(primitive=primitive.id, done=False, why="enough"))
             while executor.primitive is not None:
                 now_s += TICK_S
-                executor.tick(now_s)
-                self.sim.step()
+                period(executor.tick, self.sim, now_s)
         return Grant(*least, touched_n, end, way_m)
 
 

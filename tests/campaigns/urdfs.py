@@ -31,6 +31,7 @@ from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import HandCommand
 from rtc.subsystems.motion.executor import Executor
 from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.period import period
 from tests.apps.authoring.own_arm import OwnArm
 from tests.campaigns.numbered_runs import report
 
@@ -139,8 +140,7 @@ def _at_rest(cell: Cell) -> Verdict:
         for width_m in (cell.arms[0].gripper.max_opening_m, 0.0):
             arm.command_hand(HandCommand(width_m, 30.0, 0.1))
             for tick in range(TICKS):
-                executor.tick(1e-3 * tick)
-                sim.step()
+                period(executor.tick, sim, 1e-3 * tick)
                 far = max(far, float(np.abs(np.array(arm.read().joints) - at).max()))
             felt_n = max(felt_n, float(np.linalg.norm(executor.sample.wrench[:3])))
         stands = far < STILL_RAD and felt_n < STILL_N and executor.at_rest and not executor.strayed

@@ -107,9 +107,9 @@ def _arms(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, 
     joints = {arm.name: after.joints(arm.name) for arm in query.cell.arms}
     for arm in query.cell.arms:
         scene = scenes.scene_of(after, arm.name, Limits(), unsure=False)
-        hand = {f"{arm.name} {link}" for link in (arm.gripper.palm_link, *arm.gripper.finger_links)}
+        fingers = {f"{arm.name} {link}" for link in arm.gripper.finger_links}
         for hit in query.model.collision.too_near(joints, scene):
-            of_arm = hit.body_a.startswith(f"{arm.name} ") and hit.body_a not in hand
+            of_arm = hit.body_a.startswith(f"{arm.name} ") and hit.body_a not in fingers
             if of_arm and hit.body_b.split()[0] in placed and hit.distance_m < -INSIDE_M:
                 depth_mm = -hit.distance_m * 1000
                 yield f"{hit.body_b.split()[0]}.frame", f"{hit.body_b} would be {depth_mm:.0f} mm inside {hit.body_a}"

@@ -21,8 +21,8 @@ Scripts = Mapping[str, ScriptFile]
 
 
 def is_unasked(scripts: Scripts, first: ScriptOption, other: ScriptOption) -> bool:
-    """Whether the other option moves in another way than the first one, and the sentence or the load forbids that."""
-    if _spaces(scripts[first.branch.script]) == _spaces(scripts[other.branch.script]):
+    """Whether the other option has a kind of motion that the first one lacks, which the sentence or a load forbids."""
+    if _spaces(scripts[other.branch.script]) <= _spaces(scripts[first.branch.script]):
         return False
     parsed, candidate = other.candidate.parsed, other.candidate
     watched = parsed.guarded or bool(parsed.reflexes) or parsed.until is not None
