@@ -17,9 +17,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 from urllib.request import Request, urlopen
 
+ROOT = Path(__file__).parents[3]  # what imports this package
 SOCKETS = 4
 BATCH = 100  # frames of one send
 LIMIT_S = 30.0
@@ -112,8 +114,8 @@ class HaltingPage:
 @contextlib.contextmanager
 def flood(pages: Pages, kind: str) -> Iterator[None]:
     """A process that floods, until the block ends."""
-    command = [sys.executable, "-P", "-m", "tests.apps.console.flood", pages.base, pages.cookie, kind]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+    command = [sys.executable, "-m", "tests.apps.console.flood", pages.base, pages.cookie, kind]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"floods\n"
         try:
