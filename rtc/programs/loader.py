@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-import yaml
 
 from rtc.language.grammar import Grammar
-from rtc.model.cells import yaml_limits
+from rtc.model.cells import yaml_reader
 from rtc.programs import checks, plugin_fields
 from rtc.programs.compatibility import misfits
 from rtc.programs.schema import (
@@ -175,15 +174,7 @@ def decode(program: bytes, schema: type[P]) -> P:
 
 
 def _read(text: bytes, source: str) -> dict[str, Any]:
-    try:
-        document = msgspec.json.decode(text) if text.startswith(b"{") else _yaml(text, source)
-    except yaml.MarkedYAMLError as error:
-        at = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ProgramError(f"{source}{at}: {error.problem or error.context}") from error
-    except (yaml.reader.ReaderError, UnicodeDecodeError) as error:
-        raise ProgramError(f"{source}: it is not a text file in UTF-8: {error.reason}") from error
-    except (yaml.YAMLError, msgspec.DecodeError, RecursionError, ValueError) as error:
-        raise ProgramError(f"{source}: {error}") from error
+    document = yaml_reader.read(text, source)
     if document is None:
         raise ProgramError(f"{source}: the file is empty; {_EXPECTED}")
     if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
@@ -205,12 +196,6 @@ def _of_this_kind(kind: WorkerKind, news: dict[str, Any], name: str, text: bytes
     owner = next((k.value for k, s in SCHEMAS.items() if ITEMS.get(wrong, wrong) in s.__struct_fields__), "")
     goes = f"; a {wrong} goes INTO {owner}; a {kind.value} program has {known}" if owner else f"; it has {known}"
     raise ProgramError(f"{name}{line}: a {kind.value} program has no section {ITEMS.get(wrong, wrong)}{goes}")
-
-
-def _yaml(text: bytes, source: str) -> Any:
-    """The document, after a check of its size. Raises ProgramError, yaml.YAMLError."""
-    yaml_limits.check(text, source)
-    return yaml.load(text, yaml.CSafeLoader)
 
 
 def _put(whole: dict[str, Any], document: dict[str, Any], source: str) -> None:

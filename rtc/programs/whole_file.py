@@ -9,7 +9,7 @@ import textwrap
 
 import yaml
 
-from rtc.model.cells import yaml_limits
+from rtc.model.cells import yaml_reader
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import ProgramError
 
@@ -20,11 +20,11 @@ ORDER = (WorkerKind.PARSER, WorkerKind.BINDER, WorkerKind.ANALYZER, WorkerKind.E
 def sections(text: bytes, name: str) -> dict[WorkerKind, bytes]:
     """The part for each kind, in the order of loading. Lines keep their numbers. Raises ProgramError."""
     try:
-        yaml_limits.check(text, name)
         words = text.decode()
-        root = yaml.compose(words, yaml.CSafeLoader)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise ProgramError(f"{name}: {error}") from error
+    yaml_reader.read(text, name)
+    root = yaml_reader.nodes(words)
     rows = root.value if isinstance(root, yaml.MappingNode) else []
     found = {key.value: value for key, value in rows}
     unknown = [key for key in found if key not in list(WorkerKind)]

@@ -9,6 +9,8 @@ import msgspec
 import msgspec.inspect
 import yaml
 
+from rtc.model.cells.yaml_reader import nodes
+
 PLACE = re.compile(r"\$((?:\.[\w/-]+|\[\d+\])+)")
 PART = re.compile(r"\.([\w/-]+)|\[(\d+)\]")
 
@@ -23,7 +25,7 @@ def path_of(message: str) -> Path:
 
 def line_of(text: bytes, path: Path) -> int:
     """The line (from 1) of the value at this path, or of the innermost enclosing value that exists."""
-    node = yaml.compose(text, yaml.CSafeLoader)
+    node = nodes(text)
     for part in path:
         inner = _inner(node, part)
         if inner is None:
@@ -34,7 +36,7 @@ def line_of(text: bytes, path: Path) -> int:
 
 def line_of_key(text: bytes, path: Path) -> int:
     """The line (from 1) of the last key of this path, which may be above its value."""
-    node = yaml.compose(text, yaml.CSafeLoader)
+    node = nodes(text)
     for part in path[:-1]:
         node = _inner(node, part)
     pairs = node.value if isinstance(node, yaml.MappingNode) else []

@@ -358,7 +358,7 @@ LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}, *a{n 
         ("- " * 60_000, "nested deeper"),
         (LAUGHS, "more than"),  # stands for 3^40 values
         ("values: &a {x: *a}", "the alias a has no anchor"),
-        ('{"a":' * 50_000, "recursion"),
+        ('{"a":' * 50_000, "nested deeper"),
         ("scripts: [{script: [1]}]", "$.scripts[0].script"),
         ("scripts: 3", "$.scripts"),
         ("", "a program document is a map"),

@@ -14,9 +14,7 @@ from types import SimpleNamespace
 from typing import Any, Literal, cast, get_args, get_type_hints
 
 import msgspec
-import msgspec.yaml
 import numpy as np
-import yaml
 
 from rtc.apps.authoring import self_collisions, words_and_keys
 from rtc.apps.authoring.adapt import GYRATION
@@ -28,6 +26,7 @@ from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Arm, Box, GraspPoint, Object
 from rtc.model.cells.urdf import number
 from rtc.model.cells.urdf_values import MOVING
+from rtc.model.cells.yaml_reader import Unreadable
 from rtc.model.robot import finger_mass, hulls
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import Scene
@@ -79,19 +78,17 @@ def review(path: Path) -> tuple[list[Finding], Cell | None]:
 def _cell(path: Path) -> tuple[list[Finding], Cell | None]:
     folders = [path.parent]
     try:
-        text = extension.document_of(path)
-        plain = msgspec.yaml.decode(text)
+        text = path.read_bytes()
+        plain = extension.document_of(text, str(path))
         if isinstance(plain, dict) and "extends" in plain:
             plain, folders = extension.read(path, cells.file_of)
             text = b""  # a place in the merged document has no line
     except OSError as error:
         raise ProgramError(f"cannot read {path}: {error.strerror}") from error
-    except (msgspec.MsgspecError, yaml.YAMLError) as error:
-        mark = getattr(error.__cause__, "problem_mark", None)
-        line = mark.line + 1 if mark is not None else 0
-        return [
-            Finding(file=str(path), where="$", problem=f"not YAML: {error}", expected="a cell file", line=line)
-        ], None
+    except Unreadable as error:
+        problem, expected = (error.problem, "") if error.where else (f"not YAML: {error.problem}", "a cell file")
+        where = error.where or "$"
+        return [Finding(file=error.source, where=where, problem=problem, expected=expected, line=error.line)], None
     found = [_at(path, text, where, problem) for where, problem in _fields(plain)]
     found += [
         Finding(file=str(path), where=f"$.{where}", problem=problem, expected="one of them", line=line)
@@ -170,8 +167,21 @@ def _converted_one(where: str, value: Any, kind: Any) -> tuple[Any, list[tuple[s
     except (msgspec.ValidationError, ValueError) as error:
         message, _, inner = str(error).partition(" - at `$")
         inside = inner.rstrip("`")
+        given = _at_path(value, inside)
+        if "got `str`" in message and isinstance(given, str):
+            message = f"{given!r} is a text: {message[:1].lower()}{message[1:]}"
         wrong = [(f"{where}{inside}", words_and_keys.plain_words(message[:1].lower() + message[1:]))]
         return None, wrong + _unknown_fields(where, value, kind, message)
+
+
+def _at_path(value: Any, inside: str) -> Any:
+    """The part of a plain value at a path such as .frame.xyz[0]; None: there is none."""
+    for part in path_of(f"${inside}"):
+        try:
+            value = value[part]
+        except (LookupError, TypeError):
+            return None
+    return value
 
 
 def _unknown_fields(where: str, value: Any, kind: Any, message: str) -> list[tuple[str, str]]:

@@ -10,6 +10,7 @@ import yaml
 
 from rtc.language.hands import ARM_OF_WORD
 from rtc.language.parse import default_grammar
+from rtc.model.cells.yaml_reader import nodes
 
 #: pattern of a type -> what it means, for people
 PATTERNS = {
@@ -66,7 +67,7 @@ def faults(plain: Any) -> Iterator[Row]:
 
 def keys_given_twice(text: bytes) -> Iterator[tuple[str, str, int]]:
     """(place, problem, line) of every key that a map has more than once; the reader takes the last without a word."""
-    yield from _repeated(yaml.compose(text, yaml.CSafeLoader), "", set())
+    yield from _repeated(nodes(text), "", set())
 
 
 def _repeated(node: yaml.Node | None, path: str, done: set[int]) -> Iterator[tuple[str, str, int]]:

@@ -9,13 +9,13 @@ The types of its parts are in `rtc.model.cells.parts`. This module knows no kine
 
 from __future__ import annotations
 
+import contextlib
 import math
-import re
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
-import msgspec.yaml
 
 from rtc.language.alike import unknown
 from rtc.model.cells import extension, model_checks
@@ -42,7 +42,6 @@ from rtc.protocol.outcomes import ProgramError
 from rtc.protocol.subsystems import ARMS, Subsystem, owner, resolved
 from rtc.spatial import geometry, hinges
 
-EXTENDS = re.compile(rb"(?m)^extends:")
 CELLS = Path(__file__).parent  # the cells of the project: cells/NAME/cell.yaml
 
 
@@ -198,26 +197,25 @@ def file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:
 
 def _read(path: Path) -> tuple[Cell, list[Path]]:
     """The cell of a file, without the texts of its models, and the folders where they may be."""
-    document = extension.document_of(path)
-    if not EXTENDS.search(document):
-        return _decode(document, str(path)), [path.parent]
-    merged, folders = extension.read(path, file_of)
-    try:
-        return msgspec.convert(merged, Cell), folders
-    except msgspec.ValidationError as error:
-        raise ProgramError(f"{path}: {error} (of the cell as extended)") from error
+    plain, folders = extension.read(path, file_of)
+    return _typed(plain, str(path), " (of the cell as extended)" if folders[1:] else ""), folders
 
 
 def _decode(document: bytes, source: str) -> Cell:
-    try:
-        if document.startswith(b"{"):  # JSON from `encode`; 20 times faster than the YAML reader
+    if document.startswith(b"{"):
+        with contextlib.suppress(msgspec.DecodeError):  # which the reader states with its place
             return msgspec.json.decode(document, type=Cell)
-        return msgspec.yaml.decode(document, type=Cell)
-    except msgspec.MsgspecError as error:
+    return _typed(extension.document_of(document, source), source)
+
+
+def _typed(plain: Any, source: str, note: str = "") -> Cell:
+    try:
+        return msgspec.convert(plain, Cell)
+    except msgspec.ValidationError as error:
         if str(error).startswith("Object contains unknown field") and "$" not in str(error):
             known = ", ".join(sorted(set(Cell.__struct_fields__) - {"texts"}))
             raise ProgramError(f"{source} is not a cell: {error}; a cell has {known}") from error
-        raise ProgramError(f"{source}: {error}") from error
+        raise ProgramError(f"{source}: {error}{note}") from error
 
 
 def _with_added_grasps(thing: Object, cell: Cell) -> Object:

@@ -6,16 +6,11 @@ list leaves out all of its parts. Everything else that the file states replaces 
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import msgspec
-import msgspec.yaml
-import yaml
-
-from rtc.model.cells import yaml_limits
+from rtc.model.cells import yaml_reader
 from rtc.protocol.outcomes import ProgramError
 
 DEEPEST = 4  # maximum number of files that extend each other
@@ -31,10 +26,9 @@ def read(path: Path, find: Callable[[str, Path], Path], depth: int = 0) -> tuple
     """
     if depth == DEEPEST:
         raise ProgramError(f"{path}: $.extends: more than {DEEPEST} cells extend each other")
-    try:
-        own = msgspec.yaml.decode(document_of(path), type=Document)
-    except msgspec.MsgspecError as error:
-        raise ProgramError(f"{path}: {error}") from error
+    own = document_of(path.read_bytes(), str(path))
+    if not isinstance(own, dict):
+        raise ProgramError(f"{path}: $: a cell is a map")
     extended = own.pop("extends", None)
     if extended is None:
         return own, [path.parent]
@@ -44,13 +38,9 @@ def read(path: Path, find: Callable[[str, Path], Path], depth: int = 0) -> tuple
     return {key: _merged(base.get(key), own.get(key)) for key in {**base, **own}}, [path.parent, *folders]
 
 
-def document_of(path: Path) -> bytes:
-    """The text of a cell file. Raises ProgramError if it is nested too deeply or has too many values."""
-    text = path.read_bytes()
-    if not text.startswith(b"{"):  # JSON is not read by the loader of YAML
-        with contextlib.suppress(yaml.YAMLError):  # stated with its place by the reader
-            yaml_limits.check(text, str(path), MAX_VALUES)
-    return text
+def document_of(text: bytes, source: str) -> Any:
+    """The plain values of a cell file. Raises ProgramError."""
+    return yaml_reader.read(text, source, MAX_VALUES)
 
 
 def _merged(old: Any, new: Any) -> Any:
