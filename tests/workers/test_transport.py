@@ -203,6 +203,19 @@ def test_a_handoff_ends_with_the_object_in_the_second_hand(held: Bench) -> None:
     assert who_holds(held) == (MODULE, "", RIGHT)
 
 
+@pytest.mark.parametrize("sentence", [BOTH, GIVE])
+def test_a_look_before_the_first_arm_moves_leaves_the_postures_of_the_second_one(held: Bench, sentence: str) -> None:
+    """They were solved again as those of the first arm, which mostly cannot be there."""
+    held.set_fact(f"{MODULE}.grasp", held.world.value(f"{MODULE}.grasp"), Validity.SUSPECT)
+    script = held.elaborate(sentence)
+    assert isinstance(script, Script), script
+    look, restate = script.steps[:2]
+    assert (look.do, restate.name) == ("look", "grasp_plan")
+    bound = held.bind(script, restate)
+    assert not bound.bindings
+    done(held, sentence)
+
+
 def test_what_both_hands_hold_is_handed_over_by_letting_go(held: Bench) -> None:
     done(held, BOTH)
     run = done(held, GIVE)

@@ -43,7 +43,8 @@ def _planned_before(why: Refusal) -> Refusal:
 
 
 def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding]:
-    """Joint values (rad), nearest to the old ones, for each planned pose that is elsewhere now. Raises Refused."""
+    """Joint values (rad), nearest to the old ones, for each pose planned for this arm that is elsewhere now. Raises
+    Refused."""
     model = query.model.arms[arm]
     margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
     replanned: dict[str, Binding] = {}
@@ -51,6 +52,8 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
         old = bindings.get(name.removesuffix(POSE_OF_JOINTS))
         if not name.endswith(POSE_OF_JOINTS) or planned.pose is None or old is None or old.joints is None:
             continue
+        if planned.arm not in ("", arm):
+            continue  # a step of that arm restates it
         wanted = current_pose(query, arm, planned)
         was = model.fk(old.joints)
         if geometry.distance(wanted, was) < MOVED_M and geometry.angle(wanted, was) < MOVED_RAD:
@@ -60,5 +63,5 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
             why = model.why_no_ik(wanted, margin_rad)
             assert why is not None
             raise Refused(_planned_before(why))
-        replanned[name.removesuffix(POSE_OF_JOINTS)] = Binding(joints=found[0].tolist())
+        replanned[name.removesuffix(POSE_OF_JOINTS)] = Binding(joints=found[0].tolist(), arm=planned.arm)
     return replanned

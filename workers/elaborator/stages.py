@@ -7,7 +7,7 @@ let go as the steps say. So a second grasp that is not possible is refused befor
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import msgspec
 from msgspec.structs import replace
@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from rtc.language.hands import hand_in_words
 from rtc.programs.extension_names import PARTNER
 from rtc.programs.schema import PlanLine, ScriptFile
-from rtc.protocol.messages import Step, WorldChange
+from rtc.protocol.messages import Binding, Step, WorldChange
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, Refused
 from rtc.spatial import geometry
 from workers.elaborator import backtrack, preconditions
@@ -44,7 +44,7 @@ def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, se
         query = query.after(_predicted(part_steps, now, found))
         ways = found.ways if not first else {}  # a later one begins where the arm will come to rest
         whole = Planned(
-            {**whole.bindings, **found.bindings},
+            {**whole.bindings, **_of_arm(now.arm.name, found.bindings)},
             list(dict.fromkeys((*whole.relies_on, *found.relies_on))),
             [*whole.notes, *(f"{now.arm.name}: {note}" for note in found.notes)],
             whole.chosen or found.chosen,
@@ -53,6 +53,11 @@ def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, se
             found.end,
         )
     return whole
+
+
+def _of_arm(arm: str, bindings: Mapping[str, Binding]) -> dict[str, Binding]:
+    """The bindings with their arm: no other one solves them again after a look."""
+    return {name: msgspec.structs.replace(one, arm=arm) for name, one in bindings.items()}
 
 
 def _of_stage(refusal: Refusal, candidate: TaskCandidate, arm: str) -> Refusal:

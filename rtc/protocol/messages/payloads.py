@@ -27,6 +27,7 @@ class Binding(Strict, frozen=True, kw_only=True, omit_defaults=True):
     frame: str | None = None  # the object or seat whose axes the pose is in; None = world
     grasp: list[float] | None = None  # pose of the held object in the hand that this pose was made for
     number: float | None = None
+    arm: str = ""  # whose joints or tcp, in a script of two arms in turn; empty: those of the only arm
 
 
 class Trim(Strict, frozen=True, kw_only=True, omit_defaults=True):
