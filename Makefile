@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 JOBS := $(shell n=$$(( $$(nproc) + 1 )); echo $$(( n > 4 ? 4 : n )))
 FAST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
-.PHONY: demo console setup test test-ray fast check wheel coverage bench campaigns help clean
+.PHONY: demo console setup test test-ray fast check docs wheel coverage bench campaigns help clean
 .DEFAULT_GOAL := help
 
 demo: $(VENV)/.ready ## set up, then show two arms at work, a halt, an insertion and a door; pictures and a film in out/
@@ -41,6 +41,10 @@ check: $(VENV)/.ready ## lint, format, types, and the import rules of the archit
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_architecture.py
+
+docs: $(VENV)/.ready ## build the site of the documentation in out/site; a warning, such as a broken link, is an error
+	$(BIN)/python -m sphinx -q -W --keep-going -b html -c docs/site . out/site
+	@echo "the site: out/site/index.html"
 
 wheel: $(VENV)/.ready ## build the wheel in dist/, install it outside the checkout, and run `rtc demo grasp` from it
 	rm -rf build dist

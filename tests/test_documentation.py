@@ -15,6 +15,7 @@ import typer
 from rtc.apps.cli.main import build
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import Refusal
+from tests import decisions_page
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("rtc", "broker", "workers", "sim_mcm", "deploy")
@@ -123,3 +124,14 @@ def test_a_command_line_of_a_page_is_valid(words: tuple[str, ...]):
 def test_each_decision_has_a_number_of_its_own():
     numbers = Counter(page.name.partition("-")[0] for page in (ROOT / "docs" / "decisions").glob("[0-9]*.md"))
     assert [number for number, count in numbers.items() if count > 1] == []
+
+
+def test_the_list_of_decisions_is_up_to_date():
+    written = (decisions_page.FOLDER / "README.md").read_text()
+    assert written == decisions_page.page(), "write it anew: python -m tests.decisions_page > docs/decisions/README.md"
+
+
+def test_the_list_for_language_models_names_pages_that_exist():
+    named = re.findall(r"\]\((\S+)\)", (ROOT / "docs" / "llms.txt").read_text())
+    assert named
+    assert [name for name in named if not (ROOT / name).is_file()] == []
