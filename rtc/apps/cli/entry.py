@@ -12,6 +12,9 @@ from rtc.apps.cli.interrupts import leave_at_interrupts
 def main() -> None:
     """Import and run the command line. A plain `rtc halt` sends its order before anything else is imported."""
     leave_at_interrupts()
+    if sys.argv[1:] == ["--version"]:
+        print(import_module("rtc.apps.cli.version").line())
+        return
     if sys.argv[1:2] == ["halt"] and (status := run(sys.argv[2:])) is not None:
         sys.exit(status)
     import_module("rtc.apps.cli.main").main()

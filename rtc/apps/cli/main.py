@@ -5,7 +5,6 @@ A command's module is imported only if the command is called or all are listed: 
 
 from __future__ import annotations
 
-import platform
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -15,11 +14,10 @@ from typing import Annotated, Any
 
 import typer
 
-from rtc import __version__
+from rtc.apps.cli import version
 from rtc.apps.cli.interrupts import raise_at_interrupts
 from rtc.apps.cli.output import LEFT_RUNNING, NO_CLUSTER, cli_error, errors
 from rtc.apps.cli.stdio import OutputClosed, attach
-from rtc.model.robot import collision_checks, compiled
 from rtc.protocol.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
 
 #: command -> module of this package with its function (for a group: its app); in the order of the help
@@ -106,9 +104,7 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        print(
-            f"rtc {__version__} (Python {platform.python_version()}; collision checks: {collision_checks(compiled())})"
-        )
+        print(version.line())
         raise typer.Exit()
 
 

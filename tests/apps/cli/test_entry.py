@@ -53,3 +53,26 @@ def test_nothing_slow_is_imported_before_ctrl_c_is_handled() -> None:
     code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import rtc.apps.cli.entry; print(*sys.modules)"
     bare = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=True)
     assert not {"typing", "re", "pathlib", "msgspec", "typer"} & set(bare.stdout.split())
+
+
+@pytest.mark.slow
+@pytest.mark.untimed
+@pytest.mark.parametrize(
+    ("words", "none_of"),
+    [
+        (["--version"], {"typer", "rich", "numpy", "pinocchio", "lark", "msgspec", "zmq"}),
+        (["status"], {"numpy", "pinocchio", "lark", "pybullet", "prompt_toolkit"}),
+    ],
+    ids=["version", "status"],
+)
+def test_what_a_command_loads(words: list[str], none_of: set[str], tmp_path: Path) -> None:
+    listed = (
+        "import atexit, sys; atexit.register(lambda: print(*sys.modules))\nfrom rtc.apps.cli import entry; entry.main()"
+    )
+    environment = {**os.environ, "RTC_RUN_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", f"{listed}; entry.main()", *words], capture_output=True, text=True, env=environment
+    )
+    loaded = done.stdout.splitlines()[-1].split()
+    assert "sys" in loaded, done.stderr
+    assert not none_of & set(loaded)
