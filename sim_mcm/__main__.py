@@ -15,11 +15,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rtc.model.cells.cell import Cell
-from rtc.plugins import registry
+from rtc.plugins import guard, registry
 from rtc.protocol import messages as m
 from rtc.protocol.subsystems import ARMS
-from rtc.runtime import fork_server, handover, process
-from rtc.runtime.memory_guard import MemoryGuard
+from rtc.runtime import fork_server, handover, process, time_limit
+from rtc.runtime.memory_guard import MemoryGuard, limit_data
 from rtc.runtime.settings import Settings
 from rtc.subsystems.base.item_process import ItemProcess
 from rtc.subsystems.base.report_items import measured
@@ -88,6 +88,8 @@ class Station:
         self._work_at_s = 0.0  # when the work between ticks is due
         self._busy = True  # a primitive runs or waits
         self._modest_until_s = 0.0  # without real-time priority; 0: with it
+        self._called: list[str] = []  # code of packages that has run in this process
+        guard.tell(self._calls)
 
     def run(self) -> None:
         """Run until the process receives the order to stop."""
@@ -139,6 +141,12 @@ class Station:
         if found or now_s >= self._work_at_s:
             self._work_at_s = now_s + self._work_s
             self._between_ticks(now_s)
+
+    def _calls(self, name: str) -> None:
+        """Code of a package begins (or has ended, ""): if it ends this process, the message about that names it."""
+        if name and name not in self._called:
+            self._called.append(name)
+            self._me.calls(", ".join(self._called))
 
     def _receive(self, now_s: float) -> Outgoing:
         """Obey halts, then the orders of the broker. The answers are sent after the tick: an arm brakes first."""
@@ -291,6 +299,7 @@ def main() -> None:
     arguments.add_argument("--template", action="store_true", help="be the fork server of the MCM")
     handover.add_option(arguments)
     given = arguments.parse_args()
+    time_limit.install()
     if given.template:
         simulation = _simulation(handover.load(Path(given.run_dir), given.handed).settings, given.name)
         fork_server.serve(lambda order: live(given.run_dir, given.name, given.handed, simulation))
@@ -309,6 +318,7 @@ def live(run_dir: str, name: str, fd: int = -1, simulation: Simulation | None = 
     process.show_name(name)
     given = handover.claim_role(name, Path(run_dir), fd)
     settings = given.settings
+    limit_data()
     with process.start(name, run_dir) as me:
         me.end_with_parent(END_S * settings.timeout_scale + LAST_S)
         if _in_real_time(settings):

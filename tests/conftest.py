@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, settings
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.kinematics import ArmModel
+from rtc.runtime import time_limit
 from rtc.runtime.environment import physics_seed
 from tests.plugins.toy_packages import install  # noqa: F401
 
@@ -21,6 +22,7 @@ settings.register_profile("random", deadline=None, suppress_health_check=[Health
 # Every run has the same examples, so that a failure is repeatable. Others: pytest --hypothesis-profile=random
 settings.register_profile("repeatable", settings.get_profile("random"), derandomize=True)
 settings.load_profile("repeatable")
+time_limit.install()  # code of packages has the limits that it has in a cluster
 
 
 def pytest_report_header() -> str:

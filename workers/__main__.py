@@ -16,9 +16,10 @@ import msgspec
 
 from rtc.protocol.messages import NODES, WorkerKind
 from rtc.protocol.outcomes import ClusterError, KeyTrouble
-from rtc.runtime import fork_server, handover, process
+from rtc.runtime import fork_server, handover, process, time_limit
 from rtc.runtime.environment import systemd_socket
 from rtc.runtime.keys import KeyFile
+from rtc.runtime.memory_guard import limit_data
 from workers.runtime.contact import LIMIT_S, BrokerContact, Systemd
 from workers.runtime.preload import preload
 from workers.runtime.start import join, rehearse, work
@@ -56,6 +57,7 @@ def parser() -> argparse.ArgumentParser:
 def main() -> None:
     asked = parser()
     given = asked.parse_args()
+    time_limit.install()
     if given.key is None and (given.lost_after is not None or given.health is not None):
         asked.error("--lost-after and --health are for workers with a key (--with); a supervisor watches the others")
     if given.lost_after is not None and not given.lost_after > 0.0:
@@ -107,6 +109,7 @@ def serve(handed: handover.Handover) -> None:
 def far(path: Path, kind: WorkerKind, node: int | None, lost_after_s: float, health: Path | None) -> None:
     """Run as a worker of a cluster on another machine. Raises SystemExit with the reason if it ends by itself."""
     process.show_name(kind.value)
+    limit_data()
     try:
         key = KeyFile.load(path)
         with process.start(kind.value if node is None else f"{kind}@{node}", ".") as me:

@@ -80,13 +80,15 @@ class JobDeclined(Event, frozen=True, kw_only=True, gc=False):
 
 
 class JobLost(Event, frozen=True, kw_only=True, gc=False):
-    """The worker died, hung or raised. `blamed`: it was processing this job, so the job may be the cause."""
+    """The worker died, hung or raised. `blamed`: it was processing this job, so the job may be the cause. `inside`: the
+    code of an installed package that it ran."""
 
     job: str
     attempt: int
     node: str
     evidence: str
     blamed: bool = True
+    inside: str = ""
 
 
 class PrimitiveStarted(Event, frozen=True, kw_only=True, gc=False):

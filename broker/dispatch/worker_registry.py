@@ -100,10 +100,11 @@ class Queue:
 
 
 class LostJob(NamedTuple):
-    """A job whose worker is lost. `in_hand`: it was in progress."""
+    """A job whose worker is lost. `in_hand`: it was in progress. `inside`: the code of a package that ran in it."""
 
     job: DispatchJob
     in_hand: bool
+    inside: str = ""
 
 
 class Worker:
@@ -162,7 +163,10 @@ class WorkerRegistry:
         worker = self.workers.pop(name, None)
         if worker is None:
             return []
-        return [LostJob(job, in_hand=first == 0) for first, job in enumerate(worker.assigned.values())]
+        return [
+            LostJob(job, in_hand=number == 0, inside=worker.inside if number == 0 else "")
+            for number, job in enumerate(worker.assigned.values())
+        ]
 
     def mark_alive(self, name: str, now: float, worked_s: float = 0.0, inside: str = "") -> bool:
         """Record a sign of life. `worked_s`: processor time of the job in progress. False: the worker is not registered

@@ -9,6 +9,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+import msgspec
 import zmq
 
 from broker.decisions.events import Event, JobLost
@@ -78,10 +79,11 @@ class Core:
         """Add an event; it is decided in this loop iteration."""
         self.events.append(event)
 
-    def lose_jobs(self, worker: str, lost: Iterable[LostJob], why: str, now: float) -> None:
-        """Enqueue the loss of the jobs that a lost worker had."""
-        for job, in_hand in lost:
-            self.enqueue(JobLost(at_s=now, job=job.job, attempt=job.attempt, node=worker, evidence=why, blamed=in_hand))
+    def lose_jobs(self, worker: str, lost: Iterable[LostJob], why: str, now: float, called: str = "") -> None:
+        """Enqueue the loss of the jobs that a lost worker had. `called`: code of a package that it has announced."""
+        for job, in_hand, inside in lost:
+            loss = JobLost(at_s=now, job=job.job, attempt=job.attempt, node=worker, evidence=why, blamed=in_hand)
+            self.enqueue(msgspec.structs.replace(loss, inside=(called or inside) if in_hand else ""))
 
     def count_late_result(self, worker: str) -> None:
         """Count a result that was not accepted. The workers with such results are bounded in number."""

@@ -126,5 +126,5 @@ class Health:
             self._egress.set_topics(set(), now)
         if "workers" in names:  # jobs that were in the socket are lost
             for worker in list(core.registry.workers):
-                lost = [LostJob(job, in_hand=False) for job, _ in core.registry.remove(worker)]
+                lost = [LostJob(one.job, in_hand=False) for one in core.registry.remove(worker)]
                 core.lose_jobs(worker, lost, "its connection was cut", now)

@@ -43,13 +43,14 @@ class SupervisorMessages:
     def _exited(self, message: m.ProcessExited, now: float) -> None:
         core, name = self._core, message.name
         core.me.log.warning("%.80r (pid %d) %s", name, message.pid, in_words(message.status))
+        called = f", after it called the {message.called} of an installed package" if message.called else ""
         worker = core.registry.workers.get(name)
         if worker is not None and worker.pid == message.pid:
-            called = f", after it called the {message.called} of an installed package" if message.called else ""
-            core.lose_jobs(name, core.registry.remove(name), f"exit status {message.status}{called}", now)
+            lost = core.registry.remove(name)
+            core.lose_jobs(name, lost, f"exit status {message.status}{called}", now, message.called)
         subsystem = core.state.subsystems.get(name)
         if subsystem is not None and subsystem.pid == message.pid:
-            why = f"its process {in_words(message.status)}"
+            why = f"its process {in_words(message.status)}{called}"
             core.enqueue(SubsystemGone(at_s=now, subsystem=name, why=why))
 
     def _end_cluster(self, message: m.Shutdown, now: float) -> None:

@@ -57,7 +57,7 @@ class WorkerMessages:
             raise WireError(f"{name!r:.80} reports that {message.name!r:.80} is gone")
         lost = self._core.registry.remove(name)
         if message.in_order:
-            lost = [LostJob(job, in_hand=False) for job, _ in lost]
+            lost = [LostJob(one.job, in_hand=False) for one in lost]
         why = "it ended in order" if message.in_order else "its connection was lost"
         self._core.lose_jobs(name, lost, why, now)
 

@@ -7,6 +7,7 @@ it with the error.
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from importlib.metadata import EntryPoint, entry_points
@@ -39,6 +40,13 @@ GROUPS = {
 }
 
 
+#: of one call, where it is not `guard.LIMIT_S`. The arms wait for a control law in every tick.
+LIMITS_S = {CONTROL_LAWS: 0.02}
+
+
+LOAD_LIMIT_S = 60.0  # for the import of a package
+
+
 class Loaded(NamedTuple):
     found: Mapping[str, Any]  # by name, in the order of the names
     failed: Mapping[str, str]  # name -> why it cannot be loaded
@@ -46,7 +54,13 @@ class Loaded(NamedTuple):
 
 def guarded(group: str, name: str) -> AbstractContextManager[None]:
     """The guard round a use of this entry point; see `rtc.plugins.guard`."""
-    return guard.guarded(f"{GROUPS[group]} {name}")
+    return guard.guarded(f"{GROUPS[group]} {name}", _file(group, name), LIMITS_S.get(group, guard.LIMIT_S))
+
+
+def _file(group: str, name: str) -> str:
+    """The file of its module; before that is loaded, module:function."""
+    value = next((entry.value for entry in _entries(group) if entry.name == name), "")
+    return getattr(sys.modules.get(value.partition(":")[0]), "__file__", None) or value
 
 
 @functools.cache
@@ -68,7 +82,7 @@ def loaded(group: str) -> Loaded:
     failed: dict[str, str] = {}
     for entry in _entries(group):
         try:
-            with guarded(group, entry.name):
+            with guard.guarded(f"import of {GROUPS[group]} {entry.name}", limit_s=LOAD_LIMIT_S):
                 found[entry.name] = entry.load()
         except guard.PluginError as error:
             failed[entry.name] = f"{entry.value} {error.problem}"

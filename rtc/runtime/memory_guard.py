@@ -4,12 +4,16 @@ ZeroMQ limits the length of a frame and the number of messages, but not the numb
 that speaks the protocol by hand can therefore make a process keep gigabytes, and the socket at fault is not visible.
 Peers repeat requests that were not answered. So a socket may be closed and opened again: the memory is freed, and
 well-behaved peers reconnect within milliseconds.
+
+A process that runs code of packages has a limit of the kernel as well (`limit_data`): there a MemoryError ends the code
+that takes more, and not the machine.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
+import resource
 from enum import IntEnum
 from pathlib import Path
 
@@ -20,6 +24,8 @@ LOOK_S = 0.1  # period of the measurement
 SETTLE_S = 0.5  # from reopening sockets until the memory can be measured again
 RAISE_FACTOR = 1.5  # if reopening did not help, the new limit is this factor times the measured memory
 
+DATA_BYTES = 2 << 30  # of one process that runs code of packages: nine times what the largest of them has
+
 _MB_PER_PAGE = os.sysconf("SC_PAGE_SIZE") / 2**20
 _libc = ctypes.CDLL(None)
 
@@ -27,6 +33,13 @@ _libc = ctypes.CDLL(None)
 def resident_mb(pid: int | str = "self") -> float:
     """Resident memory of a process (MB)."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _MB_PER_PAGE
+
+
+def limit_data() -> None:
+    """Let this process, and what it forks, have at most DATA_BYTES of private memory each: beyond, MemoryError."""
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = DATA_BYTES if most == resource.RLIM_INFINITY else min(DATA_BYTES, most)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
 
 
 class Action(IntEnum):

@@ -39,6 +39,7 @@ from typing import Any, NoReturn, TypedDict, Unpack
 import zmq
 
 from rtc.protocol import wire
+from rtc.runtime import time_limit
 from rtc.runtime.priority import may_be_real_time
 from rtc.runtime.settings import Bounds
 
@@ -234,6 +235,7 @@ def start(name: str, run_dir: Path | str) -> Iterator[Process]:
     me = Process(name, Path(run_dir))
     if threading.current_thread() is threading.main_thread():
         os.umask(0o077)  # sockets and files of a cluster are its owner's alone
+        time_limit.install()
         faulthandler.enable()  # a crash inside a C++ library leaves its stack in the log
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # as nohup wants it

@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from rtc.language.alike import unknown
 from rtc.model.robot.kinematics import ArmModel
-from rtc.plugins import registry
+from rtc.plugins import guard, registry
 from rtc.plugins.guard import PluginError
 from rtc.protocol.primitive import ControlLaw
 from rtc.spatial import geometry
@@ -100,6 +100,7 @@ def make(law: ControlLaw, arm: ArmModel, laws: Mapping[str, Factory]) -> Law:
         raise ValueError(f"control law {law.name} has no compliance; {IMPEDANCE} has")
     if law.name not in registry.installed(registry.CONTROL_LAWS):
         return laws[law.name](model, law.gains)
+    guard.begin_anew()  # one that was cut off may be tried again
     try:
         with registry.guarded(registry.CONTROL_LAWS, law.name):
             return Installed(law.name, laws[law.name](model.copy(), dict(law.gains)), ComputedTorque(arm.model, {}))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtc.model.cells.cell import Cell
-from rtc.plugins import registry
+from rtc.plugins import guard, registry
 from rtc.plugins.guard import PluginError
 from rtc.programs import loader
 from rtc.protocol.outcomes import ProgramError, RefusalReason, StopReason
@@ -70,6 +70,11 @@ def fail(data, product):
     return {}["no such key"]
 def forget(data, product):
     return None
+def hang(data, product):
+    while True:
+        pass
+def wait(data, product):
+    __import__("time").sleep(600.0)
 """
 
 
@@ -89,9 +94,20 @@ def test_products_pass_through_the_phases_of_the_program_in_its_order(install: I
         ("refuse", "binder", RefusalReason.NOT_ALLOWED),
         ("fail", "binder", RefusalReason.PROGRAM),
         ("forget", "analyzer", RefusalReason.PROGRAM),
+        ("hang", "elaborator", RefusalReason.PROGRAM),
+        ("wait", "binder", RefusalReason.PROGRAM),
     ],
 )
-def test_a_phase_that_refuses_fails_or_forgets_refuses_the_sentence(install: Install, bench, phase, kind, reason):  # noqa: F811
+def test_a_phase_that_refuses_fails_forgets_or_hangs_refuses_the_sentence(
+    install: Install,
+    bench,  # noqa: F811
+    monkeypatch,
+    phase,
+    kind,
+    reason,
+) -> None:
+    monkeypatch.setitem(registry.LIMITS_S, registry.PHASES, 0.05)
+    guard.begin_anew()
     install(registry.PHASES, phase, phase, PHASES)
     bench.load(kind, f"phases: [{phase}]")
     step = "{do: hold, stop: hold, label: w, args: {duration_s: 1}, x-heavy: 1}"

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import fractions
 import os
 import select
 import signal
+import time
 
 import pytest
 
 from rtc.plugins import guard, registry
 from rtc.plugins.guard import PluginError, guarded
 from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.runtime.memory_guard import limit_data
 from tests.plugins.toy_packages import Install
 
 
@@ -70,6 +73,35 @@ def test_a_process_that_stays_in_the_block_ends_with_its_parent() -> None:
     assert select.select([pidfd], [], [], 10.0)[0]
     for fd in (pidfd, read, write):
         os.close(fd)
+
+
+def test_a_failure_names_the_file_and_the_line() -> None:
+    words = r"ZeroDivisionError.* \(.*fractions\.py, line \d+\)"
+    with pytest.raises(PluginError, match=words), guarded("phase CHECKED", fractions.__file__):
+        fractions.Fraction(1, 0)
+
+
+def test_what_was_cut_off_is_not_called_again_in_the_same_job() -> None:
+    with pytest.raises(PluginError), guarded("phase CHECKED", limit_s=0.02):
+        time.sleep(600.0)
+    with pytest.raises(PluginError), guarded("phase CHECKED"):
+        pytest.fail("it was called")
+    guard.begin_anew()
+    with guarded("phase CHECKED"):
+        pass
+
+
+def test_code_that_takes_memory_without_end_fails_like_any_other() -> None:
+    child = os.fork()
+    if child == 0:
+        limit_data()
+        try:
+            with guarded("phase CHECKED"):
+                bytearray(12_000_000_000)
+        except PluginError as error:
+            os._exit(7 if "MemoryError" in str(error) else 1)
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
 
 
 def test_a_witness_receives_what_runs() -> None:

@@ -48,10 +48,8 @@ def test_an_item_that_fails_stops_no_arm(install: Install, rig) -> None:  # noqa
     install(registry.REPORT_ITEMS, "OPENING", "measure", BROKEN)
     rig.accept(rig.swing(reporting=p.Reporting(items=["OPENING"])))
     end = rig.until_end()
-    assert (end.reason.value, end.reading.others["OPENING"]) == (
-        "goal",
-        "not measured: has failed: ZeroDivisionError: no sensor",
-    )
+    assert end.reason.value == "goal"
+    assert end.reading.others["OPENING"].startswith("not measured: has failed: ZeroDivisionError: no sensor")
 
 
 def test_an_item_that_the_subsystem_lacks_is_refused(rig) -> None:  # noqa: F811

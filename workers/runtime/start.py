@@ -20,6 +20,7 @@ from rtc.runtime import process
 from rtc.runtime.handover import Handover
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.link import Link
+from rtc.runtime.memory_guard import limit_data
 from rtc.runtime.process import Process
 from rtc.world.client import WorldClient
 from workers.runtime import lazy_import
@@ -35,6 +36,7 @@ def work(given: Handover, kind: WorkerKind, node: int, prepared: Preloaded) -> N
     """Run a local worker until it is ordered to stop. `prepared`: programs and cell models, compiled."""
     name = f"{kind}@{node}"
     process.show_name(name)
+    limit_data()
     with process.start(name, ".") as me:
         hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid(), protocol=VERSION, abilities=_abilities())
         run(me, given.settings, hello, prepared, world_version=given.world_version)
@@ -44,6 +46,7 @@ def rehearse(given: Handover, number: int, prepared: Preloaded) -> None:
     """Run a rehearser until it is ordered to stop. It is no node of the cube."""
     name = f"{REHEARSER}@{number}"
     process.show_name(name)
+    limit_data()
     with process.start(name, ".") as me:
         hello = WorkerHello(
             name=name,

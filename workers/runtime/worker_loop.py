@@ -180,6 +180,7 @@ class WorkerLoop:
         if self._died and name and name != self._announced:
             self._announced = name
             self._me.calls(name)
+            self._pulse.beat()  # if it holds the interpreter, the last one
 
     def _listen(self) -> None:
         self._socket_read_s = now_s()
@@ -264,6 +265,7 @@ class WorkerLoop:
     def _do(self, job: m.Job, came_s: float) -> None:
         started_s = time.perf_counter()
         self._died, self._announced = job.attempt > 1, ""
+        guard.begin_anew()
         result: m.JobDone | m.JobRefused
         try:
             result = m.JobDone(id=job.id, attempt=job.attempt, product=self._work(job, came_s))

@@ -14,6 +14,7 @@ from broker.decisions.state import Command, PendingOutcome
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 QUARANTINED = "the names it touched stay quarantined until the world database is updated"
+MOST_IN_PACKAGE = 2  # deaths, if the last one has a culprit; the first one may have been by a foreign hand
 EVIDENCE_CHARACTERS = 300  # of a death, in a message
 SUSPECT = "the facts about what it moved become suspect"
 
@@ -81,22 +82,28 @@ def give_up_analysis(context: DecisionContext, command: Command, refusal: Refusa
 
 
 def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) -> Refusal | None:
-    """Dispatch the job again: jobs are stateless. The refusal, if three workers died of it: such a job is poison."""
+    """Dispatch the job again: jobs are stateless. The refusal, if several workers died of it: such a job is poison."""
     job = command.job
     assert job is not None
     if loss.blamed:
         job.deaths += (f"{loss.node}: {loss.evidence}",)
-    if len(job.deaths) < deferred_analysis.MAX_DEATHS:
+    if len(job.deaths) < (MOST_IN_PACKAGE if loss.inside else deferred_analysis.MAX_DEATHS):
         job.attempt += 1
         context.count("jobs_again")
         context.note(command, f"{loss.node} lost ({_last_line(loss)}); job again")
         context.dispatch_again(command)
         return None
+    culprit, clears = f"the {job.kind.value}'s job {job.id}", "change the sentence or the program"
+    if loss.inside:
+        culprit, clears = (
+            f"the {loss.inside} of an installed package, in {culprit},",
+            "correct or uninstall its package",
+        )
     return Refusal(
         reason=RefusalReason.POISON,
-        message=f"the {job.kind.value}'s job {job.id} killed its worker {len(job.deaths)} times: {_last_line(loss)}",
+        message=f"{culprit} killed its worker {len(job.deaths)} times: {_last_line(loss)}",
         where=command.step_words,
-        clears="the evidence is in the trace; change the sentence or the program",
+        clears=f"the evidence is in the trace; {clears}",
         detail={f"death {n}": evidence[-800:] for n, evidence in enumerate(job.deaths, 1)},
     )
 

@@ -19,6 +19,7 @@ from rtc.apps.cli.interrupts import raise_at_interrupts
 from rtc.apps.cli.output import LEFT_RUNNING, NO_CLUSTER, cli_error, errors
 from rtc.apps.cli.stdio import OutputClosed, attach
 from rtc.protocol.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
+from rtc.runtime import time_limit
 
 #: command -> module of this package with its function (for a group: its app); in the order of the help
 COMMANDS = {
@@ -139,6 +140,7 @@ def main() -> None:
 
 def _call() -> None:
     called = sys.argv[1] if len(sys.argv) > 1 else ""
+    time_limit.install()
     try:
         build([called] if called in COMMANDS else list(COMMANDS))()
     except NoCluster as error:

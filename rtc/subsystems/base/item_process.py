@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
 import select
 import signal
 import socket
@@ -22,6 +21,8 @@ from typing import Any
 import msgspec
 
 from rtc.plugins import registry
+from rtc.runtime import time_limit
+from rtc.runtime.memory_guard import limit_data
 from rtc.runtime.process import die_with_parent, log_to_stderr, now_s
 from rtc.runtime.process_table import in_words
 from rtc.subsystems.base.report_items import Snapshot, measured, not_measured
@@ -29,7 +30,6 @@ from rtc.subsystems.base.report_items import Snapshot, measured, not_measured
 ANSWER_S = 0.02  # an idle machine answers within 0.2 ms; no arm is served meanwhile
 SILENT_S = 3.0
 START_S = 60.0  # limit for the packages to be loaded
-MEMORY_BYTES = 4 << 30  # of its address space
 MOST_BYTES = 1 << 17  # of a request or answer
 
 
@@ -106,7 +106,8 @@ def main() -> None:
     die_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # so that a KeyboardInterrupt is one of the package
     log_to_stderr()
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    limit_data()
+    time_limit.install()
     with socket.socket(fileno=fd) as line:
         registry.loaded(registry.REPORT_ITEMS)
         line.send(msgspec.msgpack.encode([0, None]))

@@ -15,6 +15,7 @@ import zmq
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.runtime import handover, process
+from rtc.runtime.memory_guard import limit_data
 from rtc.runtime.process import Every, Process
 from rtc.runtime.settings import Settings
 from rtc.subsystems.base.broker_link import BrokerLink
@@ -38,6 +39,7 @@ def live(run_dir: Path, name: str, fd: int, make_cameras: MakeCameras) -> None:
     given = handover.claim_role(name, run_dir, fd)
     process.nice(NICENESS)
     process.nice_session(NICENESS)  # with processes that the cameras start
+    limit_data()
     with process.start(name, run_dir) as me:
         Station(me, name, given, make_cameras).run()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -119,6 +121,20 @@ class Law:
             return [0.0] * self.n
         {what}
 """
+
+
+@pytest.mark.parametrize("what", ["while True: pass", "import time; time.sleep(600.0)"])
+def test_a_law_that_hangs_is_replaced_before_a_halt_has_waited_long(install, cell, model, what: str) -> None:
+    install(registry.CONTROL_LAWS, "evil", "Law", ODD.format(what=what).replace("200", "20"))
+    law, own = (control_laws.make(ControlLaw(name=name), model, control_laws.known()) for name in ("evil", "position"))
+    home = cell.arm("RIGHT-ARM").home_rad
+    wanted = ([q + 0.001 for q in home], [0.0] * 6, [0.0] * 6)
+    before_s = time.thread_time()
+    torques = [law.torque(wanted, home, [0.0] * 6) for _ in range(30)]
+    assert time.thread_time() - before_s < 0.05
+    assert torques[18] == [0.0] * 6
+    assert torques[20] == torques[29] == own.torque(wanted, home, [0.0] * 6)
+    assert "control law evil" in law.failed
 
 
 @pytest.mark.physics
