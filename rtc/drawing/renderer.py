@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
 
@@ -29,7 +30,9 @@ END_S = 2.0
 
 class Renderer:
     """Context manager; the process starts with it and ends with it. It draws in the order of the requests. Without the
-    permission for a negative niceness the process has that of its parent."""
+    permission for a negative niceness the process has that of its parent. It has a session of its own, because a Linux
+    with autogroups shares the processors among sessions: inside that of a shell its niceness would count for nothing.
+    """
 
     def __init__(self, niceness: int = NICENESS) -> None:
         self._niceness = niceness
@@ -43,8 +46,11 @@ class Renderer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            process_group=0,  # Ctrl-C is ours; it ends when its stdin does, also when we are killed
+            start_new_session=True,  # Ctrl-C is ours; it ends when its stdin does, also when we are killed
         )
+        with contextlib.suppress(OSError):  # not permitted, or a system without autogroups
+            niceness = os.getpriority(os.PRIO_PROCESS, 0) + self._niceness
+            Path(f"/proc/{self._process.pid}/autogroup").write_text(str(niceness))
         return self
 
     def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
