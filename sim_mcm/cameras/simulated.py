@@ -56,7 +56,7 @@ class SimulatedCameras:
         after = self._tcp(arm)
         if before is not None and after is not None and _moved(before, after):
             raise RtcError(f"{arm}, which carries {camera}, moved during the picture")
-        return Photograph(truth.at_s or asked_s, parts, before)
+        return Photograph(truth.at_s or asked_s, parts, before, truth.sim_s)
 
     def release(self) -> None:
         if self._renderer is not None:

@@ -33,6 +33,7 @@ class Ideal:
         self.cell = cell
         self.blind = False  # something hides everything
         self.now_s = 1000.0
+        self.rate = 1.0  # of the clock of what is seen, by ours
 
     def perform(self, made: Primitive, scene: SceneView) -> EndReport:
         """Pictures of this scene until the look ends."""
@@ -49,7 +50,7 @@ class Ideal:
     def picture(self, name: str, scene: SceneView) -> Evaluated:
         camera = self.cell.camera(name)
         view = optics.view(camera, scene.tcp[camera.arm] if camera.arm else None)
-        return Evaluated(self.now_s, view, GREY, [] if self.blind else self._marks(view, scene))
+        return Evaluated(self.now_s, self.rate * self.now_s, view, GREY, [] if self.blind else self._marks(view, scene))
 
     def _marks(self, view: optics.View, scene: SceneView) -> list[Mark]:
         marks = []
@@ -76,7 +77,9 @@ class Drawn(Ideal):
         image = self.studio.camera_picture(name, scene, seed=next(self._seeds))
         camera = self.cell.camera(name)
         view = optics.view(camera, scene.tcp[camera.arm] if camera.arm else None)
-        return Evaluated(self.now_s, view, image, [] if self.blind else self._detector.find(image))
+        return Evaluated(
+            self.now_s, self.rate * self.now_s, view, image, [] if self.blind else self._detector.find(image)
+        )
 
 
 def _poses(cell: Cell, scene: SceneView) -> Mapping[str, Any]:

@@ -13,6 +13,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.subsystems.base.subsystem import Reports, in_scope, not_begun
+from rtc.subsystems.perception.look_clock import LookClock
 from rtc.subsystems.perception.look_task import CHECKS, Evaluated, LookTask, Windows
 
 MAX_LOOKS = 16  # maximum number of looks of one camera at a time
@@ -20,10 +21,10 @@ RETRY_S = 0.2  # pause after a camera that gave no picture
 
 
 class Camera:
-    """Accepts looks, states when it wants a picture, and takes it. `scale`: see `LookTask.ended`."""
+    """Accepts looks, states when it wants a picture, and takes it. `clock`: of all cameras that share it."""
 
-    def __init__(self, name: str, scale: float = 1.0) -> None:
-        self.name, self._scale = name, scale
+    def __init__(self, name: str, clock: LookClock | None = None) -> None:
+        self.name, self._clock = name, clock or LookClock()
         self._looks: dict[str, LookTask] = {}
 
     @property
@@ -53,7 +54,7 @@ class Camera:
         why = self._objection(primitive)
         if why:
             return [not_begun(primitive.id, self.name, why, at_s=now_s)]
-        self._looks[primitive.id] = LookTask(primitive, now_s)
+        self._looks[primitive.id] = LookTask(primitive, now_s, self._clock)
         return [m.Started(primitive=primitive.id, at_s=now_s)]
 
     def share(self, primitive: str, other: Camera) -> None:
@@ -103,7 +104,7 @@ class Camera:
             return [self._end(task, StopReason.HALT, now_s)]
         report = task.progress(now_s)
         out: list[m.ProgressReport | m.EndReport] = [] if report is None else [report]
-        if (ended := task.ended(now_s, self._scale)) is not None:
+        if (ended := task.ended(now_s)) is not None:
             stop, measured, limit = ended
             out.append(self._end(task, stop.reason, now_s, measured, limit))
         return out
@@ -129,7 +130,7 @@ class Camera:
             performer=self.name,
             reason=reason,
             at_s=now_s,
-            duration_s=(now_s - task.began_s) / self._scale,
+            duration_s=task.passed_s(now_s),
             measured=measured,
             limit=limit,
             message=task.trouble,

@@ -35,6 +35,7 @@ class Photograph(NamedTuple):
     at_s: float  # time of the exposure
     parts: Sequence[NDArray[np.uint8]]  # the windows of the picture, or the whole picture alone
     tcp: list[float] | None  # measured pose of the hand that carries the camera, world frame
+    own_s: float | None = None  # time of the exposure by the clock of what is seen, if it is not ours: a simulation
 
 
 class Cameras(Protocol):
@@ -123,12 +124,15 @@ class CameraThread:
         """Raises RtcError without a picture."""
         taken = cameras.photograph(order.camera, list(order.windows.values()))
         view = optics.view(self._cell.camera(order.camera), taken.tcp)
+        own_s = taken.at_s if taken.own_s is None else taken.own_s
         if not order.windows:
             (image,) = taken.parts
-            return Evaluated(taken.at_s, view, image, [*detector.find(image), *_added_marks(order.camera, image)])
+            return Evaluated(
+                taken.at_s, own_s, view, image, [*detector.find(image), *_added_marks(order.camera, image)]
+            )
         parts = zip(order.windows.items(), taken.parts, strict=True)
         marks = detector.find_in({tag: (window, image) for (tag, window), image in parts})
-        return Evaluated(taken.at_s, view, None, marks)
+        return Evaluated(taken.at_s, own_s, view, None, marks)
 
 
 def _added_marks(camera: str, image: NDArray[np.uint8]) -> list[Mark]:

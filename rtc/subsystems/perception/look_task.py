@@ -1,4 +1,8 @@
-"""One look as it is executed: the pictures of its cameras so far, the pose fitted to them, its stop functions. Pure."""
+"""One look as it is executed: the pictures of its cameras so far, the pose fitted to them, its stop functions. Pure.
+
+Three clocks: ours, for the beat of the pictures and the age of what is reported; that of what is seen (`own_s` of a
+picture), for how it moves, and for how long it is out of sight; the `LookClock`, for the limits of the look.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +23,13 @@ from rtc.sensing.pose_fit import Fit
 from rtc.sensing.windows import windows
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
+from rtc.subsystems.perception.look_clock import LookClock
 from rtc.subsystems.perception.motion import Motion
 
 BODY = "BODY"  # a look has one body, without a name
 # How long a look for a body at rest waits for it. What a stopped arm holds swings for some tenths of a second.
 SETTLES_S = 2.0
+SPACING_S = 0.3  # between pictures of a body at rest, by our clock
 
 Windows = Mapping[int, Window]  # parts of a picture by the tag that is expected there
 
@@ -32,6 +38,7 @@ class Evaluated(NamedTuple):
     """A picture of a camera and the tags in it."""
 
     at_s: float  # time of its exposure
+    own_s: float  # the same by the clock of what is seen
     view: View
     image: NDArray[np.uint8] | None  # None: only windows of it were taken
     marks: Sequence[Mark]
@@ -44,32 +51,66 @@ class _Side:
         self.due_s = due_s  # time of its next picture
         self.seen: list[Seen] = []  # pictures with the body, as many as its pose needs
         self.view: View | None = None  # of the latest picture
-        self.seen_s: float | None = None  # exposure of the latest picture with the body
         self.latest_s: float | None = None  # exposure of the latest picture
-        self.first_s: float | None = None  # exposure of the first picture
+        self.seen_s: float | None = None  # exposure of the latest picture with the body
+        # Exposures by the clock of what is seen: of the latest picture, of the first one, and of the first without the
+        # body since it was seen.
+        self.latest_own_s = self.first_own_s = 0.0
+        self._unseen_own_s: float | None = None
+        self._rate = 1.0  # of that clock, by ours
         self.unseen = ""  # why the body is not in the latest picture
         self.failure = ""  # why there is not a picture
         self.motion = Motion()  # of the body, by the pictures of this camera: their common errors do not matter
 
+    def expose(self, at_s: float, own_s: float) -> None:
+        """Note the times of a new picture."""
+        if self.latest_s is None or own_s < self.latest_own_s:  # it is the first, or that clock has begun anew
+            self.first_own_s, self._unseen_own_s = own_s, None
+        elif at_s > self.latest_s:
+            self._rate = (own_s - self.latest_own_s) / (at_s - self.latest_s)
+        self.latest_s, self.latest_own_s = at_s, own_s
+
+    def expected(self, now_s: float) -> Array | None:
+        """The pose of the body now."""
+        passed_s = 0.0 if self.latest_s is None else now_s - self.latest_s
+        return self.motion.predicted(self.latest_own_s + self._rate * passed_s)
+
+    @property
+    def lasted_s(self) -> float:
+        return self.latest_own_s - self.first_own_s
+
     @property
     def settles(self) -> bool:
-        """Whether the body moves in its pictures, and has not had the time to come to rest."""
-        if self.latest_s is None or self.first_s is None or self.latest_s - self.first_s >= SETTLES_S:
+        """Whether the body moves in its pictures, and has not had the time to come to rest. Pictures that a fast
+        simulation sets far apart must agree as those at the beat of a look: a swing may lie between them."""
+        if self.lasted_s >= SETTLES_S or (velocity := self.motion.velocity()) is None:
             return False
-        return rest.moves(self.motion.velocity())
+        sparse = max(1.0, self.motion.spacing_s / SPACING_S)
+        return rest.moves([sparse * part for part in velocity])
 
     def unseen_s(self) -> float | None:
-        """It counts pictures without the body, not the time without pictures: a busy machine hides nothing."""
-        since_s = self.first_s if self.seen_s is None else self.seen_s
-        return None if since_s is None or self.latest_s is None else self.latest_s - since_s
+        """From the first picture without the body to the latest: a busy machine, which takes few, hides nothing."""
+        if self.latest_s is None:
+            return None
+        return 0.0 if self._unseen_own_s is None else self.latest_own_s - self._unseen_own_s
+
+    def misses(self, why: str) -> None:
+        """The body is not in the latest picture."""
+        self.unseen = why
+        self._unseen_own_s = self.latest_own_s if self._unseen_own_s is None else self._unseen_own_s
+
+    def sees(self, pictures: list[Seen]) -> None:
+        """The body is in the latest picture."""
+        self.seen, self.seen_s, self.unseen, self._unseen_own_s = pictures, self.latest_s, "", None
 
 
 class LookTask:
     """One look of one or several cameras."""
 
-    def __init__(self, primitive: p.Primitive, now_s: float) -> None:
+    def __init__(self, primitive: p.Primitive, now_s: float, clock: LookClock) -> None:
         assert isinstance(primitive.trajectory, p.Look)
         self.primitive, self.look, self.began_s = primitive, primitive.trajectory, now_s
+        self._clock, self._began_own_s = clock, clock.own_s(now_s)
         self.tags = [_tag(tag) for tag in self.look.tags]
         self.pictures = 0  # number of pictures with the body
         self.fit: Fit | None = None
@@ -91,7 +132,7 @@ class LookTask:
     def windows(self, camera: str, now_s: float) -> Windows:
         """Where the tags of a body that it follows are expected in a picture; empty: it needs the whole picture."""
         side = self._sides[camera]
-        view, pose = side.view, side.motion.predicted(now_s)
+        view, pose = side.view, side.expected(now_s)
         if not self.follows or view is None or pose is None or not self._predicts:
             return {}
         return windows(self.tags, pose, view)
@@ -109,24 +150,24 @@ class LookTask:
         # A look that follows keeps its beat, unless a picture is too late for it.
         beat_s = max(side.due_s, picture.at_s - 0.5 * self.look.every_s) if self.follows else picture.at_s
         side.due_s = beat_s + self.look.every_s
-        side.view, side.latest_s = picture.view, picture.at_s
-        side.first_s = picture.at_s if side.first_s is None else side.first_s
+        side.view = picture.view
+        side.expose(picture.at_s, picture.own_s)
         new = Seen(picture.view, picture.marks)
         kept = [new] if self.follows else [*side.seen, new][-self.look.pictures :]
         others = [one for other in self._sides.values() if other is not side for one in other.seen]
-        expected = side.motion.predicted(picture.at_s)
+        expected = side.motion.predicted(picture.own_s)
         found = self._located([*others, *kept], expected if self.follows else None) if shown else None
         self._predicts = found is not None
         if found is None:
             assert picture.image is not None or shown
-            side.unseen = self._absence(picture)
+            side.misses(self._absence(picture))
             return
-        side.seen, side.seen_s, side.unseen = kept, picture.at_s, ""
+        side.sees(kept)
         self.fit = found
         self.pictures += 1
         alone = found if len(others) + len(kept) == 1 else self._located([new], expected)
         if alone is not None:
-            side.motion.take(picture.at_s, alone.pose)
+            side.motion.take(picture.own_s, alone.pose)
 
     def fail(self, camera: str, why: str, retry_s: float) -> None:
         """The camera gave no picture. It tries again at `retry_s`, until the time limit."""
@@ -169,13 +210,21 @@ class LookTask:
             cameras=cameras if len(cameras) > 1 else [],
         )
 
-    def ended(self, now_s: float, scale: float) -> tuple[p.StopFunction, float | None, float | None] | None:
-        """The stop function that is true, with the measured value and its limit. `scale`: our seconds per second of
-        the simulation, in which limits are stated."""
+    def ended(self, now_s: float) -> tuple[p.StopFunction, float | None, float | None] | None:
+        """The stop function that is true, with the measured value and its limit."""
         for stop in self.primitive.by_priority():
-            if (found := CHECKS[type(stop.when)](stop.when, self, now_s, scale)) is not None:
+            if (found := CHECKS[type(stop.when)](stop.when, self, now_s)) is not None:
                 return (stop, *found)
         return None
+
+    def passed_s(self, now_s: float) -> float:
+        """Since its begin, as its limits count it."""
+        return self._clock.own_s(now_s) - self._began_own_s
+
+    @property
+    def lasted_s(self) -> float:
+        """From its first picture to the latest, by the clock of what is seen."""
+        return max(side.lasted_s for side in self._sides.values())
 
     @property
     def trouble(self) -> str:
@@ -185,11 +234,11 @@ class LookTask:
         found = [why if len(words) == 1 else f"{camera}: {why}" for camera, why in words if why]
         return "; ".join(found) or ("" if self.pictures else "no picture was taken in time")
 
-    def located(self, now_s: float, scale: float) -> bool:
+    def located(self, now_s: float) -> bool:
         """Whether there are enough pictures of a body at rest: of each camera, except of those that do not see it."""
         sides = self._sides.values()
         enough = [side for side in sides if self._enough(side)]
-        return bool(enough) and all(self._enough(side) or self._gave_up(side, now_s, scale) for side in sides)
+        return bool(enough) and all(self._enough(side) or self._gave_up(side, now_s) for side in sides)
 
     def unseen_s(self) -> float | None:
         """For how long no camera has seen the body; None: one of them has not given a picture yet."""
@@ -197,15 +246,17 @@ class LookTask:
         return None if not times else min((0.0 if one is None else one for one in times), default=None)
 
     def _enough(self, side: _Side) -> bool:
-        return not self.follows and len(side.seen) >= self.look.pictures and not side.settles
+        if self.follows or len(side.seen) < self.look.pictures or side.settles:
+            return False
+        return side.motion.known or self.look.pictures == 1  # several pictures of one moment do not show a motion
 
-    def _gave_up(self, side: _Side, now_s: float, scale: float) -> bool:
+    def _gave_up(self, side: _Side, now_s: float) -> bool:
         limits = [one.when.limit_s for one in self.primitive.stop_functions if isinstance(one.when, p.UnseenAbove)]
         if not limits:
             return False
         if side.failure:
-            return now_s - self.began_s >= limits[0] * scale
-        return (side.unseen_s() or 0.0) >= limits[0] * scale
+            return self.passed_s(now_s) >= limits[0]
+        return (side.unseen_s() or 0.0) >= limits[0]
 
     def _seen_s(self) -> float | None:
         return max((side.seen_s for side in self._sides.values() if side.seen_s is not None), default=None)
@@ -246,27 +297,25 @@ def _tag(tag: p.TagGeometry) -> _Tag:
 Finding = tuple[float | None, float | None]
 
 
-def _goal(when: p.GoalReached, task: LookTask, now_s: float, scale: float) -> Finding | None:
+def _goal(when: p.GoalReached, task: LookTask, now_s: float) -> Finding | None:
     duration_s = task.look.duration_s
-    if duration_s is None:
-        return (None, None) if task.located(now_s, scale) else None
-    return (None, None) if now_s - task.began_s >= duration_s * scale else None
+    half_s = 0.5 * task.look.every_s  # the picture that is nearest to the end is the last one
+    reached = task.located(now_s) if duration_s is None else task.lasted_s >= duration_s - half_s
+    return (None, None) if reached else None
 
 
-def _time(when: p.TimeAbove, task: LookTask, now_s: float, scale: float) -> Finding | None:
-    passed_s = (now_s - task.began_s) / scale
+def _time(when: p.TimeAbove, task: LookTask, now_s: float) -> Finding | None:
+    passed_s = task.passed_s(now_s)
     return (passed_s, when.limit_s) if passed_s > when.limit_s else None
 
 
-def _unseen(when: p.UnseenAbove, task: LookTask, now_s: float, scale: float) -> Finding | None:
+def _unseen(when: p.UnseenAbove, task: LookTask, now_s: float) -> Finding | None:
     unseen_s = task.unseen_s()
-    if unseen_s is None:
-        return None
-    return (unseen_s / scale, when.limit_s) if unseen_s / scale >= when.limit_s else None
+    return (unseen_s, when.limit_s) if unseen_s is not None and unseen_s >= when.limit_s else None
 
 
 #: what a camera can watch
-CHECKS: Mapping[type, Callable[[Any, LookTask, float, float], Finding | None]] = {
+CHECKS: Mapping[type, Callable[[Any, LookTask, float], Finding | None]] = {
     p.GoalReached: _goal,
     p.TimeAbove: _time,
     p.UnseenAbove: _unseen,

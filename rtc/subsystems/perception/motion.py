@@ -1,4 +1,8 @@
-"""The velocity of a body from its latest poses: a straight line through their positions and small turns. Pure."""
+"""The velocity of a body from its latest poses: a straight line through their positions and small turns. Pure.
+
+All times are by the clock of what is seen: of a simulation its own, which runs faster or slower than ours. It begins
+anew with a new process.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ import numpy as np
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 
-KEPT_S = 1.0  # age of the oldest pose
+KEPT_S = 1.0  # age of the oldest pose, if there are more than two
 MIN_S = 0.25  # span of poses below which a velocity would be noise
 
 
@@ -19,8 +23,10 @@ class Motion:
 
     def take(self, at_s: float, pose: Array) -> None:
         """`pose`: of the body, world frame."""
+        if self._poses and at_s < self._poses[-1][0]:
+            self._poses.clear()
         self._poses.append((at_s, pose))
-        while at_s - self._poses[0][0] > KEPT_S:
+        while len(self._poses) > 2 and at_s - self._poses[0][0] > KEPT_S:
             self._poses.popleft()
 
     def predicted(self, at_s: float) -> Array | None:
@@ -35,9 +41,19 @@ class Motion:
         turn = geometry.make_pose((0.0, 0.0, 0.0), (*(0.5 * turned), 1.0))  # of a small angle
         return geometry.make_pose(pose[:3] + moved, geometry.compose(turn, (0.0, 0.0, 0.0, *pose[3:]))[3:])
 
+    @property
+    def known(self) -> bool:
+        """Whether the history is long enough for a velocity."""
+        return len(self._poses) > 1 and self._poses[-1][0] - self._poses[0][0] >= MIN_S
+
+    @property
+    def spacing_s(self) -> float:
+        """The mean time between two poses."""
+        return (self._poses[-1][0] - self._poses[0][0]) / max(1, len(self._poses) - 1)
+
     def velocity(self) -> list[float] | None:
         """m/s and rad/s, world axes; None with too short a history."""
-        if not self._poses or self._poses[-1][0] - self._poses[0][0] < MIN_S:
+        if not self.known:
             return None
         last = self._poses[-1][1]
         times = np.array([at_s for at_s, _ in self._poses])

@@ -84,6 +84,7 @@ class Station:
         for order in link.orders(now_s):
             link.send(subsystem.handle(order, BROKER, now_s))
         if (result := self._thread.result()) is not None:
+            subsystem.clock.end_picture(now_s)
             camera = subsystem.performers[result.camera]
             if isinstance(result.found, Failed):
                 self._me.log.warning("%s", result.found.why)
@@ -93,5 +94,6 @@ class Station:
         link.send(subsystem.tick(now_s))
         if not self._thread.busy and (due := subsystem.next_camera(now_s)) is not None:
             self._thread.look(due.name, due.windows(now_s))
+            subsystem.clock.begin_picture(now_s)
         if self._heartbeat.due(now_s):
-            link.send([(BROKER, m.Heartbeat(name=self._subsystem.name))])
+            link.send([(BROKER, m.Heartbeat(name=subsystem.name, own_s=subsystem.clock.own_s(now_s)))])

@@ -9,13 +9,15 @@ from rtc.protocol.primitive import Primitive
 from rtc.protocol.subsystems import CAMERAS
 from rtc.subsystems.base.subsystem import Outgoing, Reports, Subsystem, in_scope
 from rtc.subsystems.perception.camera import MAX_LOOKS, Camera
+from rtc.subsystems.perception.look_clock import LookClock
 
 
 class PerceptionSubsystem(Subsystem[Camera]):
     """`scale`: our seconds per second of the simulation."""
 
     def __init__(self, cameras: Iterable[str], name: str = CAMERAS.name, pid: int = 0, scale: float = 1.0) -> None:
-        super().__init__({camera: Camera(camera, scale) for camera in cameras}, name, pid, queues=True)
+        self.clock = LookClock(scale)
+        super().__init__({camera: Camera(camera, self.clock) for camera in cameras}, name, pid, queues=True)
 
     def next_camera(self, now_s: float) -> Camera | None:
         """The camera whose next picture has been due for longest; None: none is due."""
