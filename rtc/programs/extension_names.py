@@ -69,7 +69,7 @@ ROLES = (
 #: SET only
 PLACEHOLDERS = (
     *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time", "through"),
-    *("meeting", "until", "shared"),
+    *("meeting", "until", "shared", "around"),
     *("camera", "body"),
     *("attribute", "value"),
 )

@@ -210,6 +210,36 @@ def test_both_arms_carry_the_object_to_where_the_leading_hand_is_at_the_place(ho
     assert across[:3].tolist() == pytest.approx([0.0, 0.17, 0.0], abs=1e-4)
 
 
+@pytest.fixture
+def crowded(holding: Bench) -> Bench:
+    """A body beside the line upwards: the module passes it at 3.6 mm, where 5 mm are needed."""
+    place = geometry.translate(holding.world.value(f"{MODULE}.frame"), [0.24, 0.0, 0.25]).tolist()
+    for name, value in (("frame", place), ("seat", "")):
+        holding.set_fact(f"MACS-OLD.{name}", value)
+    return holding
+
+
+def test_both_arms_go_round_what_is_too_near_to_the_line(crowded):
+    """A doubt that is two millimetres larger is a reason to go aside, not to refuse."""
+    run = crowded.do("MOVE BOTH-ARMS TO POSITION 46 -8.5 100 CM")
+    assert run.succeeded, run.refusal or run.failure
+    leads, follows = run.primitives[0].paths[RIGHT].positions, run.primitives[0].paths[LEFT].positions
+    hands = [MODEL.arms[RIGHT].fk(q) for q in leads]
+    across = [geometry.relative(a, MODEL.arms[LEFT].fk(q)) for a, q in zip(hands, follows, strict=True)]
+    assert max(geometry.distance(across[0], one) for one in across) < 1e-4
+    start, goal = hands[0][:3], hands[-1][:3]
+    along = (goal - start) / np.linalg.norm(goal - start)
+    aside_m = max(float(np.linalg.norm(np.cross(one[:3] - start, along))) for one in hands)
+    assert 0.005 < aside_m < 0.2
+
+
+def test_both_arms_leave_no_line_that_the_sentence_states(crowded):
+    run = crowded.do("MOVE BOTH-ARMS TO POSITION 46 -8.5 100 CM STRAIGHT-LINE")
+    assert run.refusal is not None
+    assert "MACS-OLD" in run.refusal.message
+    assert "way round" not in run.refusal.message
+
+
 def test_one_leads_the_other_complies_and_each_carries_half(holding):
     made = bound(holding, UP).primitive
     assert made.control_law.compliance is None

@@ -83,6 +83,7 @@ class TaskCandidate(msgspec.Struct, frozen=True, dict=True):
             "out": self.query.way_out(self.thing.name) if self.thing else "",
             "amount": _amount_in_words(self.parsed),
             "through": " ".join(self.vias),
+            "around": "allowed" if self.parsed.path is None and not self.vias else "",
             "meeting": self.meeting.name if self.meeting else "",
             "until": self.parsed.until.sentence if self.parsed.until else "",
             "time": _time_in_words(self.parsed, self.figures),

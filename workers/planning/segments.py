@@ -44,6 +44,7 @@ class Target(msgspec.Struct, frozen=True, eq=False):
     pose: list[float] | None = None
     poses: Array | None = None
     via: tuple[Target, ...] = ()  # to be passed on the way, in this order
+    around: bool = False  # two arms may leave the straight line where that is not free
 
 
 class Segment(NamedTuple):
@@ -201,7 +202,7 @@ def _timed_both(request: PlanningRequest, target: Target, known: PlannedPath | N
     if request.partner is None:
         message = f"{request.arm.name} has no partner: no other arm holds the same object"
         raise Refused.because(RefusalReason.STATE, message, clears="a command for one arm")
-    motion = plan_carry(request, _pose(request, target))
+    motion = plan_carry(request, _pose(request, target), around=target.around)
     refuse_if(_other_end(request, target, motion.goal_joints))
     return motion
 

@@ -30,7 +30,7 @@ def target_of(step: Step, query: WorldQuery, arm: str, thing: str, here: Array, 
     """
     if step.to != HERE:
         target, through = bound(step.to), step.words.through
-        return replace(target, via=tuple(map(bound, through))) if through else target
+        return replace(target, via=tuple(map(bound, through)), around=bool(step.words.around))
     axis = axis_of(step)
     if axis not in PLAN_AXES:
         raise suggestions.unknown("axis", axis, PLAN_AXES)

@@ -28,6 +28,7 @@ class StepWords(Strict, frozen=True, kw_only=True, omit_defaults=True):
     axis: str = ""  # of a displacement, a turn, a press; empty: TOOL-Z
     about: str = "HERE"  # what a move_circle turns about
     through: list[str] = []  # poses on the way to the target
+    around: str = ""  # "allowed": two arms may leave the straight line where that is not free
     effect: str = ""  # of success on the world
     missed: str = ""  # the effect of a failure that may be tried again
     leaves: str = ""  # "seat": the held object leaves its seat
