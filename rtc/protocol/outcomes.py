@@ -166,6 +166,7 @@ class OutcomeKind(StrEnum):
 
 IN_THE_WAY = "in_the_way"  # key of `Refusal.detail`: name of the arm that blocks a motion, now or on its way
 BY_OPERATOR = "by_operator"  # key of `Refusal.detail`: the sentence that asks the operator for what has failed
+ALREADY = "already"  # key of `Refusal.detail`: the object with which there is nothing left to do but to free the arm
 LEAVING = "leaving"  # key of `Refusal.detail`: the body that the arm may touch where it is; it cannot leave it this way
 
 

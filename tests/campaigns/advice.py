@@ -3,7 +3,8 @@
 An advice has steps (`; ` or `, then ` between them), and a step has alternatives (`or`). An operator who looks sees:
 `SET X FRAME x y z` and `SET X STATE LOOSE or TIGHT` state the truth. `do it again` is the sentence on which the advice
 was given; a sentence with its verb and object, such as that for the rest of an amount, takes its place. A smaller
-distance of AVOID-NEIGHBORS is put into that sentence, and no other advice is followed.
+distance of AVOID-NEIGHBORS is put into that sentence, and no other advice is followed. A sentence of which nothing is
+left is not given again: what is advised then frees the arm.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ from collections.abc import Callable, Iterable
 from typing import Any, Literal, NamedTuple
 
 from broker.decisions.command.nominal import failure
-from rtc.protocol.outcomes import Outcome, OutcomeKind
+from rtc.protocol.outcomes import ALREADY, Outcome, OutcomeKind, Refusal
 from rtc.protocol.sentence import OPERATOR, ParsedCommand
 from rtc.spatial import geometry
 from tests.workers.conftest import GRAMMAR, Bench, Run
 from tests.workers.one_process import OneProcess
 from workers.parser.parse import parse_job
 
+NOTHING_LEFT = "nothing is left of it"
 MAX_SENTENCES = 4  # for one obstacle
 MAX_OBSTACLES = 4
 LIMIT_S = 600.0  # of one sentence, in the time of the simulation
@@ -50,20 +52,27 @@ class Answer(NamedTuple):
     succeeded: bool
     message: str
     clears: str
+    done: bool = False  # nothing is left of the sentence
 
     @classmethod
     def of(cls, run: Run) -> Answer:
-        why = failure(run.failure).refusal if run.failure else run.refusal
-        message = run.failure.message if run.failure else why.message if why else ""
-        return cls(run.succeeded, message, why.clears if why else "")
+        failed = run.failure
+        why = failure(failed).refusal if failed else run.refusal
+        message = "; ".join(filter(None, (failed.message, failed.remark))) if failed else why.message if why else ""
+        return cls(run.succeeded, message, why.clears if why else "", _is_done(message, why))
 
     @classmethod
     def of_outcome(cls, outcome: Outcome) -> Answer:
-        clears = outcome.refusal.clears if outcome.refusal else ""
-        return cls(outcome.kind is OutcomeKind.SUCCEEDED, outcome.message, clears)
+        why = outcome.refusal
+        done = _is_done(outcome.message, why)
+        return cls(outcome.kind is OutcomeKind.SUCCEEDED, outcome.message, why.clears if why else "", done)
 
     def __str__(self) -> str:
         return "succeeded" if self.succeeded else f"{self.message} [{self.clears}]"
+
+
+def _is_done(message: str, why: Refusal | None) -> bool:
+    return message.endswith(NOTHING_LEFT) or (why is not None and ALREADY in why.detail)
 
 
 class Followed(NamedTuple):
@@ -108,6 +117,8 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
                     return Followed("reached", given, history)
                 if done.succeeded:
                     break
+        if answer.done:
+            return Followed("reached", given, history)
         if closer:
             aim = _kept_apart(aim, closer[1])
         elif left == MAX_SENTENCES and not AGAIN.search(advice):

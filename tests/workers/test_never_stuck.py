@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from rtc.protocol.messages import Script, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.spatial import geometry
 from rtc.world.spread import even, widened
+from tests.campaigns.after_stops import Drawn, halt_and_follow
 from tests.workers.conftest import Bench
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
@@ -184,3 +186,25 @@ def test_a_module_that_is_less_certain_than_its_distance_is_looked_for_before_it
     run = bench.do(CARRY)
     assert run.succeeded, (run.refusal, run.assessments)
     assert run.labels[0].startswith("look for MACS-NEW")
+
+
+# --- halted when nearly all is done ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        Drawn("both", "RIGHT-ARM", "HANDOFF MACS-NEW FROM RIGHT-ARM TO LEFT-ARM", 1, 0.4),  # it backs off
+        Drawn("lifted", "LEFT-ARM", "INSERT MACS-OLD INTO BAY-2 WITH LEFT-ARM", 5, 0.2),  # it backs off
+        Drawn("seated", "RIGHT-ARM", "RELEASE MACS-NEW WITH RIGHT-ARM", 1, 0.5),
+        Drawn("seated", "LEFT-ARM", "EXTRACT MACS-OLD FROM RACK-2", 2, 0.3),  # out of its seat, and not yet clear
+        Drawn("open door", "LEFT-ARM", "OPEN DOOR-2 BY 20 DEG WITH LEFT-ARM", 1, 0.9),  # the door has turned as far
+        Drawn("lifted", "RIGHT-ARM", "MOVE RIGHT-ARM BY -5.1 CM ALONG Z", 1, 0.9),
+    ],
+)
+def test_a_halt_at_the_end_of_a_task_is_followed_by_what_frees_the_arm(drawn):
+    """The same sentence again was refused with advice that undoes the task, or would have done more than was asked."""
+    ran = halt_and_follow(drawn, np.random.default_rng(1))
+    assert ran is not None
+    assert ran.end == "done", ran.story
+    assert ran.given <= 3

@@ -16,7 +16,7 @@ from rtc.programs.schema import AnalyzerProgram, OutcomeClass
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.world.model import World
-from workers.analyzer import comparison, nearby, reported_facts, sighting, trimmers, turning
+from workers.analyzer import comparison, nearby, reported_facts, sighting, trimmers, turning, what_is_left
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
@@ -196,6 +196,11 @@ def _swinging(task: AnalyzeTask, reason: StopReason) -> str:
     return f"{held} may swing for {task.values['swings_s']:g} s more" if held else ""
 
 
+def _all_done(task: AnalyzeTask, reason: StopReason) -> str:
+    """That a halt came after the whole amount of a relative sentence: to give it again would do more."""
+    return what_is_left.nothing(task) if reason is StopReason.HALT and task.report.joints else ""
+
+
 def _kept(source: str, report: EndReport) -> Binding:
     """A measured value as a binding. Poses are in the world frame: a contact position does not depend on facts."""
     if source == "report.hand_width":
@@ -223,7 +228,7 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
         further=trims[1:],
         changes=changes,
         clears=clears,
-        remark=_swinging(task, reason),
+        remark="; ".join(filter(None, (_swinging(task, reason), _all_done(task, reason)))),
         by_operator=sharing.offer(task.query, task.context) if may else "",
         compared=comparison.unexpected(task),
     )

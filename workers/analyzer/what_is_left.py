@@ -23,8 +23,13 @@ def sentence(task: AnalyzeTask) -> str:
     return rest.replace(LEFT, left) if left else ""
 
 
-def _in_words(task: AnalyzeTask) -> str:
-    """The amount; empty if it is smaller than the tolerance of a goal."""
+def nothing(task: AnalyzeTask) -> str:
+    """That the step has done the whole amount of a relative sentence; empty if it has not, or there is none."""
+    return "nothing is left of it" if task.step.words.rest and _in_words(task) == "" else ""
+
+
+def _in_words(task: AnalyzeTask) -> str | None:
+    """The amount; empty if it is smaller than the tolerance of a goal. None: not known."""
     figures, evaluation, report, values = task.step.figures, task.evaluation, task.report, task.values
     if figures.to_turns is not None:
         turns = abs(figures.to_turns - task.query.turns(task.context.object) - turning.moved_turns(task))
@@ -34,14 +39,14 @@ def _in_words(task: AnalyzeTask) -> str:
     if (turn := wanted_rad(task)) is not None:
         return _angle(turn - gone_rad(task), values["angle_rad"])
     if evaluation.goal_pose is None or not evaluation.start_joints or not report.tcp_pose:
-        return ""
+        return None
     start = task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)
     if figures.by_rad:
         return _angle(geometry.angle(report.tcp_pose, evaluation.goal_pose), values["angle_rad"])
     way = np.asarray(evaluation.goal_pose[:3]) - start[:3]
     length_m = float(np.linalg.norm(way))
     if length_m < values["position_m"]:
-        return ""
+        return None
     gone_m = float((np.asarray(report.tcp_pose[:3]) - start[:3]) @ way) / length_m
     return _length(min(length_m, length_m - gone_m), values["position_m"])
 

@@ -196,7 +196,8 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
     rows = candidate.program.needs
     thing = lack.thing or lack.held
     clears = rows.get(lack.row or need, "").replace("{let_go}", let_go(rows, candidate.query, thing))
-    clears = clears.replace("{hand}", hand_in_words(candidate.arm.name))
+    hand = hand_in_words(candidate.arm.name)
+    clears = clears.replace("{with_hand}", f" WITH {hand}" if candidate.parsed.hand else "").replace("{hand}", hand)
     clears = candidate.fill_in(clears).replace("{held}", lack.held)
     doubt = (
         trust.distrusted(candidate.query, f"{candidate.thing.name}.held_by", {})

@@ -9,7 +9,7 @@ from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
 from workers.conditions import reflexes
-from workers.elaborator import anchors, command_fields, hinged, preconditions, threads, two_hands
+from workers.elaborator import anchors, command_fields, done_already, hinged, preconditions, threads, two_hands
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.elaborator.task_candidate import TaskCandidate
@@ -42,6 +42,7 @@ def _refuse_nothing_held(script: ScriptFile, candidate: TaskCandidate) -> None:
 
 
 def _refuse_unmet(script: ScriptFile, candidate: TaskCandidate) -> None:
+    done_already.refuse(script, candidate)
     for need in script.needs:
         preconditions.refuse_if_unmet(need, candidate)
 

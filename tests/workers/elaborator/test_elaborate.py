@@ -224,12 +224,21 @@ def test_a_hand_that_is_not_empty_cannot_grasp(bench):
     assert refusal.clears == "RELEASE MACS-NEW, or another arm"
 
 
-@pytest.mark.parametrize("sentence", ["LIFT MACS-NEW", "RELEASE MACS-NEW", "PLACE MACS-NEW ON RACK-1"])
-def test_what_is_not_held_can_be_neither_lifted_nor_let_go(bench, sentence):
+@pytest.mark.parametrize(
+    ("sentence", "clears"),
+    [
+        ("LIFT MACS-NEW", "GRASP MACS-NEW"),
+        ("LIFT MACS-NEW WITH LEFT-ARM", "GRASP MACS-NEW WITH LEFT-ARM"),
+        ("PLACE MACS-NEW ON BAY-2", "GRASP MACS-NEW"),
+        ("RELEASE MACS-NEW", "RETRACT RIGHT-ARM"),  # it is done: to grasp it would lead in a circle
+        ("PLACE MACS-NEW ON RACK-1", "RETRACT RIGHT-ARM"),
+    ],
+)
+def test_what_is_not_held_can_be_neither_lifted_nor_let_go(bench, sentence, clears):
     refusal = refusal_of(bench, sentence)
 
     assert refusal.reason is RefusalReason.STATE
-    assert refusal.clears == "GRASP MACS-NEW"
+    assert refusal.clears.startswith(clears)
 
 
 def test_whether_a_thing_is_held_may_be_in_doubt(bench):
@@ -408,7 +417,7 @@ def test_a_full_hand_lets_go_before_it_grasps_another_object(bench):
     refusal = refusal_of(bench, "LIFT MACS-OLD WITH RIGHT-ARM")
 
     assert refusal.reason is RefusalReason.STATE
-    assert refusal.clears == "RELEASE MACS-NEW, then GRASP MACS-OLD"
+    assert refusal.clears == "RELEASE MACS-NEW, then GRASP MACS-OLD WITH RIGHT-ARM"
 
 
 IN_DOUBT = [
