@@ -23,7 +23,7 @@ from broker.decisions import (
     program_rollout,
     subsystem_link,
 )
-from broker.decisions.command import control, limits, operator_answers, pacing, stopping, termination
+from broker.decisions.command import control, intake, limits, operator_answers, pacing, stopping, termination
 from broker.decisions.command.table import stimulate
 from broker.decisions.context import START, DecisionContext
 from broker.decisions.effects import AcknowledgeReport, Effect, TellClient
@@ -175,12 +175,14 @@ def _accept(context: DecisionContext, event: CommandReceived) -> Command:
         given_at_s=min(sentence.sent_at_s or event.at_s, event.at_s),
         programs=dict(state.programs),
         saved=sentence.saved,
-        previous=state.last_given.pop(event.client, ""),
+        previous=state.last_given.get(event.client, ""),
         after_test=sentence.after_test,
         label=sentence.label,
         if_tested=sentence.if_tested,
     )
-    state.last_given[event.client] = command.id  # the latest client last
+    if intake.may_be_last(sentence.text):
+        state.last_given.pop(event.client, None)
+        state.last_given[event.client] = command.id  # the latest client last
     if len(state.last_given) > CLIENTS_KEPT:
         del state.last_given[next(iter(state.last_given))]
     if state.crowded:

@@ -457,6 +457,14 @@ class Surrender(msgspec.Struct, kw_only=True):
     """Commands that were to follow it or to use its arms; they wait for him, or for RESUME."""
 
 
+class Advised(msgspec.Struct, kw_only=True):
+    """What a sentence without success was advised."""
+
+    clears: str
+    done: list[str] = []
+    """Its sentences that have succeeded since."""
+
+
 class State(msgspec.Struct, kw_only=True):
     """The whole state of the Decision Unit. Only `decide` changes it."""
 
@@ -494,6 +502,8 @@ class State(msgspec.Struct, kw_only=True):
     """Command -> commands that start after its success (AFTER)."""
     joining: dict[str, list[str]] = {}
     """Command -> commands that start when it begins to move (TOGETHER-WITH)."""
+    advised: dict[str, Advised] = {}
+    """Sentence without success -> its advice, as long as only that is followed."""
     surrenders: dict[str, Surrender] = {}
     """Failed command -> its arms until the operator has done it, at most one for each arm."""
     answers: dict[str, OperatorAnswer] = {}

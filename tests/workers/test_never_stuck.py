@@ -208,3 +208,13 @@ def test_a_halt_at_the_end_of_a_task_is_followed_by_what_frees_the_arm(drawn):
     assert ran is not None
     assert ran.end == "done", ran.story
     assert ran.given <= 3
+
+
+@pytest.mark.parametrize("sentence", ["RETRACT RIGHT-ARM", "MOVE RIGHT-ARM BY 5 CM ALONG UP"])
+def test_a_motion_says_that_it_takes_a_module_along_that_is_in_its_seat(bench, sentence):
+    assert bench.do(GRASP).succeeded
+    run = bench.do(sentence)
+    assert run.succeeded, run.refusal
+    assert any("MACS-NEW, which is in RACK-1, goes with the hand" in one.remark for one in run.assessments)
+    assert not any("goes with" in one.remark for one in bench.do("LIFT MACS-NEW BY 15 CM").assessments)
+    assert not any("goes with" in one.remark for one in bench.do("MOVE RIGHT-ARM TO CLEAR-POINT-1").assessments)

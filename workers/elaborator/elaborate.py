@@ -38,6 +38,7 @@ from workers.elaborator import (
     stages,
     strategies,
     surrender,
+    taken_along,
     teach,
     tested_advice,
     what_is_left,
@@ -289,7 +290,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     script = through_places(compiled.scripts[option.branch.script], candidate)
     entries, left_out = trims_for(compiled, script, candidate)
     nominal = [step_for(step, candidate, entries, nominal=True) for step in script.steps]
-    nominal = what_is_left.noted(script, nominal, candidate)
+    nominal = taken_along.noted(what_is_left.noted(script, nominal, candidate), candidate)
     held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
     lacks = why_uncertain(nominal, candidate)
     if lacks is not None and not can_be_seen(lacks.where, candidate):

@@ -17,7 +17,8 @@ from broker.decisions.state import Command, ParsedHead
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
-LAST = "LAST"  # stands for the number of the client's previous command
+LAST = "LAST"  # stands for the number of the client's previous command that does or states something
+ASIDE = frozenset(("HALT", "PAUSE", "RESUME", "ABORT", "SHOW", "QUERY", "DESCRIBE", "TEST"))  # first words of others
 
 
 read_parsed = wire.decoder(ParsedHead)
@@ -36,6 +37,12 @@ def on_parsed(context: DecisionContext, command: Command, product: msgspec.Raw) 
         take_up(context, command)
     else:
         context.state.intake_order[command.client][command.id] = True
+
+
+def may_be_last(text: str) -> bool:
+    """Whether LAST may stand for this sentence: control of other commands and questions come between two tasks."""
+    words = text.split(maxsplit=1)
+    return not words or words[0].upper() not in ASIDE
 
 
 def _with_last(head: ParsedHead, previous: str) -> ParsedHead:

@@ -10,7 +10,7 @@ from itertools import islice
 import msgspec
 
 from broker.decisions import deferred_analysis
-from broker.decisions.command import surrender
+from broker.decisions.command import advised, surrender
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import CancelJob, ReportEnd
 from broker.decisions.events import Stimulus
@@ -39,6 +39,8 @@ def end(
     `compared`: of the step that has failed.
     """
     state, kind = context.state, ending.kind
+    if kind is OutcomeKind.SUCCEEDED or ending.refusal is not None:
+        ending = msgspec.structs.replace(ending, refusal=advised.judged(state, command, kind, ending.refusal))
     succeeded = kind is OutcomeKind.SUCCEEDED
     outcome = Outcome(
         kind=kind,

@@ -39,6 +39,16 @@ def test_after_last_is_the_command_that_the_same_client_gave_before():
     assert "job C-3/2 elaborator #1" in s.answers("C-1", go_on())
 
 
+@pytest.mark.parametrize("between", ["PAUSE", "resume C-1", "SHOW C-1", "HALT LEFT-ARM", "TEST STOW"])
+def test_last_passes_over_what_is_no_task(between):
+    """A person who pauses, asks or tests in between still means the task before."""
+    s = Harness()
+    s.analyzing()
+    s.says(between, client="ann")
+    s.says("STOW AFTER LAST", client="ann")
+    assert s.state.commands["C-3"].previous == "C-1"
+
+
 def test_after_last_of_one_that_has_failed_is_refused():
     s = Harness()
     s.analyzing()
@@ -76,7 +86,7 @@ def test_last_in_another_rtc_do_is_refused_with_the_reason_and_what_to_write(rel
 def test_the_latest_commands_of_many_clients_are_bounded():
     s = Harness()
     for n in range(CLIENTS_KEPT + 5):
-        s.says("HALT", client=f"client-{n}")
+        s.says("STOW", client=f"client-{n}")
     assert len(s.state.last_given) == CLIENTS_KEPT
 
 

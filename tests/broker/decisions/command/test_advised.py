@@ -1,0 +1,80 @@
+"""The same advice is not given twice in a row, once it was followed."""
+
+from __future__ import annotations
+
+import pytest
+
+from broker.decisions import events
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from tests.broker.harness import Harness, bound, go_on, record, script
+
+
+def given(s: Harness, text: str) -> str:
+    """A sentence that is parsed, now or before."""
+    s.says(text)
+    command = f"C-{s.state.accepted}"
+    if s.phase(command) == "parsing":
+        s.answers(command, record())
+    return command
+
+
+def refused(s: Harness, text: str, clears: str) -> str:
+    """The advice that a sentence ends with, if a worker gives this one."""
+    command = given(s, text)
+    job = s.state.commands[command].job
+    why = Refusal(reason=RefusalReason.SUSPECT, message="the frame of X is suspect", clears=clears)
+    s.handle(events.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=why)
+    return str(s.outcome(command).refusal.clears)
+
+
+def done(s: Harness, text: str) -> None:
+    command = given(s, text)
+    s.answers(command, script())
+    s.answers(command, bound(f"{command}.1"))
+    s.reports(command)
+    s.answers(command, go_on())
+
+
+@pytest.mark.parametrize(
+    ("advice", "left"),
+    [
+        ("LOCATE X, or state where it is: SET X FRAME x y z CM", "state where it is: SET X FRAME x y z CM"),
+        ("LOCATE X; then give the sentence again; or GIVE RIGHT-ARM TO OPERATOR", "GIVE RIGHT-ARM TO OPERATOR"),
+        ("LOCATE X; LIFT X BY 3 CM", "LIFT X BY 3 CM"),
+    ],
+)
+def test_what_was_done_in_vain_is_left_out(advice: str, left: str) -> None:
+    s = Harness()
+    assert refused(s, "GRASP X", advice) == advice
+    assert refused(s, "GRASP X", advice) == advice  # it was not followed
+    done(s, "LOCATE X")
+    assert refused(s, "GRASP X", advice) == left
+
+
+def test_where_nothing_is_left_the_trace_is_named() -> None:
+    s = Harness()
+    refused(s, "GRASP X", "LOCATE X; do it again")
+    done(s, "LOCATE X")
+    words = refused(s, "GRASP X", "LOCATE X; do it again")
+    assert words.startswith("LOCATE X has not cleared it: rtc trace C-3")
+
+
+def test_the_same_again_is_advised_once() -> None:
+    s = Harness()
+    assert refused(s, "LOCATE X", "do it again") == "do it again"
+    assert "rtc trace" in refused(s, "LOCATE X", "do it again")
+
+
+def test_another_sentence_in_between_may_have_changed_the_world() -> None:
+    s = Harness()
+    refused(s, "GRASP X", "LOCATE X")
+    done(s, "LOCATE X")
+    done(s, "STOW LEFT-ARM")
+    assert refused(s, "GRASP X", "LOCATE X") == "LOCATE X"
+
+
+def test_other_advice_is_given_as_it_is() -> None:
+    s = Harness()
+    refused(s, "GRASP X", "LOCATE X")
+    done(s, "LOCATE X")
+    assert refused(s, "GRASP X", "RETRACT RIGHT-ARM first") == "RETRACT RIGHT-ARM first"
