@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from rtc.apps.authoring import inertias
 from rtc.apps.authoring.hull import hull_of
 from rtc.apps.authoring.robot_file import PACKAGE, RobotFile, implausible, kinematics
 from rtc.language.alike import unknown
@@ -34,10 +35,9 @@ STRAIGHT = 0.98  # cosine of the angle to an axis of the link that is taken for 
 CLEAR_M = 0.01  # between the middles of two bodies, to tell which is farther out
 BELOW_TIP_M = 0.015  # distance of the tcp below the finger tips, at most a quarter of a finger
 TCP, MOUNT = "tcp", "wrist_ft"
-GYRATION = 1.0  # greatest plausible radius of gyration, as a share of the size of a link
-INERTIA = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
 DEFAULT_EFFORT, DEFAULT_SPEED = 50.0, 1.0  # of a joint without a motor in the URDF, at least
 OVER_WEIGHT, SEED, POSTURES = 2.5, 1, 200  # of its motor, over the greatest weight on it in these postures
+QUICK = 2.0  # rad/s^2, m/s^2: which its motor gives the whole arm beside that weight
 #: whole words in the name of a fixed joint that is a wrist sensor
 SENSOR_WORDS = {"force", "torque", "ft", "fts", "wrench", "forcetorque", "ftsensor"}
 #: whole words in the name of a joint that opens a hand
@@ -103,6 +103,7 @@ def adapt(path: Path, folder: str, tip: str = "") -> AdaptedArm:
         )
     _tidy(arm)
     _meshes(arm, folder)
+    _assume_inertias(arm)
     _tool(arm)
     _assume_efforts(arm)
     arm.sensor = _sensor(arm)
@@ -120,8 +121,10 @@ def _assume_efforts(arm: AdaptedArm) -> None:
         model.lowerPositionLimit, model.upperPositionLimit, (POSTURES, model.nq)
     )
     weights = np.abs([pin.rnea(model, data, q, still, still) for q in postures]).max(axis=0)
+    inertias = np.max([np.diag(np.asarray(pin.crba(model, data, q))) for q in postures], axis=0)
     for name in arm.without_effort:
-        effort = max(DEFAULT_EFFORT, float(np.ceil(OVER_WEIGHT * weights[model.joints[model.getJointId(name)].idx_v])))
+        at = model.joints[model.getJointId(name)].idx_v
+        effort = max(DEFAULT_EFFORT, math.ceil(max(OVER_WEIGHT * weights[at], weights[at] + QUICK * inertias[at])))
         limit = arm.robot.joints[name].find("limit")
         assert limit is not None
         limit.set("effort", f"{effort:g}")
@@ -414,13 +417,11 @@ def _tidy(arm: AdaptedArm) -> None:
         _motor(arm, name, joint)
     for name, link in robot.links.items():
         inertial = link.find("inertial")
-        if _made_possible(inertial):
-            arm.notes.append(f"no rigid body has the inertia of {name}: its smaller moments are raised")
         mass = None if inertial is None else inertial.find("mass")
         if inertial is not None and (mass is None or number(mass, "value") == 0.0):
             link.remove(inertial)
-            if name != robot.root and name in {robot.child[joint] for joint in kept}:
-                arm.notes.append(f"link {name} has no mass: state one in the URDF, its joint moves nothing")
+        elif inertias.made_possible(inertial):
+            arm.notes.append(f"no rigid body has the inertia of {name}: its smaller moments are raised")
 
 
 def _soft_limits(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None:
@@ -437,38 +438,20 @@ def _soft_limits(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None
     arm.notes.append(f"the soft limits of {name} are its limits here: {narrow[0]:g} and {narrow[1]:g}")
 
 
-def _made_possible(inertial: ElementTree.Element | None) -> bool:
-    """Raise the smaller principal moments until their sum is that of the greatest; True if that was necessary."""
-    inertia = None if inertial is None else inertial.find("inertia")
-    if inertia is None:
-        return False
-    matrix = np.array([[number(inertia, key) for key in row] for row in INERTIA])
-    moments, axes = np.linalg.eigh(matrix)
-    missing = float(moments[2] - moments[0] - moments[1])
-    if missing <= 1e-9:
-        return False
-    moments[:2] += 0.505 * missing
-    fitted = axes @ np.diag(moments) @ axes.T
-    for row, keys in enumerate(INERTIA):
-        for column, key in enumerate(keys):
-            inertia.set(key, f"{fitted[row, column]:.6g}")
-    return True
-
-
-def _made_plausible(link: ElementTree.Element, outline: Array) -> bool:
-    """Replace an inertia whose radius of gyration is beyond the size of the link by that of a solid box."""
-    mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
-    if mass is None or inertia is None or not number(mass, "value") > 0.0:
-        return False
-    kilograms, size = number(mass, "value"), outline.max(axis=0) - outline.min(axis=0)
-    greatest = max(number(inertia, key) for key in ("ixx", "iyy", "izz"))
-    if math.sqrt(greatest / kilograms) <= GYRATION * float(np.linalg.norm(size)):
-        return False
-    x, y, z = (size**2).tolist()
-    values = {"ixx": y + z, "iyy": x + z, "izz": x + y}
-    inertia.attrib = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-    inertia.attrib |= {key: f"{kilograms / 12.0 * value:.4g}" for key, value in values.items()}
-    return True
+def _assume_inertias(arm: AdaptedArm) -> None:
+    """Masses by size for the moving links to which the URDF gives none: else physics takes another one than planning,
+    and a motor moves nothing."""
+    made = []
+    for name in (arm.robot.child[joint] for joint in (*arm.joints, *arm.fingers)):
+        link = arm.robot.links[name]
+        if link.find("inertial") is not None:
+            continue
+        if clouds := outline(arm, name):
+            made.append(f"{name} {inertias.by_size(link, np.vstack(clouds)):.2g} kg")
+        else:
+            arm.notes.append(f"link {name} has neither mass nor shape: state a mass in the URDF")
+    if made:
+        arm.notes.append(f"no mass is given for {_few(made)}, by size: see the data sheet")
 
 
 def _motor(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None:
@@ -536,7 +519,7 @@ def _meshes(arm: AdaptedArm, folder: str) -> None:
             worst_m = max(worst_m, hull.left_out_m)
             mesh.attrib = {"filename": file}
             at = origin(collision)
-            if name != robot.root and _made_plausible(link, hull.vertices @ at[:3, :3].T + at[:3, 3]):
+            if name != robot.root and inertias.made_plausible(link, hull.vertices @ at[:3, :3].T + at[:3, 3]):
                 arm.notes.append(f"the inertia of {name} is far too great for its size: that of a box is taken")
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
@@ -570,7 +553,7 @@ def _tool(arm: AdaptedArm) -> None:
     points = []
     for joint in arm.fingers:
         at = robot.placement(joint)
-        points += [p @ at[:3, :3].T + at[:3, 3] for p in _outline(arm, robot.child[joint])]
+        points += [p @ at[:3, :3].T + at[:3, 3] for p in outline(arm, robot.child[joint])]
     cloud = np.vstack(points)
     middle = cloud.mean(axis=0)
     out = middle - y * float(middle @ y)
@@ -603,8 +586,8 @@ def _tool(arm: AdaptedArm) -> None:
     arm.notes.append(f"the frame {TCP} is {1000 * height:.0f} mm from {arm.palm}, between the fingers")
 
 
-def _outline(arm: AdaptedArm, link: str) -> list[Array]:
-    """As `_points`, after the meshes were replaced by hulls."""
+def outline(arm: AdaptedArm, link: str) -> list[Array]:
+    """Points of the outline of a link, in its axes, after the meshes were replaced by hulls."""
     found = []
     for part in arm.robot.links[link].findall("collision"):
         mesh = part.find("geometry/mesh")

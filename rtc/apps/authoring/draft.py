@@ -9,7 +9,7 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +19,8 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.apps.authoring import self_collisions
-from rtc.apps.authoring.adapt import TCP, AdaptedArm, adapt
+from rtc.apps.authoring.adapt import ARM_JOINTS, TCP, AdaptedArm, adapt, outline
+from rtc.apps.authoring.review import of_urdf
 from rtc.apps.authoring.robot_file import RobotFile
 from rtc.apps.authoring.words_and_keys import misnamed
 from rtc.model.cells import two_readers
@@ -53,6 +54,11 @@ CARRY_M = 0.25  # height of the place before the arm
 REACHES, BEARINGS_DEG = (0.6, 0.5, 0.7, 0.4, 0.8), (25.0, 35.0, 15.0, 50.0)
 HEIGHTS, LOW = (1.0, 0.6), 0.3  # shares of the heights over the pads; the last one for arms with fewer than six joints
 TABLES_M = (0.0, 0.2, 0.4, 0.7)  # by which the pads are higher, for arms whose hand does not point down near the floor
+# Heights of the base of an arm for which no pads are found on the floor. Such arms are made for the edge of a table.
+STANDS_M = (0.0, 0.3, 0.5)
+STAND_M = 0.16  # side of what it then stands on
+FREE_M = 0.01  # clearance of a posture that is chosen
+FLAT_M = 0.005  # which a body may reach below its base: rounding of meshes
 STEPS, JUMP_RAD = 8, 0.6  # of a line down to a pad, 30 mm each at most; a joint that moves more is in another branch
 
 
@@ -77,19 +83,72 @@ def draft(urdf: Path, name: str = "", tip: str = "") -> Draft:
     adapted.notes += notes
     bare = _arm(adapted, stem, name or _title(adapted.robot.name))
     cell = Cell(name=stem, gravity_m_s2=GRAVITY, arms=[bare], objects=[_floor()], texts=files)
-    _refuse_read_differently(adapted, cell)
-    cell = _with_postures(cell, adapted)
-    cell = _with_pads(cell, adapted)
+    _refuse_faults(adapted, cell)
+    cell = _at_work(cell, adapted)
     return Draft(cell, _yaml(cell, adapted.notes), files, adapted.notes)
 
 
-def _refuse_read_differently(adapted: AdaptedArm, cell: Cell) -> None:
+def _at_work(cell: Cell, adapted: AdaptedArm) -> Cell:
+    """The cell with postures, pads and a cube. An arm whose hand points down below its base only is put on a stand."""
+    foot_m, notes, first = _below_base_m(adapted), list(adapted.notes), None
+    for stand_m in STANDS_M if len(adapted.joints) >= ARM_JOINTS else STANDS_M[:1]:
+        adapted.notes[:] = notes
+        posed = _with_postures(_on_stand(cell, stand_m, foot_m), adapted)
+        placed = _with_pads(posed, adapted, (0.0,) if stand_m else TABLES_M)
+        if placed is not None:
+            if stand_m:
+                adapted.notes.append(f"it stands {100 * stand_m:.0f} cm high: its hand points down below its base only")
+            return placed
+        first = first or (posed, list(adapted.notes))
+    assert first is not None
+    cell, adapted.notes[:] = first
+    adapted.notes.append(
+        "no pads were placed: no two places were found at which the hand points down freely, near the floor or up to "
+        f"{PAD_HEIGHT_M + TABLES_M[-1]:g} m above it; add objects and seats yourself"
+    )
+    return cell
+
+
+def _below_base_m(adapted: AdaptedArm) -> float:
+    """How far the body at the base, and the first that moves on it with its clearance, reach below the origin."""
+    robot, lowest = adapted.robot, 0.0
+    for link, clear_m in ((robot.root, 0.0), (robot.child[adapted.joints[0]], FREE_M + FLAT_M)):
+        if clouds := outline(adapted, link):
+            pose = robot.pose_in(link, robot.root)
+            lowest = min(lowest, float((np.vstack(clouds) @ pose[2, :3] + pose[2, 3]).min()) - clear_m)
+    return -lowest if -lowest > FLAT_M else 0.0
+
+
+def _on_stand(cell: Cell, stand_m: float, foot_m: float) -> Cell:
+    """The cell with its arm so high. `foot_m`: what is below the origin of its base."""
+    high_m = round(stand_m + foot_m + 0.0005, 3) if foot_m else stand_m
+    if not high_m:
+        return cell
+    arm = msgspec.structs.replace(cell.arms[0], base=Frame(xyz=(0.0, 0.0, high_m)))
+    if not stand_m:
+        return msgspec.structs.replace(cell, arms=[arm])
+    post = Box(
+        name="post",
+        size_m=(STAND_M, STAND_M, round(stand_m - 0.004, 3)),
+        frame=Frame(xyz=(0.0, 0.0, round(0.5 * (stand_m - 0.004), 4))),
+        colour=(0.62, 0.64, 0.66, 1.0),
+    )
+    stand = Object(name="STAND", kind="structure", fixed=True, mass_kg=100.0, shapes=[post])
+    return msgspec.structs.replace(cell, arms=[arm], objects=[*cell.objects, stand])
+
+
+def _refuse_faults(adapted: AdaptedArm, cell: Cell) -> None:
+    """Raises ProgramError for an arm that a check of the cell would refuse, or that two readers read differently."""
+    path = adapted.robot.path
+    for one in of_urdf(path, in_cell=True, text=adapted.urdf):
+        if one.severity == "error":
+            raise ProgramError(f"{path}: {one.where}: {one.problem}; expected: {one.expected}")
     texts = {name: text for name, text in cell.texts.items() if name.endswith(hulls.SUFFIX)}
     found = two_readers.differences(cell.texts[cell.arms[0].urdf], texts, shapes=True)
     if found:
         where, problem, expected = found[0]
         others = f" (and {len(found) - 1} more)" if found[1:] else ""
-        raise ProgramError(f"{adapted.robot.path}: {where}: {problem}; expected: {expected}{others}")
+        raise ProgramError(f"{path}: {where}: {problem}; expected: {expected}{others}")
 
 
 def _plain(text: str) -> str:
@@ -170,7 +229,7 @@ def _with_postures(cell: Cell, adapted: AdaptedArm) -> Cell:
     name = cell.arms[0].name
     model, world = ArmModel.of(cell, name), CollisionWorld(cell)
     drawn = list(_samples(model))
-    hits = [world.check({name: q}, Scene(clearance_m=0.01)) for q in drawn]
+    hits = [world.check({name: q}, Scene(clearance_m=FREE_M)) for q in drawn]
     free = [q for q, hit in zip(drawn, hits, strict=True) if hit is None]
     held = np.array([q for q in free if _weight_share(model, q) < EFFORT])
     if not len(held):
@@ -185,13 +244,14 @@ def _with_postures(cell: Cell, adapted: AdaptedArm) -> Cell:
     reach = float(np.linalg.norm(hands[:, :2], axis=1).max())
     margin = np.min(np.minimum(held - model.limits.lower, model.limits.upper - held), axis=1)
     singular = np.array([model.sigma_min(q) for q in held])
-    before = np.linalg.norm(hands[:, :3] - (0.5 * reach, 0.0, 0.45 * reach), axis=1)
+    high = hands[:, 2] - cell.arms[0].base.xyz[2]  # above the base
+    before = np.linalg.norm(np.column_stack((hands[:, :2], high)) - (0.5 * reach, 0.0, 0.45 * reach), axis=1)
     home = held[int(np.argmin(before / reach - tool[:, 2] * -0.5 - np.clip(margin, 0, 0.4) - singular))]
     home = _unwound(model, home, model.middle)
     folded = np.array([_extent_m(model, q) for q in held]) / reach - np.clip(margin, 0, 0.2)
     near_home = _unwound(model, held, home)
     turns = np.abs(near_home - home).max(axis=1) / np.pi
-    avoided = np.where((hands[:, 2] < 0.2 * reach) | (turns > FAR), 1.0, 0.0)
+    avoided = np.where((high < 0.2 * reach) | (turns > FAR), 1.0, 0.0)
     stow = near_home[int(np.argmin(folded + NEAR_HOME * turns + avoided))]
     spec = msgspec.structs.replace(
         cell.arms[0],
@@ -261,12 +321,12 @@ def _payload_kg(model: ArmModel, held: Array) -> float:
 # --- pads, cube and a place ----------------------------------------------------------------------------
 
 
-def _with_pads(cell: Cell, adapted: AdaptedArm) -> Cell:
-    """The cell with two pads on either side, a cube on the first, and a place between them."""
+def _with_pads(cell: Cell, adapted: AdaptedArm, tables_m: Sequence[float]) -> Cell | None:
+    """The cell with two pads on either side, a cube on the first, and a place between them; None: no such place."""
     name, home = cell.arms[0].name, cell.arms[0].home_rad
     model, margin = ArmModel.of(cell, name), math.radians(cell.numbers.joint_margin_deg)
     farthest = max(float(np.linalg.norm(model.fk(q)[:2])) for q in _samples(model))
-    for how, share in itertools.product(_layouts(cell, model), REACHES):
+    for how, share in itertools.product(_layouts(cell, model, tables_m), REACHES):
         down, reach_m = (180.0, 0.0, how.yaw_deg), share * farthest
         front = Frame(xyz=(round(reach_m, 3), 0.0, round(how.pad_m + how.height * CARRY_M, 3)), rpy_deg=down)
         if not model.ik(front.pose, home, margin):
@@ -283,11 +343,7 @@ def _with_pads(cell: Cell, adapted: AdaptedArm) -> Cell:
             )
             if _can_work(tried, how.height * ABOVE_M):
                 return tried
-    adapted.notes.append(
-        "no pads were placed: no two places were found at which the hand points down freely, near the floor or up to "
-        f"{PAD_HEIGHT_M + TABLES_M[-1]:g} m above it; add objects and seats yourself"
-    )
-    return cell
+    return None
 
 
 class _Layout(NamedTuple):
@@ -314,11 +370,11 @@ class _Layout(NamedTuple):
         return self.yaw_deg - self.quarter_deg + (math.degrees(bearing) if self.radial else 0.0)
 
 
-def _layouts(cell: Cell, model: ArmModel) -> Iterator[_Layout]:
+def _layouts(cell: Cell, model: ArmModel, tables_m: Sequence[float]) -> Iterator[_Layout]:
     """Ways to place the pads. Of an arm with fewer than six joints the hand has the yaw that it has at home, seen from
     the world or from the base."""
     if len(model.joints) >= WHOLE:
-        for table_m, height, yaw_deg in itertools.product(TABLES_M, HEIGHTS, (0.0, 90.0, 180.0, -90.0)):
+        for table_m, height, yaw_deg in itertools.product(tables_m, HEIGHTS, (0.0, 90.0, 180.0, -90.0)):
             yield _Layout(yaw_deg, False, height, table_m)
         return
     hand = model.fk(cell.arms[0].home_rad)
@@ -326,7 +382,7 @@ def _layouts(cell: Cell, model: ArmModel) -> Iterator[_Layout]:
     x, y = turned[:, 0], turned[:, 1]
     yaw = math.atan2(y[0], -y[1]) if abs(y[2]) < abs(x[2]) else math.atan2(x[1], x[0])
     bearing = math.atan2(hand[1] - model.base_pose[1], hand[0] - model.base_pose[0])
-    for table_m, height in itertools.product(TABLES_M, (*HEIGHTS, LOW)):
+    for table_m, height in itertools.product(tables_m, (*HEIGHTS, LOW)):
         yield _Layout(height=height, table_m=table_m)
         for half_turn in (0.0, 180.0):
             yield _Layout(round(math.degrees(yaw) + half_turn, 1), False, height, table_m)

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from rtc.apps.authoring import self_collisions, words_and_keys
-from rtc.apps.authoring.adapt import GYRATION
+from rtc.apps.authoring.inertias import GYRATION
 from rtc.apps.authoring.robot_file import EXPAND, RobotFile, implausible, kinematics
 from rtc.language.alike import unknown
 from rtc.model.cells import cell as cells
@@ -62,7 +62,7 @@ def review(path: Path) -> tuple[list[Finding], Cell | None]:
     if path.suffix in (".yaml", ".yml"):
         return _cell(path)
     if path.suffix == ".urdf":
-        return list(_urdf(path)), None
+        return list(of_urdf(path)), None
     if path.suffix == ".srdf":
         return list(_srdf(path, path.with_suffix(".urdf"))), None
     if path.suffix == ".xacro":
@@ -210,7 +210,7 @@ def _models(path: Path, plain: Any, text: bytes, folders: list[Path]) -> Iterato
                 )
         if urdf.is_file() and urdf not in seen:
             seen.add(urdf)
-            yield from _urdf(urdf, in_cell=True)
+            yield from of_urdf(urdf, in_cell=True)
             if srdf.is_file():
                 yield from _srdf(srdf, urdf)
         try:
@@ -238,8 +238,9 @@ def _beside(folders: list[Path], file: str) -> Path:
     return next((folder / file for folder in folders if (folder / file).is_file()), folders[0] / file)
 
 
-def _urdf(path: Path, in_cell: bool = False) -> Iterator[Finding]:
-    """`in_cell`: its meshes must be hulls or readable files, which `model_checks` states."""
+def of_urdf(path: Path, in_cell: bool = False, text: str | None = None) -> Iterator[Finding]:
+    """The faults of a URDF. `in_cell`: its meshes must be hulls or readable files, which `model_checks` states.
+    `text`: instead of that of the file."""
 
     def found(where: str, problem: str, expected: str = "", severity: Literal["error", "warning"] = "error") -> Finding:
         return Finding(
@@ -247,7 +248,7 @@ def _urdf(path: Path, in_cell: bool = False) -> Iterator[Finding]:
         )
 
     try:
-        robot = RobotFile(path)
+        robot = RobotFile(path, text)
     except ProgramError as error:
         yield found("robot", str(error).removeprefix(f"{path}: "), "one tree of links and joints")
         return

@@ -262,6 +262,9 @@ def towards(arm):
     return np.round(arm.robot.placement("wrist_ft")[:3, 2], 3).tolist()
 
 
+FRAME = """<link name="frame"><inertial><mass value="0.1"/>
+  <inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="frame_mount" type="fixed"><parent link="link_6"/><child link="frame"/></joint>"""
 FLANGE = '<origin xyz="0 0 0.025"/><geometry><box size="0.06 0.06 0.03"/></geometry>'
 FOREARM = '<origin xyz="0 0 0.05"/><geometry><box size="0.06 0.06 0.08"/></geometry>'
 
@@ -304,6 +307,63 @@ def test_a_small_arm_gets_its_pads(factor, tmp_path, monkeypatch):
     made = drafts.draft(file, "UNIT")
     assert [seat.name for seat in made.cell.seats] == ["PAD-1", "PAD-2"]
     assert not any("no pads" in note for note in made.notes)
+
+
+def test_links_without_a_mass_get_one_by_their_size(tmp_path):
+    """Bullet took another one than pinocchio, which refused the arm for its accelerations."""
+    bare = re.sub(r"<inertial>.*?</inertial>", "", six(hand=False), flags=re.DOTALL)
+    made = adapted(tmp_path, bare)
+    masses = [float(made.robot.links[f"link_{n}"].find("inertial/mass").get("value")) for n in range(1, 7)]
+    volumes = [np.prod(joint.size) for joint in small_arms.SIX]
+    assert masses == pytest.approx([1000.0 * volume for volume in volumes], rel=0.01)
+    assert any("no mass is given for link_1" in note for note in made.notes)
+    assert faults(tmp_path, made) == []
+
+
+@pytest.mark.parametrize("zero", ["ixx", "ixx iyy izz"])
+def test_a_mass_without_moments_gets_some(zero, tmp_path):
+    """`rtc cell new` wrote a cell that `rtc cell check` refused."""
+    text = six(("</robot>", f"{FRAME}</robot>"), hand=False)
+    for key in zero.split():
+        text = text.replace(f'{key}="1e-6"', f'{key}="0"')
+    assert faults(tmp_path, adapted(tmp_path, text, "frame")) == []
+
+
+def faults(folder, made):
+    """The errors of the adapted model."""
+    (folder / "made.urdf").write_text(made.urdf)
+    return [one for one in review(folder / "made.urdf")[0] if one.severity == "error"]
+
+
+def test_a_cell_that_its_check_would_refuse_is_not_written(tmp_path):
+    file = tmp_path / "arm.urdf"
+    file.write_text(six(("</robot>", f"{FRAME}</robot>"), ('izz="1e-6"', 'izz="-1e-3"'), hand=False))
+    with pytest.raises(ProgramError, match="link frame"):
+        drafts.draft(file, "UNIT", "frame")
+
+
+def test_an_arm_whose_hand_points_down_below_its_base_only_gets_a_stand(tmp_path, monkeypatch):
+    monkeypatch.setattr(drafts, "POSTURES", 400)
+    monkeypatch.setattr(self_collisions, "SAMPLES", 250)
+    joints = [small_arms.scaled(joint, 0.4) for joint in small_arms.SIX]
+    joints[0] = joints[0]._replace(size=(0.06, 0.06, 0.04), middle=(0.0, 0.0, 0.02))
+    joints[1] = joints[1]._replace(at=(0.0, 0.0, 0.04))
+    file = tmp_path / "arm.urdf"
+    file.write_text(small_arms.urdf("small", joints))
+    made = drafts.draft(file, "UNIT")
+    assert [seat.name for seat in made.cell.seats] == ["PAD-1", "PAD-2"]
+    assert made.cell.arms[0].base.xyz[2] > 0.0
+    assert any(thing.name == "STAND" for thing in made.cell.objects)
+
+
+def test_a_body_that_reaches_below_the_base_is_no_collision_with_the_floor(tmp_path, monkeypatch):
+    """Every posture collided, so the arm was refused."""
+    monkeypatch.setattr(drafts, "POSTURES", 200)
+    monkeypatch.setattr(self_collisions, "SAMPLES", 250)
+    file = tmp_path / "arm.urdf"
+    low = small_arms.SIX[0]._replace(size=(0.06, 0.06, 0.35), middle=(0.0, 0.0, 0.05))  # 75 mm below
+    file.write_text(small_arms.urdf("low", [low, *small_arms.SIX[1:]]))
+    assert 0.08 < drafts.draft(file, "UNIT").cell.arms[0].base.xyz[2] < 0.11
 
 
 def test_a_cell_whose_readers_differ_is_not_written(tmp_path, monkeypatch):
