@@ -30,7 +30,9 @@ from rtc.protocol.primitive import (
     TorqueAbove,
 )
 from rtc.spatial import geometry
+from rtc.spatial.solid_boxes import CORNERS
 from workers.planning.robot_models import CellModel
+from workers.planning.world_query import WorldQuery
 
 ARM = "RIGHT-ARM"
 physics = pytest.mark.physics
@@ -236,6 +238,38 @@ def test_a_way_leads_round_a_region_that_must_be_avoided(bench) -> None:
     assert around.trajectory.positions != free.trajectory.positions
     assert not any(region.contains(pose[:3]) for pose in poses(bench, around))
     assert len(conditions(around, TcpInside)) == 1
+
+
+def test_what_the_hand_holds_is_watched_in_ranges_and_regions(bench) -> None:
+    """It was planned alone, and in regions alone."""
+    assert bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").succeeded
+    words = "MAINTAIN SAFE-WORK-RANGE AND AVOID-TASK-REGION SOLAR-ARRAY"
+    lift = bound(bench, f"LIFT MACS-NEW BY 10 CM {words}", 1)
+    parts = len(bench.model.cell.object("MACS-NEW").shapes)
+    assert [len(when.load) for kind in (TcpOutside, TcpInside) for when in conditions(lift, kind)] == [parts, parts]
+    assert conditions(bound(bench, f"MOVE LEFT-ARM BY 1 CM ALONG DOWN {words}"), TcpInside)[0].load == []
+
+
+@pytest.mark.parametrize(("room_m", "fits"), [(0.15, True), (0.03, False)])
+def test_the_load_stays_in_the_range_of_its_hand(bench, room_m, fits) -> None:
+    assert bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").succeeded
+    query = WorldQuery(bench.model, bench.world)
+    hand = query.tcp(ARM)
+    corners = [
+        geometry.transform_point(geometry.compose(hand, box[:7]), corner * box[7:]) - hand[:3]
+        for box in query.load_boxes(ARM)
+        for corner in CORNERS
+    ]
+    size_m = tuple((2.0 * (np.abs(corners).max(axis=0) + room_m)).tolist())
+    around = Region(name="AROUND", frame=Frame(xyz=tuple(hand[:3].tolist())), size_m=size_m)
+    cell = bench.model.cell
+    bench.model = CellModel(msgspec.structs.replace(cell, regions=[*cell.regions, around]))
+    made = bench.elaborate("LIFT MACS-NEW BY 10 CM MAINTAIN SAFE-WORK-RANGE AROUND")
+    if fits:
+        assert not isinstance(made, Refusal), made
+    else:
+        assert isinstance(made, Refusal)
+        assert "holds would leave AROUND" in made.message
 
 
 def test_two_regions_are_avoided(bench) -> None:

@@ -132,15 +132,15 @@ def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[Sto
     """Stop functions of MAINTAIN for a motion of the arm. The plan keeps the same limits, without their tolerances."""
     limits, cell = data.context.limits, query.cell
     made: list[tuple[StopReason, Predicate]] = []
-    margin_m = values["range_margin_m"]
+    margin_m, load = values["range_margin_m"], query.load_boxes(data.step.arm or data.context.arm)
     if limits.work_range:
         region = cell.region(limits.work_range)
         size_m = [side + 2.0 * margin_m for side in region.size_m]
-        made.append((StopReason.OUT_OF_RANGE, TcpOutside(centre=region.frame.pose.tolist(), size_m=size_m)))
+        made.append((StopReason.OUT_OF_RANGE, TcpOutside(centre=region.frame.pose.tolist(), size_m=size_m, load=load)))
     for name in limits.keep_out:
         region = cell.region(name)
         size_m = [max(side - 2.0 * margin_m, 0.5 * side) for side in region.size_m]  # a thin region is watched too
-        made.append((StopReason.OUT_OF_RANGE, TcpInside(centre=region.frame.pose.tolist(), size_m=size_m)))
+        made.append((StopReason.OUT_OF_RANGE, TcpInside(centre=region.frame.pose.tolist(), size_m=size_m, load=load)))
     if limits.attitude and data.step.arm in ("", data.context.arm):  # only the first hand keeps it
         frame = cell.attitudes[limits.attitude]
         more_rad = attitude_tolerance_rad(query.tcp(data.context.arm), frame) - ATTITUDE_RAD

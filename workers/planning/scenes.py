@@ -11,7 +11,7 @@ from rtc.protocol.messages import Limits
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning import trust
-from workers.planning.motion.constraints import ATTITUDE_RAD, PathConstraints, attitude_tolerance_rad
+from workers.planning.motion.constraints import ATTITUDE_RAD, PathConstraints, attitude_tolerance_rad, loaded
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
@@ -128,19 +128,21 @@ def planning_request(
     query: WorldQuery, arm: str, scene: Scene, limits: Limits, pace: SpeedLimits, margin_rad: float
 ) -> PlanningRequest:
     attitude = query.cell.attitudes[limits.attitude] if limits.attitude else None
+    carries = arm in {held.arm for held in scene.held.values()}
+    within = PathConstraints(
+        work_range=query.cell.region(limits.work_range) if limits.work_range else None,
+        attitude=attitude,
+        attitude_name=limits.attitude or "",
+        attitude_tolerance_rad=attitude_tolerance_rad(query.tcp(arm), attitude) if attitude else ATTITUDE_RAD,
+    )
     return PlanningRequest(
         arm=query.model.arms[arm],
         world=query.model.collision,
         joints={a.name: np.array(query.joints(a.name), dtype=float) for a in query.cell.arms},
         scene=scene,
-        path_constraints=PathConstraints(
-            work_range=query.cell.region(limits.work_range) if limits.work_range else None,
-            attitude=attitude,
-            attitude_name=limits.attitude or "",
-            attitude_tolerance_rad=attitude_tolerance_rad(query.tcp(arm), attitude) if attitude else ATTITUDE_RAD,
-        ),
+        path_constraints=loaded(within, query.load_boxes(arm) if carries else [], query.tcp(arm)),
         pace=pace,
         margin_rad=margin_rad,
-        load=query.load(arm) if arm in {held.arm for held in scene.held.values()} else None,
+        load=query.load(arm) if carries else None,
         seed=query.seed,
     )

@@ -93,17 +93,29 @@ class WorldQuery(Facts):
 
     def load(self, arm: str) -> Load | None:
         """Mass, centre of mass and inertia of the held object in the tcp frame; None if its hinge carries it."""
-        thing = self.holding(arm)
-        if self.hinge(thing) is not None:
-            return None
-        grasp = self.grasp(thing) if thing else None
+        thing, grasp = self.holding(arm), self._load_at(arm)
         if grasp is None:
             return None
-        if (holder := self.held_by(thing)) not in ("", arm):  # both hold it; the grasp is that of the other hand
-            grasp = geometry.relative(self.tcp(arm), geometry.compose(self.tcp(holder), grasp))
         known = self.cell.object(thing)
         mass_kg = float(self.world.value(f"{thing}.mass") or known.mass_kg)
         turn = geometry.to_matrix(grasp)[:3, :3]
         own = np.diag(known.inertia_kg_m2 or [0.4 * mass_kg * UNKNOWN_RADIUS_M**2] * 3)
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn @ own @ turn.T).tolist()
         return Load(mass_kg=mass_kg, com_m=grasp[:3].tolist(), inertia_kg_m2=[xx, yy, zz, xy, xz, yz])
+
+    def load_boxes(self, arm: str) -> list[list[float]]:
+        """Boxes round the shapes of the held object, in the tcp frame: pose and sides (m); none if its hinge carries
+        it."""
+        if (grasp := self._load_at(arm)) is None:
+            return []
+        shapes = self.cell.object(self.holding(arm)).shapes
+        return [[*geometry.compose(grasp, one.frame.pose).tolist(), *parts.sides_m(one)] for one in shapes]
+
+    def _load_at(self, arm: str) -> Array | None:
+        """The pose in the tcp frame of what an arm holds and carries; None: nothing."""
+        thing = self.holding(arm)
+        grasp = self.grasp(thing) if thing and self.hinge(thing) is None else None
+        if grasp is not None and (holder := self.held_by(thing)) not in ("", arm):
+            # Both hold it; the grasp is that of the other hand.
+            return geometry.relative(self.tcp(arm), geometry.compose(self.tcp(holder), grasp))
+        return grasp

@@ -34,12 +34,12 @@ def made_possible(inertial: ElementTree.Element | None) -> bool:
     """Raise the smaller principal moments until they are those of a body; True if that was necessary.
 
     Their sum is at least the greatest one. A mass without moments gets those of a small ball."""
-    inertia = None if inertial is None else inertial.find("inertia")
-    if inertial is None or inertia is None:
+    inertia, mass = (None if inertial is None else inertial.find(tag) for tag in ("inertia", "mass"))
+    if inertia is None:
         return False
     matrix = np.array([[number(inertia, key) for key in row] for row in INERTIA])
     moments, axes = np.linalg.eigh(matrix)
-    given, least = moments.copy(), 0.4 * number(inertial.find("mass"), "value", 0.0) * POINT_M**2
+    given, least = moments.copy(), 0.4 * (0.0 if mass is None else number(mass, "value")) * POINT_M**2
     if moments[0] <= 0.0:
         moments = np.maximum(moments, max(least, 1e-3 * float(moments[2])))
     missing = float(moments[2] - moments[0] - moments[1])

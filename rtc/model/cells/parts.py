@@ -103,6 +103,18 @@ def radius_m(shape: AnyShape) -> float:
             return shape.radius_m + 0.5 * shape.length_m
 
 
+def sides_m(shape: AnyShape) -> Vec3:
+    """Sides of the box around the shape, in its axes."""
+    match shape:
+        case Box():
+            return shape.size_m
+        case Sphere():
+            return (2.0 * shape.radius_m,) * 3
+        case _:
+            more_m = 2.0 * shape.radius_m if isinstance(shape, Capsule) else 0.0
+            return 2.0 * shape.radius_m, 2.0 * shape.radius_m, shape.length_m + more_m
+
+
 # --- contents of the cell ------------------------------------------------------------------------------
 
 

@@ -113,16 +113,32 @@ class TcpSpeedAbove(Strict, frozen=True, tag="tcp-speed-above"):
     limit_m_s: float  # mean over the last 19 ms
 
 
-class TcpOutside(Strict, frozen=True, kw_only=True, tag="tcp-outside"):
-    """The tcp is outside a box."""
+class TcpOutside(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="tcp-outside"):
+    """The tcp, or a part of what the hand holds, is outside a box. A load that is at the start comes no farther out."""
 
     centre: Vector  # pose, world: x y z qx qy qz qw
     size_m: Vector
+    load: list[Vector] = []  # boxes round the parts of what the hand holds: x y z qx qy qz qw in tcp axes, sides (m)
+
+    def __post_init__(self) -> None:
+        _check_boxes(self.load)
 
 
-class TcpInside(Strict, frozen=True, kw_only=True, tag="tcp-inside"):
+class TcpInside(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="tcp-inside"):
+    """The tcp, or a part of what the hand holds, is inside a box."""
+
     centre: Vector  # as in TcpOutside
     size_m: Vector
+    load: list[Vector] = []  # as in TcpOutside
+
+    def __post_init__(self) -> None:
+        _check_boxes(self.load)
+
+
+def _check_boxes(boxes: list[Vector]) -> None:
+    for box in boxes:
+        if len(box) != 10 or not any(box[3:7]) or min(box[7:]) <= 0.0:
+            raise ValueError("a box has a pose of 7 numbers and three sides above 0")
 
 
 class UnseenAbove(Strict, frozen=True, tag="unseen-above"):

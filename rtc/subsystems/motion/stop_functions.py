@@ -17,6 +17,7 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
+from rtc.spatial.solid_boxes import Beside
 from rtc.subsystems.motion.arm import TICK_S, Traits
 from rtc.subsystems.motion.clearance import Clearance
 from rtc.subsystems.motion.moment import Finding, Moment
@@ -31,6 +32,8 @@ RIGID_RAD, COMPLIANT_RAD = 0.1, 0.5
 # A joint that a brake holds: measured below 0.1 mrad/s, and more than 20 mrad off once another joint is 0.1 rad off.
 STUCK_RAD, STILL_RAD_S, MOVING_RAD_S = 0.01, 0.002, 0.05
 GRIPPED_S = 0.02  # time for which a grip force must have fallen, while the hand closes
+LOAD_TICKS = 5
+FARTHER_M = 0.005  # out of its range a load may come that begins outside: as much as the plan's range is narrower
 RELAXED_S = 0.2  # until then a hand that an earlier command closed more strongly has taken up its new force
 
 
@@ -277,15 +280,49 @@ def _tcp_speed(when: p.TcpSpeedAbove, traits: Traits) -> Check:
 
 
 def _outside(when: p.TcpOutside, traits: Traits) -> Check:
-    beyond = _beyond(when)
-    words = "the tool is outside its range"
-    return lambda now: (far, 0.0, words) if (far := beyond(now)) > 0.0 else None
+    beyond, limit_m = _beyond(when), list[float]()
+    load = Beside(when.load, when.centre, when.size_m) if when.load else None
+    words, of_load = "the tool is outside its range", "what the hand holds is outside its range"
+
+    def check(now: Moment) -> Finding | None:
+        if (far := beyond(now)) > 0.0:
+            return far, 0.0, words
+        if load is None:
+            return None
+        far = load.beyond_m(now.tcp())
+        if not limit_m:
+            limit_m.append(max(0.0, far + FARTHER_M))
+        return (far, limit_m[0], of_load) if far > limit_m[0] else None
+
+    return check
 
 
 def _inside(when: p.TcpInside, traits: Traits) -> Check:
-    beyond = _beyond(when)
+    beyond, load = _beyond(when), _LoadInside(when) if when.load else None
     words = "the tool is inside a region that it must avoid"
-    return lambda now: (-far, 0.0, words) if (far := beyond(now)) < 0.0 else None
+
+    def check(now: Moment) -> Finding | None:
+        if (far := beyond(now)) < 0.0:
+            return -far, 0.0, words
+        return None if load is None else load(now)
+
+    return check
+
+
+class _LoadInside:
+    """Whether what the hand holds is inside a region, seen in every `LOAD_TICKS`th tick: a look takes up to 0.2 ms."""
+
+    def __init__(self, when: p.TcpInside) -> None:
+        self._load, self._wait = Beside(when.load, when.centre, when.size_m), 0
+        self._found: Finding | None = None
+
+    def __call__(self, now: Moment) -> Finding | None:
+        if self._wait > 0:
+            self._wait -= 1
+            return self._found
+        self._wait, deep = LOAD_TICKS - 1, self._load.inside_m(now.tcp())
+        self._found = (deep, 0.0, "what the hand holds is inside a region that it must avoid") if deep > 0.0 else None
+        return self._found
 
 
 def _beyond(when: p.TcpOutside | p.TcpInside) -> Callable[[Moment], float]:
@@ -441,7 +478,7 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
 
 
 LENGTHS = {"centre": 7, "attitude": 4}  # of lists; all others have three numbers
-BALLS = "except_near"
+LISTS = ("except_near", "load")  # fields that are lists of vectors
 UNIT_SLACK = 1e-3  # of the length of an axis: rounding of its numbers
 # True below a limit: with the limit 0 they are never true. HandWidthBelow may be so: a closed hand that is believed to
 # hold something has to move too.
@@ -451,10 +488,11 @@ BELOW = (p.ForceBelow, p.TorqueBelow, p.GripForceBelow, p.TcpNear, p.ClearanceBe
 def _problems(when: p.Predicate) -> Iterator[str]:
     """Errors that the types do not exclude."""
     kind = type(when).__name__
-    fields = {field: value for field, value in msgspec.structs.asdict(when).items() if field != BALLS}
-    for n, ball in enumerate(getattr(when, BALLS, [])):
-        if not all(math.isfinite(x) for x in ball):
-            yield f"{kind}.{BALLS}[{n}]: not a finite number"
+    fields = {field: value for field, value in msgspec.structs.asdict(when).items() if field not in LISTS}
+    for name in LISTS:
+        for n, vector in enumerate(getattr(when, name, [])):
+            if not all(math.isfinite(x) for x in vector):
+                yield f"{kind}.{name}[{n}]: not a finite number"
     for field, value in fields.items():
         if isinstance(value, list) and len(value) != LENGTHS.get(field, 3):
             yield f"{kind}.{field}: {LENGTHS.get(field, 3)} numbers are needed, not {len(value)}"

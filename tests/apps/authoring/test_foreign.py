@@ -344,6 +344,7 @@ def test_a_cell_that_its_check_would_refuse_is_not_written(tmp_path):
 
 def test_an_arm_whose_hand_points_down_below_its_base_only_gets_a_stand(tmp_path, monkeypatch):
     monkeypatch.setattr(drafts, "POSTURES", 400)
+    monkeypatch.setattr(drafts, "TABLES_M", (0.0,))
     monkeypatch.setattr(self_collisions, "SAMPLES", 250)
     joints = [small_arms.scaled(joint, 0.4) for joint in small_arms.SIX]
     joints[0] = joints[0]._replace(size=(0.06, 0.06, 0.04), middle=(0.0, 0.0, 0.02))

@@ -27,6 +27,10 @@ def at(x: float, y: float, z: float) -> Callable[[], Array]:
     return lambda: np.array([x, y, z, 0.0, 0.0, 0.0, 1.0])
 
 
+#: what a hand may hold: a bar that reaches 0.25 m below the tcp
+BAR = [0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0, 0.02, 0.02, 0.3]
+
+
 def moment(**changes: object) -> Moment:
     """A moment in which nothing is the matter."""
     figures = {
@@ -125,6 +129,12 @@ SINCE_THE_START = [
     ),
 ]
 
+RANGE = {"centre": [0.5, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0], "size_m": [0.2, 0.2, 0.4], "load": [BAR]}  # z 0.4 to 0.8
+SINCE_THE_START += [
+    (p.TcpOutside(**RANGE), [at(0.5, 0, 0.7), at(0.5, 0, 0.655)], at(0.5, 0, 0.64)),
+    (p.TcpOutside(**RANGE), [at(0.5, 0, 0.6), at(0.5, 0, 0.598), at(0.5, 0, 0.7)], at(0.5, 0, 0.59)),  # begins outside
+]
+
 # (condition, a moment above its limit, one below it)
 FALLEN = [
     (p.ForceBelow(limit_n=5.0), {"force_n": 6.0}, {"force_n": 4.0}),
@@ -178,6 +188,14 @@ def test_a_body_that_comes_near_is_seen_and_one_that_was_near_may_only_get_farth
     assert watched(make, traits, when, closer, close, closer) == [False, False, True]
 
 
+def test_a_load_in_a_region_is_seen_within_some_ticks(traits, make) -> None:
+    when = p.TcpInside(centre=[0.5, 0, 0.4, 0, 0, 0, 1], size_m=[0.2] * 3, load=[BAR])
+    high, low = {"tcp": at(0.5, 0, 0.76)}, {"tcp": at(0.5, 0, 0.74)}
+    ticks = stop_functions.LOAD_TICKS
+    assert watched(make, traits, when, *[high] * ticks) == [False] * ticks
+    assert watched(make, traits, when, *[high] * ticks, *[low] * ticks)[-1]
+
+
 def test_what_was_near_is_one_body_of_several_parts(traits, make) -> None:
     when, wall = p.ClearanceBelow(limit_m=0.03), Near(0.02, HERE[:3], "palm", "RACK-1 wall", (0.0, 0.0, 1.0), (0, 6))
     moments = [wall, wall._replace(body="RACK-1 lip"), wall._replace(body="RACK-2 wall")]
@@ -226,11 +244,12 @@ def test_a_condition_that_no_arm_can_check_is_refused(traits, make, bad) -> None
     [
         lambda: p.TurnAbove(limit_rad=1.0, point=[0.0, 0.0, 0.0]),
         lambda: p.ClearanceBelow(limit_m=0.1, except_near=[[0.0, 0.0, 0.0]]),
+        lambda: p.TcpInside(centre=[0.0] * 6 + [1.0], size_m=[1.0] * 3, load=[[0.0] * 7]),
         lambda: p.ReportCondition(n=0, when=p.GoalReached()),
     ],
 )
 def test_a_condition_without_a_meaning_cannot_be_made(make_bad) -> None:
-    with pytest.raises(ValueError, match=r"axis|ball|goal"):
+    with pytest.raises(ValueError, match=r"axis|ball|box|goal"):
         make_bad()
 
 

@@ -101,7 +101,7 @@ def _fault(request: PlanningRequest, partner: ArmModel, leads: Array, follows: A
     hand = request.world.cell.arm(partner.name).gripper
     held = [name for name, by in scene.held.items() if by.arm == request.arm.name]
     touched = [(f"{partner.name} {link}", thing) for link in (hand.palm_link, *hand.finger_links) for thing in held]
-    within = replace(request.path_constraints, attitude=None)  # an attitude is that of the first hand
+    within = replace(request.path_constraints, attitude=None, load=())  # they are of the first hand
     scene = replace(scene, moving="", ignore=[*scene.ignore, *touched])
     # What is nearer than the clearance already comes no nearer.
     near = sorted(request.world.too_near(request.joints, scene), key=lambda hit: -hit.distance_m)

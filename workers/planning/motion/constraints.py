@@ -1,4 +1,4 @@
-"""Path constraints of a hand (MAINTAIN): a work range that contains it and an attitude that it keeps.
+"""Path constraints of a hand (MAINTAIN): a work range that contains it and its load, and an attitude that it keeps.
 
 Keep-out regions and clearances concern bodies; they belong to the collision `Scene`.
 """
@@ -6,6 +6,7 @@ Keep-out regions and clearances concern bodies; they belong to the collision `Sc
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import msgspec
 
@@ -14,16 +15,27 @@ from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
+from rtc.spatial.solid_boxes import Beside, Boxes
 
 ATTITUDE_RAD = math.radians(5.0)  # within which a hand keeps its attitude
 BEGINS_RAD = 2.0 * ATTITUDE_RAD  # a hand that begins farther off, but within this, comes no farther off
-SLACK_RAD = 0.002
+SLACK_RAD, SLACK_M = 0.002, 0.001
 
 
 def attitude_tolerance_rad(start: Floats, attitude: parts.Frame) -> float:
     """How far off an attitude a hand may be on its way from the pose `start` (world)."""
     off_rad = geometry.angle(start, attitude.pose)
     return off_rad + SLACK_RAD if ATTITUDE_RAD < off_rad <= BEGINS_RAD else ATTITUDE_RAD
+
+
+def loaded(within: PathConstraints, boxes: Boxes, start: Floats) -> PathConstraints:
+    """The constraints with what the hand holds (boxes in tcp axes), which is at the pose `start` (world)."""
+    region = within.work_range
+    if region is None or not boxes:
+        return within
+    load = tuple(map(tuple, boxes))
+    beyond_m = _beside(load, region).beyond_m(start)
+    return msgspec.structs.replace(within, load=load, load_beyond_m=beyond_m + SLACK_M if beyond_m > 0.0 else 0.0)
 
 
 class PathConstraints(msgspec.Struct, frozen=True, eq=False):
@@ -33,6 +45,8 @@ class PathConstraints(msgspec.Struct, frozen=True, eq=False):
     attitude: parts.Frame | None = None  # of the tcp, world frame
     attitude_name: str = ""
     attitude_tolerance_rad: float = ATTITUDE_RAD
+    load: tuple[tuple[float, ...], ...] = ()  # boxes round what the hand holds, as in `Beside`
+    load_beyond_m: float = 0.0  # by which it may be outside: as far as it is at the start
 
     @property
     def any(self) -> bool:
@@ -50,6 +64,13 @@ class PathConstraints(msgspec.Struct, frozen=True, eq=False):
                 {"cause": "work_range", "region": self.work_range.name},
                 pose,
             )
+        if self._load_is_outside(pose):
+            assert self.work_range is not None
+            return _refusal(
+                f"what {arm.name} holds would leave {self.work_range.name}",
+                {"cause": "work_range", "region": self.work_range.name},
+                pose,
+            )
         if self.attitude is not None:
             off = geometry.angle(pose, self.attitude.pose)
             if off > self.attitude_tolerance_rad:
@@ -60,6 +81,16 @@ class PathConstraints(msgspec.Struct, frozen=True, eq=False):
                     pose,
                 )
         return None
+
+    def _load_is_outside(self, pose: Array) -> bool:
+        if not self.load or self.work_range is None:
+            return False
+        return _beside(self.load, self.work_range).beyond_m(pose) > self.load_beyond_m
+
+
+@lru_cache(maxsize=16)
+def _beside(load: tuple[tuple[float, ...], ...], region: parts.Region) -> Beside:
+    return Beside(load, region.frame.pose, region.size_m)
 
 
 FREE = PathConstraints()
