@@ -19,15 +19,11 @@ import pybullet_data
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
 from rtc.model.robot import hulls
-from rtc.model.robot.numeric_ik import WHOLE
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
 
 STEP_S = 0.001
-SOLVER_ITERATIONS = 50  # with fewer the wrist sensor shows spikes of 20 N while carrying
-# A hand that a portal carries gives way in no rotation. The forces of its pads then converge more slowly: with 50
-# iterations they alternate, and a held object turns by 0.7 deg/s.
-SOLVER_ITERATIONS_FEW_JOINTS = 100
+SOLVER_ITERATIONS = 50  # chosen by `tests.campaigns.convergence` (decision 0131)
 # With a larger residual the number of iterations varies from step to step, and a held object chatters.
 SOLVER_RESIDUAL = 1e-7
 # How far the sides of a contact point may move apart until it is dropped, as a share of the size of the smaller body:
@@ -73,11 +69,10 @@ class PhysicsWorld:
         self.client: int = pybullet.connect(pybullet.DIRECT)
         assert self.client >= 0, "pybullet could not create a client"
         self._visual = visual
-        few = any(len(arm.joints) < WHOLE for arm in cell.arms)
         pybullet.setGravity(*cell.gravity_m_s2, physicsClientId=self.client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=STEP_S,
-            numSolverIterations=SOLVER_ITERATIONS_FEW_JOINTS if few else SOLVER_ITERATIONS,
+            numSolverIterations=SOLVER_ITERATIONS,
             solverResidualThreshold=SOLVER_RESIDUAL,
             contactBreakingThreshold=CONTACT_BREAKING,
             deterministicOverlappingPairs=1,

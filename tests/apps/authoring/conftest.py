@@ -28,7 +28,7 @@ def first_cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path
     def file_of(arm: str) -> Path:
         if arm not in made:
             urdf, tip = ARMS[arm]
-            made[arm] = _written(draft(urdf, arm, tip), tmp_path_factory.mktemp(arm.lower()))
+            made[arm] = written(draft(urdf, arm, tip), tmp_path_factory.mktemp(arm.lower()))
         return made[arm]
 
     return file_of
@@ -42,12 +42,12 @@ def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Cell
         folder = tmp_path_factory.mktemp(kind.lower())
         urdf = folder / "arm.urdf"
         urdf.write_text(small_arms.urdf("arm", getattr(small_arms, kind)))
-        return Cell.load(_written(draft(urdf, "UNIT"), folder))
+        return Cell.load(written(draft(urdf, "UNIT"), folder))
 
     return cell_of
 
 
-def _written(found: Draft, folder: Path) -> Path:
+def written(found: Draft, folder: Path) -> Path:
     """The cell file, beside its other files."""
     for name, text in {**found.files, "cell.yaml": found.yaml}.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
