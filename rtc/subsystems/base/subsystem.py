@@ -101,6 +101,7 @@ class Subsystem(ABC, Generic[Performer]):
         ] = {}  # unacknowledged end reports: primitive -> (report, time of the next repetition)
         self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # the last end reports; they answer repeated orders
         self._content_hashes: dict[str, int] = {}  # primitive id -> hash of the whole primitive
+        self._asked: set[str] = set()  # primitives whose sentence asks for a reading
         self._begun: Counter[str] = Counter()  # number of started primitives, by performer
         self._halts: OrderedDict[tuple[str, str], Halt] = OrderedDict()  # by name and scope
         self._calls = 0  # number of halts forwarded to the broker
@@ -209,6 +210,8 @@ class Subsystem(ABC, Generic[Performer]):
         if (halt := self._halted_before(order)) is not None:
             why = f"the broker had not yet acknowledged halt {halt} when it sent this; not started"
             return self._refuse_to_begin(primitive, StopReason.HALT, why, now_s)
+        if primitive.reporting.items:
+            self._asked.add(primitive.id)
         return self._start(performer, order, now_s)
 
     def _refuse_to_begin(self, primitive: Primitive, reason: StopReason, why: str, now_s: float) -> Outgoing:
@@ -239,6 +242,12 @@ class Subsystem(ABC, Generic[Performer]):
         return self._end(report if performer is None else self._measured(performer, report), now_s)
 
     def _end(self, report: m.EndReport, now_s: float) -> Outgoing:
+        if report.primitive in self._asked and report.sighting is not None and report.reading is None:
+            seen = Measured(
+                arm=report.performer, sighting=report.sighting
+            )  # a camera of a user need not state it twice
+            report = msgspec.structs.replace(report, reading=seen)
+        self._asked.discard(report.primitive)
         self._kept[report.primitive] = (report, now_s + REPEAT_S)
         self._ended[report.primitive] = report
         if len(self._ended) > REMEMBERED:
