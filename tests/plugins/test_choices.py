@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from rtc.plugins.guard import PluginError
 from rtc.programs import loader
 from rtc.protocol.outcomes import ProgramError, RefusalReason, StopReason
 from rtc.sensing.detector import TagDetector
+from rtc.subsystems.perception import sensor_watch
 from rtc.subsystems.perception.camera_thread import CameraThread, Photograph, _Order
 from tests.plugins.toy_packages import Install
 from tests.workers.conftest import bench  # noqa: F401
@@ -182,6 +184,24 @@ def test_a_sensor_that_fails_is_named_in_the_look(install: Install, cell: Cell, 
     found = thread.result().found
     thread.close()
     assert "sensor EVIL" in found.why
+
+
+def test_a_sensor_that_hangs_is_cut_off_and_named(install: Install, cell: Cell, monkeypatch) -> None:
+    monkeypatch.setattr(sensor_watch, "LIMIT_S", 0.05)
+    install(registry.SENSORS, "EVIL", "find", "def find(camera, image):\n    while True:\n        pass\n")
+    grey = np.full((48, 64, 3), 128, dtype=np.uint8)
+    cameras = SimpleNamespace(photograph=lambda *_: Photograph(1.0, [grey], None), release=lambda: None)
+    thread, announced = CameraThread(cell, lambda: cameras), list[str]()
+    watch = sensor_watch.SensorWatch(announced.append)
+    thread.look("CAMERA-1")
+    while not select.select([thread.wake_fd], [], [], 0.02)[0]:
+        assert watch.look(time.monotonic()) == ""
+    found = thread.result().found
+    thread.close()
+    guard.tell(None)
+    assert "sensor EVIL" in found.why
+    assert ", line " in found.why
+    assert ["sensor EVIL" in name for name in announced] == [True]
 
 
 @pytest.mark.parametrize("field", ["notes=[object()]", "steps=7", "notes=['\\ud800']"])

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtc.model.cells.cell import Cell
-from rtc.plugins import registry
+from rtc.plugins import guard, registry
+from rtc.plugins.guard import TookTooLong
 from rtc.protocol.outcomes import RtcError
 from rtc.sensing import optics
 from rtc.sensing.optics import Window
@@ -113,9 +114,10 @@ class CameraThread:
             if order is None:
                 cameras.release()
                 return
+            guard.begin_anew()
             try:
                 found: Evaluated | Failed = self._evaluated(order, cameras, detector)
-            except RtcError as error:
+            except (RtcError, TookTooLong) as error:
                 found = Failed(f"{order.camera} gives no picture: {error}")
             self._results.put(Result(order.camera, found))
             self._wake_start.send(b"\0")

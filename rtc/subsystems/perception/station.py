@@ -21,6 +21,7 @@ from rtc.runtime.settings import Settings
 from rtc.subsystems.base.broker_link import BrokerLink
 from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.perception.camera_thread import Cameras, CameraThread, Failed
+from rtc.subsystems.perception.sensor_watch import SensorWatch
 from rtc.subsystems.perception.subsystem import PerceptionSubsystem
 
 HEARTBEAT_S = 0.25
@@ -58,6 +59,7 @@ class Station:
         self._thread = CameraThread(cell, lambda: make_cameras(settings, cell, context))
         me.poller.register(self._thread.wake_fd, zmq.POLLIN)
         self._heartbeat = Every(HEARTBEAT_S)
+        self._watch = SensorWatch(me.calls)
 
     def run(self) -> None:
         subsystem, link = self._subsystem, self._link
@@ -92,6 +94,9 @@ class Station:
             else:
                 camera.take(result.found)
         link.send(subsystem.tick(now_s))
+        if stuck := self._watch.look(now_s):
+            self._me.log.error("the %s of an installed package does not return: the process ends", stuck)
+            process.leave(1)
         if not self._thread.busy and (due := subsystem.next_camera(now_s)) is not None:
             self._thread.look(due.name, due.windows(now_s))
             subsystem.clock.begin_picture(now_s)
