@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,7 @@ from broker.router.egress import Egress
 from broker.router.health import Health
 from broker.router.queries import status, trace
 from broker.router.shutdown import Shutdown
+from rtc.programs import checks
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -25,7 +27,9 @@ from rtc.runtime.allowance import Allowance
 
 QUERIES_PER_S = 100  # of one client: replies are large, and are buffered while the client does not read
 CELL = "cell"  # its place among the programs
+MAX_WORDS = 300  # of a refusal
 LOAD_QUERIES = 20  # a program to load counts as so many queries
+GREETED = 10_000  # clients whose hello is remembered
 QUERIES = frozenset([m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText, m.SetBreakpoints, m.StepCommand])
 MEANT_FOR_ONE = frozenset([m.CommandText, m.ProgramText])  # they name the cluster that they are meant for
 
@@ -36,6 +40,7 @@ class ClientMessages:
     def __init__(self, core: Core, egress: Egress, health: Health, shutdown: Shutdown) -> None:
         self._core, self._egress, self._health, self._shutdown = core, egress, health, shutdown
         self._queries = Allowance(QUERIES_PER_S)  # of each client
+        self._greeted: OrderedDict[bytes, None] = OrderedDict()  # clients with a hello to this broker
 
     def receive(self, peer: bytes, message: Any, now: float) -> None:
         kind = type(message)
@@ -43,6 +48,10 @@ class ClientMessages:
             return
         if kind in MEANT_FOR_ONE and message.cluster not in ("", self._core.settings.run):
             self._decline_for_another_cluster(peer, message)
+            return
+        if kind in MEANT_FOR_ONE and not message.cluster and peer not in self._greeted:
+            words = "no hello came before it: this client may speak another version of the protocol"
+            self._decline(peer, message, RefusalReason.VERSION, words, "send ClientHello first, and await Welcome")
             return
         HANDLERS[kind](self, peer, message, now)
 
@@ -86,6 +95,10 @@ class ClientMessages:
     # --- queries --------------------------------------------------------------------------------------
 
     def _greet(self, peer: bytes, message: m.ClientHello, now: float) -> None:
+        self._greeted[peer] = None
+        self._greeted.move_to_end(peer)
+        if len(self._greeted) > GREETED:
+            self._greeted.popitem(last=False)
         self._egress.clients.set_arrays(peer, ARRAYS in message.abilities)
         self._welcome(peer)
 
@@ -120,6 +133,11 @@ class ClientMessages:
             self._egress.decline(peer, message.request, too_many)
 
     def _set_breakpoints(self, peer: bytes, message: m.SetBreakpoints, now: float) -> None:
+        verbs = checks.verbs((self._core.store.body(self._core.state.programs.get("parser", "")) or b"").decode())
+        if unknown := [str(one) for one in message.breakpoints if one.verb not in verbs]:
+            words = f"{', '.join(unknown)}: no sentence begins so"
+            self._decline(peer, message, RefusalReason.NAME, words[:MAX_WORDS], f"one of {', '.join(sorted(verbs))}")
+            return
         self._core.enqueue(BreakpointsChanged(at_s=now, breakpoints=message.breakpoints))
         self._egress.answer(peer, m.Debugged(request=message.request, breakpoints=message.breakpoints))
 

@@ -389,7 +389,10 @@ def number_datum(parts: Parts) -> Fields:
 
 
 def cannot(parts: Parts) -> Fields:
-    return {"verb": parts[0].value, "reason": parts[1].value[1:-1]}
+    reason = parts[1].value[1:-1]
+    if not reason.strip():
+        raise SentenceError(parts[1].start_pos, "The reason is empty.", ['CANNOT "the bolt is stuck"'])
+    return {"verb": parts[0].value, "reason": reason}
 
 
 def task_sentence(parts: Parts) -> Fields:

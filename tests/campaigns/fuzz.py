@@ -31,6 +31,7 @@ from rtc.client.client import Client
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import OutcomeKind, RtcError
+from rtc.protocol.versions import VERSION
 from rtc.runtime.process_table import processes
 from rtc.runtime.settings import Settings
 from tests.campaigns import RESULTS, hostile
@@ -123,6 +124,8 @@ def _flood(settings: Settings, where: str, message: Callable[[int], Any]) -> Non
     socket = context.socket(zmq.DEALER)
     socket.setsockopt(zmq.RCVHWM, 10)
     socket.connect(settings.endpoint(where))
+    if where == "front":  # sentences of strangers are declined
+        socket.send_multipart(wire.frames(m.ClientHello(protocol=VERSION, client="flood", at_s=time.monotonic())))
     n = 0
     while True:
         n += 1

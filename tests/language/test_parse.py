@@ -446,3 +446,10 @@ def test_a_decimal_comma_is_refused_where_it_stands(sentence: str, column: int) 
 def test_commas_separate_numbers_with_a_blank_or_a_sign() -> None:
     assert record("MOVE RIGHT-ARM TO POSITION 60, -20, 35 CM") == record("MOVE RIGHT-ARM TO POSITION 60 -20 35 CM")
     assert record("MOVE RIGHT-ARM TO POSITION 60,-20 , 35 CM") == record("MOVE RIGHT-ARM TO POSITION 60 -20 35 CM")
+
+
+@pytest.mark.parametrize("reason", ["", "  "])
+def test_an_operator_states_a_reason_that_has_words(reason: str) -> None:
+    found = parse(default_grammar(), f'CANNOT "{reason}"')
+    assert isinstance(found, Refusal)
+    assert found.column == 7

@@ -88,6 +88,13 @@ class Bench:
         for kind in m.WorkerKind:
             digest = store.keep(loader.default(kind))
             self.router.enqueue(ProgramInstalled(at_s=self.now, kind=kind, digest=digest))
+        for name in (b"ann", b"bob"):
+            hello = m.ClientHello(protocol=VERSION, client=name.decode(), at_s=self.now)
+            self.sockets["front"].put([name, *wire.frames(hello)])
+        while self.sockets["front"].inbox:
+            self.turn()
+        for socket in self.sockets.values():
+            socket.sent.clear()
         self.turn()
 
     def _socket(self, _: int, endpoint: str, **__: Any) -> Socket:

@@ -9,6 +9,7 @@ from broker.router.event_stream import PERIOD_S
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import RefusalReason
+from rtc.protocol.versions import VERSION
 from tests.broker.router.bench import Bench
 
 
@@ -93,7 +94,8 @@ def test_a_flood_of_commands_publishes_a_limited_number_of_notes(working: Bench)
         for first in range(0, how_many, 100):
             numbers = range(first, first + 100)
             texts = (m.CommandText(request=str(n), text="STOW LEFT-ARM", progress=False) for n in numbers)
-            working.send("front", f"ann-{first // 1000}".encode(), *texts)
+            hello = m.ClientHello(protocol=VERSION, client="ann", at_s=working.now)
+            working.send("front", f"ann-{first // 1000}".encode(), hello, *texts)
 
     flood(NOTES_PER_S + 1000)
     notes = len(published(working, m.ProgressNote))

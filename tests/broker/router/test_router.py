@@ -18,6 +18,7 @@ from broker.decisions.state import State
 from broker.router.client_messages import QUERIES_PER_S
 from rtc.protocol import messages as m
 from rtc.protocol import wire
+from rtc.protocol.outcomes import RefusalReason
 from rtc.protocol.versions import VERSION
 from tests.broker.router.bench import ENDPOINTS, MCM, PARSER, SETTINGS, Bench
 from tests.campaigns import hostile
@@ -200,3 +201,20 @@ def test_an_arm_that_moved_without_a_primitive_is_noted_once_and_shown_until_its
     bench.send("subsystems", b"MCM", m.Strayed(arms={}))
     status = bench.send("front", b"ann", m.StatusQuery(request="2"))[0].status
     assert [row["strayed"] for row in status["subsystems"]] == [[]]
+
+
+def test_a_sentence_of_a_client_without_a_hello_is_declined(bench: Bench) -> None:
+    sentence = m.CommandText(request="1", text="STOW LEFT-ARM")
+    (declined,) = bench.send("front", b"eve", sentence)
+    assert declined.refusal.reason is RefusalReason.VERSION
+    assert bench.state.commands == {}
+    answers = bench.send("front", b"eve", m.ClientHello(protocol=VERSION, client="eve", at_s=bench.now), sentence)
+    assert any(isinstance(answer, m.Accepted) for answer in answers)
+
+
+@pytest.mark.parametrize(("verb", "kind"), [("GRASP", m.Debugged), ("FLY", m.Declined), ("", m.Declined)])
+def test_a_breakpoint_is_of_a_verb_of_the_language(bench: Bench, verb: str, kind: type) -> None:
+    points = [m.Breakpoint(verb=verb, step=2)]
+    (answer,) = bench.send("front", b"ann", m.SetBreakpoints(request="b", breakpoints=points))
+    assert isinstance(answer, kind)
+    assert bench.state.breakpoints == (points if kind is m.Debugged else [])
