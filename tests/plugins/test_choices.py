@@ -201,7 +201,7 @@ def test_a_sensor_that_hangs_is_cut_off_and_named(install: Install, cell: Cell, 
     guard.tell(None)
     assert "sensor EVIL" in found.why
     assert ", line " in found.why
-    assert ["sensor EVIL" in name for name in announced] == [True]
+    assert "sensor EVIL" in announced[-1]
 
 
 @pytest.mark.parametrize("field", ["notes=[object()]", "steps=7", "notes=['\\ud800']"])
