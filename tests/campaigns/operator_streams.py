@@ -53,6 +53,7 @@ SENTENCES = {
 }
 THINGS = {"RIGHT-ARM": ("MACS-NEW", "HANDLE-A"), "LEFT-ARM": ("MACS-OLD", "HANDLE-B")}
 SHARES = ([3, 4, 5], [0, 1, 2], [0], [2], [5], [0, 1, 2, 3, 4, 5])
+HAND_M_S = 1000.0  # m/s, rad/s: a twist beyond it is of no hand and does not count
 NUMBERS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1e-300, 5.0, -0.0)
 FREE_M = 0.007  # of a start: F stops at 5 mm
 HANDS = (b"ada", b"bob", b"eve")
@@ -110,7 +111,8 @@ class Judge:
         age_s = now_s - wanted.seen_at_s
         his = (self.motion.hand or not wanted.hand) and (self.motion.spindle or not wanted.turn)
         another = self.holder not in (b"", caller) and now_s - self.held_at_s <= STALE_S
-        recent = all(map(math.isfinite, numbers)) and -TICK_S <= age_s <= STALE_S
+        of_a_hand = all(abs(part) <= HAND_M_S for part in wanted.twist)
+        recent = of_a_hand and all(map(math.isfinite, numbers)) and -TICK_S <= age_s <= STALE_S
         return recent and his and not another and not (wanted.hold and self.executor.paused)
 
     def counted(self, wanted: m.Operate, caller: bytes, now_s: float) -> None:

@@ -108,7 +108,7 @@ def test_a_jammed_extraction_wiggles_and_ends_where_it_would_have_ended(bench: B
         ("PUSH MACS-OLD BY 3 CM", "MACS-OLD is not held"),
         (f"ALIGN {MODULE} TO RACK-2", "RACK-2 holds MACS-OLD"),
         (f"CARRY {MODULE} TO BAY-3", "no place or seat BAY-3"),
-        (f"HANDOFF {MODULE} FROM {LEFT} TO {RIGHT}", f"held by {RIGHT}, not by {LEFT}"),
+        (f"HANDOFF {MODULE} FROM {LEFT} TO {RIGHT}", f"{RIGHT} holds {MODULE} already"),
         (f"HANDOFF {MODULE} FROM {RIGHT} TO ARM GANTRY", "no arm GANTRY"),
         (f"LIFT {MODULE} BY 10 CM WITH BOTH-ARMS", "must hold one object"),
     ],
