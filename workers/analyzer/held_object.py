@@ -87,6 +87,9 @@ def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
     else:
         moved_s = report.duration_s - report.paused_s if report.moved_s is None else report.moved_s
         spread = pose_spread.crept_spread(task.query.spread(fact.key), moved_s, task.query.cell.numbers)
+        if report.tcp_pose:
+            before, pull = task.query.tcp(task.evaluation.arm), task.query.cell.gravity_m_s2
+            spread = pose_spread.tipped_spread(spread, before, report.tcp_pose, pull, task.values)
         spread = pose_spread.struck_spread(spread, report.peak_force_n, task.values)
         if report.peak_force_n > task.values["twisted_n"]:
             spread = pose_spread.twisted_spread(spread, fact.value, task.values["twisted_rad"])

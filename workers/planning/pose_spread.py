@@ -14,6 +14,8 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
 from rtc.world.spread import Spread, even, narrowest, widened
 
+EARTH_M_S2 = 9.81
+
 
 def spread_at(spread: Spread, offset: Floats) -> list[float]:
     """Spread of the pose at `offset` (in the first pose's axes), rigidly joined to a pose of this spread.
@@ -91,6 +93,16 @@ def askew_spread(spread: Spread, grasp: Floats, wider_m: float, pad_m: float) ->
 def crept_spread(spread: Spread, moved_s: float, numbers: Numbers) -> list[float]:
     """Spread of an object whose hand has moved for `moved_s` more: it creeps in the grip. At rest it does not."""
     return widened(spread, even(moved_s * numbers.creep_m_s, moved_s * numbers.creep_rad_s))
+
+
+def tipped_spread(
+    spread: Spread, before: Floats, after: Floats, gravity: Floats, values: Mapping[str, float]
+) -> list[float]:
+    """Spread of a held object after its hand has turned from one pose to another: its weight pulls it another way
+    through the springs of the fingers. `tipped_m` and `tipped_rad` are for a weight that comes from the side."""
+    pulls = [geometry.rotate(geometry.inverse(pose), gravity) for pose in (before, after)]
+    share = float(np.linalg.norm(pulls[1] - pulls[0])) / EARTH_M_S2
+    return widened(spread, even(share * values["tipped_m"], share * values["tipped_rad"]))
 
 
 def struck_spread(spread: Spread, peak_force_n: float, values: Mapping[str, float]) -> list[float]:

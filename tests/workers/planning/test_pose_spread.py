@@ -10,7 +10,14 @@ import pytest
 from rtc.model.cells.parts import Numbers
 from rtc.spatial import geometry
 from rtc.world.spread import even
-from workers.planning.pose_spread import crept_spread, error_of, spread_after_measurement, spread_at, struck_spread
+from workers.planning.pose_spread import (
+    crept_spread,
+    error_of,
+    spread_after_measurement,
+    spread_at,
+    struck_spread,
+    tipped_spread,
+)
 
 NUMBERS = Numbers(creep_m_s=0.0025 / 60, creep_rad_s=math.radians(1) / 60)
 VALUES = {"struck_n": 40.0, "struck_m": 0.01, "struck_rad": 0.1}
@@ -67,6 +74,18 @@ def test_what_is_held_creeps_and_what_is_struck_turns():
     assert crept_spread(even(0.001, 0.0), 0.0, NUMBERS) == pytest.approx(even(0.001, 0.0))
     assert struck_spread(even(0.001, 0.0), 41.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
     assert struck_spread(even(0.001, 0.0), 5.0, VALUES) == even(0.001, 0.0)
+
+
+def test_what_is_held_moves_when_its_weight_comes_from_another_side() -> None:
+    values, down = {"tipped_m": 0.001, "tipped_rad": 0.06}, (0.0, 0.0, -9.81)
+    upright, aside = geometry.from_rpy((0, 0, 1), (0, 0, 0)), geometry.from_rpy((0, 0, 1), (0.5 * math.pi, 0, 0))
+    turned = geometry.from_rpy((0, 0, 1), (0, 0, 1.0))  # about the plumb line
+    before = even(0.001, 0.0)
+    assert tipped_spread(before, upright, aside, down, values) == pytest.approx(
+        even(0.001 + math.sqrt(2) * 0.001, math.sqrt(2) * 0.06)
+    )
+    assert tipped_spread(before, upright, turned, down, values) == pytest.approx(before)
+    assert tipped_spread(before, upright, aside, (0.0, 0.0, 0.0), values) == pytest.approx(before)
 
 
 def test_an_error_is_along_and_about_the_own_axes_of_the_pose() -> None:
