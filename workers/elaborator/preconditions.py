@@ -197,7 +197,9 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
     thing = lack.thing or lack.held
     clears = rows.get(lack.row or need, "").replace("{let_go}", let_go(rows, candidate.query, thing))
     hand = hand_in_words(candidate.arm.name)
-    clears = clears.replace("{with_hand}", f" WITH {hand}" if candidate.parsed.hand else "").replace("{hand}", hand)
+    clears = clears.replace("{with_hand}", "GRASP {object} WITH {hand}, or " if candidate.parsed.hand else "").replace(
+        "{hand}", hand
+    )
     clears = candidate.fill_in(clears).replace("{held}", lack.held)
     doubt = (
         trust.distrusted(candidate.query, f"{candidate.thing.name}.held_by", {})
