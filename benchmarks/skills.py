@@ -27,7 +27,7 @@ import math
 import random
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,38 +75,38 @@ LOOSENED = [*DRIVER, "LOOSEN BOLT-1 BY 8 TURNS WITH RIGHT-ARM"]
 HANDOFF = "HANDOFF MACS-NEW FROM RIGHT-ARM TO LEFT-ARM"
 
 
-def _of_module(before: list[str], sentence: str) -> Scene:
+def of_module(before: list[str], sentence: str) -> Scene:
     return Scene("swapout", "MACS-NEW", [*before, sentence])
 
 
-def _of_door(before: list[str], sentence: str) -> Scene:
+def of_door(before: list[str], sentence: str) -> Scene:
     return Scene("servicing", door.DOOR, [*before, sentence])
 
 
-def _of_bolt(before: list[str], sentence: str) -> Scene:
+def of_bolt(before: list[str], sentence: str) -> Scene:
     """The driver is displaced on its rack. The bolt is where the cell states it."""
     return Scene("servicing", "POWER-DRIVER", [*before, sentence], opened=True)
 
 
 #: verb -> its scene
 SCENES = {
-    "GRASP": _of_module([], GRASPED[0]),
-    "LIFT": _of_module(GRASPED, "LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM"),
-    "EXTRACT": _of_module(GRASPED, HELD[-1]),
-    "RELEASE": _of_module(GRASPED, "RELEASE MACS-NEW WITH RIGHT-ARM"),
-    "PLACE": _of_module(HELD, "PLACE MACS-NEW ON BAY-2 WITH RIGHT-ARM"),
-    "INSERT": _of_module(HELD, "INSERT MACS-NEW INTO BAY-2 WITH RIGHT-ARM"),
-    "CARRY": _of_module(HELD, ALIGNED[2]),
-    "CARRY BOTH-ARMS": _of_module(HELD, "CARRY MACS-NEW TO BAY-2-FRONT WITH BOTH-ARMS"),
-    "HANDOFF": _of_module(HELD, HANDOFF),
-    "ALIGN": _of_module(ALIGNED[:-1], ALIGNED[-1]),
-    "PULL": _of_module(ALIGNED, "PULL MACS-NEW BY 3 CM WITH RIGHT-ARM"),
-    "PUSH": _of_module(ALIGNED, "PUSH MACS-NEW BY 2 CM WITH RIGHT-ARM"),
-    "OPEN": _of_door(AT_DOOR, OPENED[-1]),
-    "CLOSE": _of_door(OPENED, "CLOSE DOOR-2 WITH LEFT-ARM"),
-    "LOOSEN": _of_bolt(DRIVER, LOOSENED[-1]),
-    "VERIFY": _of_bolt(LOOSENED, "VERIFY BOLT-1 AT LOOSE"),
-    "TIGHTEN": _of_bolt(LOOSENED, "TIGHTEN BOLT-1 UNTIL TORQUE EXCEEDS 3.4 NM WITH RIGHT-ARM"),
+    "GRASP": of_module([], GRASPED[0]),
+    "LIFT": of_module(GRASPED, "LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM"),
+    "EXTRACT": of_module(GRASPED, HELD[-1]),
+    "RELEASE": of_module(GRASPED, "RELEASE MACS-NEW WITH RIGHT-ARM"),
+    "PLACE": of_module(HELD, "PLACE MACS-NEW ON BAY-2 WITH RIGHT-ARM"),
+    "INSERT": of_module(HELD, "INSERT MACS-NEW INTO BAY-2 WITH RIGHT-ARM"),
+    "CARRY": of_module(HELD, ALIGNED[2]),
+    "CARRY BOTH-ARMS": of_module(HELD, "CARRY MACS-NEW TO BAY-2-FRONT WITH BOTH-ARMS"),
+    "HANDOFF": of_module(HELD, HANDOFF),
+    "ALIGN": of_module(ALIGNED[:-1], ALIGNED[-1]),
+    "PULL": of_module(ALIGNED, "PULL MACS-NEW BY 3 CM WITH RIGHT-ARM"),
+    "PUSH": of_module(ALIGNED, "PUSH MACS-NEW BY 2 CM WITH RIGHT-ARM"),
+    "OPEN": of_door(AT_DOOR, OPENED[-1]),
+    "CLOSE": of_door(OPENED, "CLOSE DOOR-2 WITH LEFT-ARM"),
+    "LOOSEN": of_bolt(DRIVER, LOOSENED[-1]),
+    "VERIFY": of_bolt(LOOSENED, "VERIFY BOLT-1 AT LOOSE"),
+    "TIGHTEN": of_bolt(LOOSENED, "TIGHTEN BOLT-1 UNTIL TORQUE EXCEEDS 3.4 NM WITH RIGHT-ARM"),
 }
 
 
@@ -143,12 +143,15 @@ def offset(number: int) -> list[float]:
 class Trial:
     """The simulated cell of a run, from the common beginning of several scenes."""
 
+    physical: type[Physical] = Physical
+    scenes: Mapping[str, Scene] = SCENES
+
     def __init__(self, scene: Scene, *, cameras: bool) -> None:
         self.displaced = scene.displaced
         self.run = SkillRun("", -1, [])
         cell = _unsurveyed(Cell.load(scene.cell))
         self.model = CellModel(cell if cameras else msgspec.structs.replace(cell, cameras=[]))
-        self.subsystem = Physical(self.model.cell)
+        self.subsystem = self.physical(self.model.cell)
         self.bench = Bench(self.subsystem, self.model)
         self.bench.unsurveyed()
         self.sim = self.subsystem.sim
@@ -164,13 +167,13 @@ class Trial:
     def _branch(self, verbs: Sequence[str], depth: int) -> list[SkillRun]:
         """The runs of verbs whose first `depth` sentences were performed: a copy for each next sentence."""
         self.subsystem.close_eyes()  # each copy opens its own
-        behind = [(sentence, ones, depth) for sentence, ones in by_next_sentence(verbs, depth).items()]
+        behind = [(sentence, ones, depth) for sentence, ones in by_next_sentence(verbs, depth, self.scenes).items()]
         return [run for runs in in_copies(self._continue, behind) for run in runs]
 
     def _continue(self, way: tuple[str, list[str], int]) -> list[SkillRun]:
         sentence, verbs, depth = way
         began_s, before = time.process_time(), self.run
-        last = [verb for verb in verbs if len(SCENES[verb].sentences) == depth + 1]
+        last = [verb for verb in verbs if len(self.scenes[verb].sentences) == depth + 1]
         behind = [verb for verb in verbs if verb not in last]
         self.run = replace(before, wrong=list(before.wrong))
         succeeded = self._done(sentence)
@@ -240,11 +243,11 @@ def _unsurveyed(cell: Cell) -> Cell:
     return msgspec.structs.replace(cell, objects=objects)
 
 
-def by_next_sentence(verbs: Iterable[str], depth: int) -> dict[str, list[str]]:
+def by_next_sentence(verbs: Iterable[str], depth: int, scenes: Mapping[str, Scene] = SCENES) -> dict[str, list[str]]:
     """Verbs by the sentence that follows the first `depth` ones of their scenes."""
     found: dict[str, list[str]] = {}
     for verb in verbs:
-        found.setdefault(SCENES[verb].sentences[depth], []).append(verb)
+        found.setdefault(scenes[verb].sentences[depth], []).append(verb)
     return found
 
 

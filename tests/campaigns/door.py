@@ -22,7 +22,7 @@ from benchmarks.report import percentile, question
 from rtc.model.cells.cell import Cell
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
-from sim_mcm.arms.bullet_world import HINGED
+from sim_mcm.arms.bullet_world import HINGED, PhysicsWorld
 from tests.campaigns import advice, numbered_runs
 from tests.workers.conftest import Bench, Physical
 from workers.planning.robot_models import CellModel
@@ -67,18 +67,23 @@ def stand_open(bench: Bench, angle_rad: float = math.radians(95.0)) -> None:
     bench.set_fact(f"{DOOR}.frame", np.asarray(frame).tolist())
 
 
-def run(model: CellModel, offset: Array, friction_nm: float) -> Run:
-    subsystem = Physical(model.cell)
-    bench, sim = Bench(subsystem, model), subsystem.sim
-    displace(sim, offset)
+def rub_hinge(world: PhysicsWorld, name: str, friction_nm: float) -> None:
+    """Give the hinge of an object this friction."""
     pybullet.setJointMotorControl2(
-        sim.world.objects[DOOR].id,
+        world.objects[name].id,
         HINGED,
         pybullet.VELOCITY_CONTROL,
         targetVelocity=0.0,
         force=friction_nm,
-        physicsClientId=sim.world.client,
+        physicsClientId=world.client,
     )
+
+
+def run(model: CellModel, offset: Array, friction_nm: float) -> Run:
+    subsystem = Physical(model.cell)
+    bench, sim = Bench(subsystem, model), subsystem.sim
+    displace(sim, offset)
+    rub_hinge(sim.world, DOOR, friction_nm)
     failed, felt_n, followed = "", [0.0], None
     for sentence in SENTENCES:
         felt_n = []

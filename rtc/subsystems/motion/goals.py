@@ -15,13 +15,14 @@ from rtc.subsystems.motion.stop_functions import RELAXED_S
 
 GOAL_RAD = 0.002  # maximum joint error at the goal
 # An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position. The
-# spring of a compliant arm at the stop of a door is stretched by 13 mm, which turned a joint of its wrist by 0.031 rad.
-LEANING_TICKS, LEANING_RAD = 100, 0.04
+# spring of a compliant arm at the stop of a door is stretched, which turns a joint of its wrist: by up to 0.042 rad
+# with 1.5 N.m of friction in the hinge; by 0.079 rad with 3 N.m, which do not let the door close.
+LEANING_TICKS, LEANING_RAD = 100, 0.06
 WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
-# Shares of the commanded force. At the first a grip is complete at once. A hand may exert less than it is told: one that
-# has stopped to press harder has gripped from the second on. Hands at rest on a bar press with 0.90 to 1.00 if they exert
-# 0.9 or all of it, on nothing with 0.00 (docs/physics.md). The third is of the finger that presses less: 0.79 on a bar
-# that is 2 mm aside, 0.02 if the other one alone meets a wall.
+# Shares of the commanded force. At the first a grip is complete at once. A hand may exert less than that: one
+# that has stopped to press harder has gripped from the second on. Hands at rest on a bar press with 0.90 to 1.00 if
+# they exert 0.9 or all of it, on nothing with 0.00 (docs/physics.md). The third is of the finger that presses less:
+# 0.79 on a bar that is 2 mm aside, 0.02 if the other one alone meets a wall.
 PRESSED, STEADY, BOTH = 0.95, 0.6, 0.5
 # It has stopped if the force has changed by less than this share over this time. A hand at work adds 5 % in 0.01 s.
 CHANGED, STEADY_S = 0.02, 0.1

@@ -1,0 +1,1 @@
+"""How far from its thresholds does each verb end, and how far are the failures that they are for?"""
