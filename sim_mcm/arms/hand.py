@@ -2,8 +2,9 @@
 
 The setpoint of the opening moves to the commanded width at the commanded speed. A virtual spring, limited to the
 commanded force, pulls the fingers towards it. With an object between the fingers the spring stretches until that force
-is reached, and then holds it. A second spring keeps the fingers in the middle of the hand, so it centres the hand over
-the object (measured values: docs/physics.md).
+is reached, and then holds it. Once the width is reached, the setpoint stays there: a finger that is pushed aside meets
+the spring alone. A setpoint that runs whenever the fingers are pushed away makes them shake at a touch. A second spring
+keeps the fingers in the middle of the hand, so it centres the hand over the object (measured values: docs/physics.md).
 
 The gains are those of fingers of 0.1 kg. A lighter finger gets as much of them as a tick of 1 ms permits: beyond that
 the fingers shake, and the arm with them.
@@ -42,6 +43,7 @@ class Hand:
     def __init__(self, command: HandCommand, width_m: float, finger_kg: float = math.inf) -> None:
         self.command = command
         self.wanted_m = width_m
+        self._reached: HandCommand | None = None  # the command whose width was reached
         self._spring_n_m, self._opening_ns_m, self._centre_ns_m = gains_of(finger_kg)
 
     def forces(
@@ -53,8 +55,10 @@ class Hand:
         left_speed, right_speed = speeds
         width, command = left + right, self.command
         limit, missing = command.force_n, command.width_m - width
-        if self.wanted_m != command.width_m or not -THERE_M <= missing <= THERE_M:
+        if self._reached is not command:
             self._run(width, limit)
+            if self.wanted_m == command.width_m and -THERE_M <= missing <= THERE_M:
+                self._reached = command
         pull = 0.5 * (self._spring_n_m * (self.wanted_m - width) - self._opening_ns_m * (left_speed + right_speed))
         if not -limit < pull < limit:
             pull = max(-limit, min(limit, pull))

@@ -218,11 +218,13 @@ def test_steps_take_as_long_as_predicted_and_a_weaker_grip_is_closed_again(physi
     assert lift.trims == [lift.script.context.if_drifting]
     assert lift.reports[-1].hand_force_n > 40.0
 
-    durations = [
-        figure
-        for judged in [*grasp.assessments, *lift.assessments]
-        for figure in judged.compared.figures
-        if figure.name == "duration_s"
+    taken = [
+        figure for judged in grasp.assessments for figure in judged.compared.figures if figure.name == "duration_s"
     ]
-    assert len(durations) > 7
-    assert not [figure for figure in durations if figure.drifts]
+    assert len(taken) > 5
+    off = [abs(figure.measured / figure.predicted - 1.0) for figure in taken if figure.predicted > 0.5]
+    assert max(off) < 0.05  # both touches too, as the handle is where it is believed to be
+    lifted = [
+        figure for judged in lift.assessments for figure in judged.compared.figures if figure.name == "duration_s"
+    ]
+    assert not [figure for figure in [*taken, *lifted] if figure.drifts]

@@ -78,3 +78,18 @@ def test_a_lost_thing_does_not_make_the_fingers_slam() -> None:
     fingers.run(HandCommand(0.0, 30.0, 0.05), 1500)
     assert fingers.width == pytest.approx(0.0, abs=0.001)
     assert max(fingers.pressed) < 1.0  # which is how it is found out
+
+
+@pytest.mark.parametrize("pushed_m", [0.0003, 0.0005, 0.0006, 0.001, 0.002])
+def test_a_finger_that_is_pushed_aside_meets_a_spring_and_rests(pushed_m: float) -> None:
+    """The setpoint ran while the opening was off by more than half a millimetre, and stood while it was not: the finger
+    shook by 0.05 mm, and each touch waited a second for its rest."""
+    fingers = Fingers(0.076)
+    reach = HandCommand(0.076, 20.0, 0.05)
+    fingers.run(reach, 100)
+    fingers.walls = (0.038 + pushed_m, None)
+    fingers.run(reach, 1000)
+    before = fingers.at[0]
+    fingers.run(reach, 20)
+    assert fingers.at[0] == pytest.approx(before, abs=1e-6)
+    assert fingers.pressed[0] == pytest.approx(6000.0 * pushed_m, rel=0.1)  # 6 N/mm
