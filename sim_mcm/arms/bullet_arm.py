@@ -82,10 +82,11 @@ class BulletArm:
         hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
         self.upstream = {n: link for link, n in links.items() if n not in hand}
         self._wrench = _no_wrench if sensor is None else _wrench_at_tcp(world.cell, name, self._centre(sensor))
+        self._under_gravity = any(world.cell.gravity_m_s2)
         self._prepare(spec, sensor)
         self._load: Load | None = None  # of the present control law
         self._hand_weight: HandWeight | None = None
-        if sensor is not None and any(world.cell.gravity_m_s2):
+        if sensor is not None and self._under_gravity:
             inertia = self._hand_inertia(sensor)
             self._hand_weight = HandWeight(inertia, world.cell.gravity_m_s2)
             self._pad_twist = PadTwist(self._model, inertia)
@@ -336,15 +337,16 @@ class BulletArm:
         return found
 
     def rub(self, factor: float) -> None:
-        """Scale the friction of the pads. They stick: a point of contact that does not slide is pulled back to where it
-        was, so what the solver leaves over in a step does not add up (decision 0130)."""
+        """Scale the friction of the pads. Under gravity they stick: a point of contact that does not slide is pulled
+        back to where it was, so what the solver leaves over in a step does not add up (decision 0130). Without gravity
+        they do not: the wrist sensor would miss what the pads then hold."""
         for finger in self.fingers:
             pybullet.changeDynamics(
                 self.body,
                 finger,
                 lateralFriction=factor * FINGER_FRICTION,
                 spinningFriction=SPINNING_FRICTION,
-                frictionAnchor=1,
+                frictionAnchor=int(self._under_gravity),
                 physicsClientId=self._client,
             )
 

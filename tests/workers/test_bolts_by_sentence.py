@@ -64,6 +64,8 @@ def test_a_bolt_is_loosened_verified_and_tightened_in_physics(opened: Bench) -> 
     done(opened, "TIGHTEN BOLT-1 UNTIL TORQUE EXCEEDS 3.4 NM WITH RIGHT-ARM")
     assert opened.world.value("BOLT-1.state") == "TIGHT"
     assert sim.bolts.out_turns("BOLT-1") == pytest.approx(0.0, abs=0.1)
+    done(opened, "PLACE POWER-DRIVER ON TOOL-RACK WITH RIGHT-ARM GUARDED")  # the tug feels its catch
+    assert sim.held()["RIGHT-ARM"] == []
 
 
 @pytest.mark.physics
