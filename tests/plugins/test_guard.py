@@ -44,8 +44,12 @@ def test_every_exception_becomes_a_short_printable_one_that_names_the_code(error
 
 
 def test_the_ctrl_c_of_a_person_and_a_refusal_pass() -> None:
-    with pytest.raises(KeyboardInterrupt), guarded("phase CHECKED"):
-        raise KeyboardInterrupt
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have started the tests without it
+    try:
+        with pytest.raises(KeyboardInterrupt), guarded("phase CHECKED"):
+            raise KeyboardInterrupt
+    finally:
+        signal.signal(signal.SIGINT, before)
     with pytest.raises(Refused), guarded("phase CHECKED"):
         raise Refused.because(RefusalReason.STATE, "not today")
 

@@ -343,7 +343,7 @@ class Client:
 
     def submit(self, text: str) -> None:
         request = f"{self.name}/{len(self.texts) + 1}"
-        sentence = m.CommandText(request=request, text=text, sent_at_s=self.cluster.clock.now_s)
+        sentence = m.CommandText(request=request, text=text, sent_at_s=self.cluster.clock.now_s, cluster="simulated")
         self.texts[request] = self.open[request] = sentence
         self._send(sentence)
 

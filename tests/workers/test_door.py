@@ -9,13 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from benchmarks.skills import offset
 from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Look, TurnAbove
 from rtc.spatial import geometry, hinges
-from tests.campaigns import door
-from tests.campaigns.door import rub_hinge
 from tests.workers.conftest import Bench, Physical, Reporter
 from workers.planning import scenes
 from workers.planning.robot_models import CellModel
@@ -313,20 +310,6 @@ def test_the_angle_of_a_door_that_was_turned_to_and_fro_is_within_its_spread(phy
         assert off <= max(frame.spread[3:]), (sentence, math.degrees(off))
         assert max(frame.spread[:3]) < 1e-6  # its hinge keeps it in place
     assert max(frame.spread[3:]) < math.radians(2.5)
-
-
-@pytest.mark.physics
-def test_a_door_with_a_stiff_hinge_is_closed(physical) -> None:
-    """Its friction stretches the spring of the arm, so the hand ends before its path."""
-    sim = physical.subsystem.sim
-    door.displace(sim, offset(0))
-    assert physical.do(GRASP).succeeded
-    assert physical.do(f"OPEN {DOOR} BY 60 DEG").succeeded
-    rub_hinge(sim.world, DOOR, 1.5)
-    assert physical.do(f"CLOSE {DOOR}").succeeded
-    true_deg = math.degrees(sim.world.angle(DOOR))
-    assert true_deg < 3.0
-    assert angle_deg(physical) == pytest.approx(true_deg, abs=2.0)
 
 
 @pytest.mark.parametrize("line", [f"OPEN {DOOR} BY 60 DEG", f"OPEN {DOOR} TO 60 DEG", f"CLOSE {DOOR}"])

@@ -195,11 +195,11 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
         return
     rows = candidate.program.needs
     thing = lack.thing or lack.held
-    clears = rows.get(lack.row or need, "").replace("{let_go}", let_go(rows, candidate.query, thing))
-    hand = hand_in_words(candidate.arm.name)
-    clears = clears.replace("{with_hand}", "GRASP {object} WITH {hand}, or " if candidate.parsed.hand else "").replace(
-        "{hand}", hand
-    )
+    row = lack.row or need
+    if candidate.parsed.hand and f"{row}_by" in rows:  # with the hand of the sentence first
+        row = f"{row}_by"
+    clears = rows.get(row, "").replace("{let_go}", let_go(rows, candidate.query, thing))
+    clears = clears.replace("{hand}", hand_in_words(candidate.arm.name))
     clears = candidate.fill_in(clears).replace("{held}", lack.held)
     doubt = (
         trust.distrusted(candidate.query, f"{candidate.thing.name}.held_by", {})

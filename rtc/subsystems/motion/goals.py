@@ -16,8 +16,9 @@ from rtc.subsystems.motion.stop_functions import RELAXED_S
 GOAL_RAD = 0.002  # maximum joint error at the goal
 # An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position. The
 # spring of a compliant arm at the stop of a door is stretched, which turns a joint of its wrist: by up to 0.042 rad
-# with 1.5 N.m of friction in the hinge; by 0.079 rad with 3 N.m, which do not let the door close.
-LEANING_TICKS, LEANING_RAD = 100, 0.06
+# with 1.5 N.m of friction in the hinge, so that CLOSE fails there. A stretched spring of 100 to 200 N/m at a wall must
+# not count as the goal either, and does from 0.06 on.
+LEANING_TICKS, LEANING_RAD = 100, 0.04
 WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
 # Shares of the commanded force. At the first a grip is complete at once. A hand may exert less than that: one
 # that has stopped to press harder has gripped from the second on. Hands at rest on a bar press with 0.90 to 1.00 if

@@ -337,7 +337,7 @@ def faults(folder, made):
 
 def test_a_cell_that_its_check_would_refuse_is_not_written(tmp_path):
     file = tmp_path / "arm.urdf"
-    file.write_text(six(("</robot>", f"{FRAME}</robot>"), ('izz="1e-6"', 'izz="-1e-3"'), hand=False))
+    file.write_text(six(("</robot>", f"{FRAME}</robot>"), ('<mass value="0.1"', '<mass value="-0.1"'), hand=False))
     with pytest.raises(ProgramError, match="link frame"):
         drafts.draft(file, "UNIT", "frame")
 
