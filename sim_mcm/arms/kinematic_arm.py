@@ -9,6 +9,7 @@ friction, slip, objects that give way, contacts of other links or of a held obje
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -85,8 +86,8 @@ class KinematicCell:
         self._centres = np.zeros((len(self._all), 3))
         for row, piece in enumerate(self._all):
             piece.row = row
-        for owner in self.pieces:
-            self._place(owner)
+        self._sizes = {owner: _size_m(pieces) for owner, pieces in self.pieces.items()}
+        self._moved = set(self.pieces)  # owners whose pieces are not yet where their pose is
         self.watch = Watch(cell, self.poses, self.carried)
         self.fixed = {thing.name for thing in cell.objects if thing.fixed} | {seat.name for seat in cell.seats}
         self.arms = {arm.name: KinematicArm(self, arm.name) for arm in cell.arms}
@@ -95,9 +96,15 @@ class KinematicCell:
         for arm in self.arms.values():
             arm.step()
         for name, (arm_name, grasp) in self.carried.items():
-            hand = self.arms[arm_name].pose
+            carrier = self.arms[arm_name]
+            hand = carrier.pose
             self.poses[name] = self._hung(name, hand, grasp) if name in self._homes else geometry.compose(hand, grasp)
-            self._place(name)
+            self._moved.add(name)
+            if carrier.turned_rad > 0.0:
+                lever_m = LEVER_M + math.hypot(*grasp[:3]) + self._sizes[name]
+                for arm in self.arms.values():
+                    if arm is not carrier:
+                        arm.use_clearance(lever_m * carrier.turned_rad)
 
     def _hung(self, name: str, hand: Array, grasp: Array) -> Array:
         """The pose of an object with a hinge, turned to where the hand that holds it is."""
@@ -116,6 +123,8 @@ class KinematicCell:
 
     def near(self, point: Array, arm: str, margin_m: float = 0.0) -> list[PlacedShape]:
         """Pieces within reach (plus margin) of a hand at `point` (m, world), without those that `arm` carries."""
+        while self._moved:
+            self._place(self._moved.pop())
         away = np.sqrt(((self._centres - point) ** 2).sum(axis=1)) - self._radii
         carried = {name for name, (by, _) in self.carried.items() if by == arm}
         found = (self._all[n] for n in np.flatnonzero(away < REACH_M + margin_m))
@@ -151,8 +160,7 @@ class KinematicCell:
             if thing.mounted_on is not None:
                 self._homes[name] = home_on(self.cell, thing, self.poses[thing.mounted_on])
         self._hang()
-        for owner in self.pieces:
-            self._place(owner)
+        self._moved |= set(self.pieces)
         for name, arm in self.arms.items():
             arm.restore(state.arms[name])
 
@@ -171,7 +179,7 @@ class KinematicCell:
             self.poses[owner] = geometry.normalise(moved)  # else errors grow with each displacement
             if owner in along and owner in self._homes:
                 self._homes[owner] = geometry.compose(after, geometry.relative(before, self._homes[owner]))
-            self._place(owner)
+            self._moved.add(owner)
         self._hang()
         for arm in self.arms.values():
             arm.forget_clearance()
@@ -252,6 +260,7 @@ class KinematicArm:
         self._pose: Array | None = None  # of the tcp; computed on demand
         self._hand_busy = True  # its command is not yet complete
         self._clear_m = 0.0  # distance that the hand can move without touching anything
+        self.turned_rad = 0.0  # by all joints together, in the latest step
         self._wrench = [0.0] * 6
 
     # --- interface to the executor ---------------------------------------------------------------------
@@ -348,6 +357,12 @@ class KinematicArm:
 
     def step(self) -> None:
         joints, velocities = self._wanted
+        before, self.turned_rad = self.joints, 0.0
+        self._step(joints, velocities)
+        if self.joints is not before:
+            self.turned_rad = _turned_rad(before, self.joints)
+
+    def _step(self, joints: list[float], velocities: list[float]) -> None:
         if self._stays_clear(joints):
             if joints != self.joints:
                 self.joints, self._pose = joints, None
@@ -386,11 +401,16 @@ class KinematicArm:
         """Objects have moved: compute the clearance again."""
         self._clear_m = 0.0
 
+    def use_clearance(self, moved_m: float) -> None:
+        """What another arm carries has moved by at most this."""
+        self._clear_m -= moved_m
+
     def _stays_clear(self, joints: Sequence[float]) -> bool:
         """Whether the hand cannot touch anything on the way to these joints, and its fingers rest."""
-        if self._hand_busy or any(arm != self.traits.name for arm, _ in self._world.carried.values()):
-            return False  # fingers move, or another arm carries an object
-        self._clear_m -= LEVER_M * sum(abs(a - b) for a, b in zip(joints, self.joints, strict=True))
+        if self._hand_busy:
+            return False
+        if joints is not self.joints:
+            self._clear_m -= LEVER_M * _turned_rad(self.joints, joints)
         return self._clear_m > 0.0
 
     def _clearance(self, pose: Array) -> float:
@@ -478,6 +498,11 @@ class KinematicArm:
         return [*(turn @ force).tolist(), *(turn @ torque).tolist()]
 
 
+def _turned_rad(before: Sequence[float], after: Sequence[float]) -> float:
+    """By all joints together."""
+    return sum(abs(a - b) for a, b in zip(before, after, strict=True))
+
+
 FINGERS = ("finger-a", "finger-b")
 LEVER_M = 1.2  # greatest distance of a part of the hand from a joint axis
 CLEAR_M = 0.10  # greater clearances are not computed
@@ -516,6 +541,11 @@ def _placements(model: Any, data: Any, shapes: Any, shape_data: Any, spec: parts
     pin.updateGeometryPlacements(model, data, shapes, shape_data)
     tcp = data.oMf[model.getFrameId(spec.tcp_link)].inverse()
     return [(tcp * placement).homogeneous for placement in shape_data.oMg]
+
+
+def _size_m(pieces: Sequence[PlacedShape]) -> float:
+    """No point of the pieces is farther from the frame of their owner."""
+    return max((float(np.linalg.norm(piece.local[:3, 3])) + piece.radius_m for piece in pieces), default=0.0)
 
 
 def _piece(owner: str, shape: parts.AnyShape) -> PlacedShape:
