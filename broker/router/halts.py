@@ -10,7 +10,7 @@ import msgspec
 from broker.decisions.events import HaltCalled
 from broker.router.core import Core, name_of
 from rtc.protocol import messages as m
-from rtc.runtime.halt_admission import HaltRateLimiter
+from rtc.runtime.halt_admission import HaltRateLimiter, overload
 from rtc.runtime.process import send
 
 CALLERS_KEPT = 200  # maximum number of callers that get answers
@@ -44,6 +44,7 @@ class Halts:
         if self._limiter.exceeds(peer, now):
             self._limiter.merge(numbered)
             self._core.dropped["halts_merged"] += 1
+            send(self._core.sockets["halt"], overload(order, "too many calls in a short time"), peer)
             return
         self.callers.setdefault(peer, deque(maxlen=HALTS_OF_CALLER)).append(Called(numbered.call, order, now))
         self.callers.move_to_end(peer)

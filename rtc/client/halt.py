@@ -24,7 +24,7 @@ from rtc.client.context import ClientContext
 from rtc.client.first_order import RANK, Dealer, FirstOrder, NotConnected
 from rtc.language.fastpath import EVERYTHING, halt_scope
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import ClusterError, RefusalReason, WireError
+from rtc.protocol.outcomes import ClusterError, Refusal, RefusalReason, WireError
 from rtc.protocol.wire import frames, reader
 from rtc.runtime.keys import Endpoints
 from rtc.runtime.priority import real_time
@@ -192,14 +192,14 @@ class HaltLine:
         return []
 
     def _await_rest(self, order: m.HaltOrder, sent_to: list[str], limit_s: float, unknown_by_s: float) -> HaltResult:
-        """Receive until rest is confirmed and both copies are answered.
+        """Receive until rest is confirmed and both copies are answered, or until no one is left who will confirm it.
 
         The broker must have the order, so that no queued command starts. A copy under way would stop the caller's next
         command; so an unanswered copy is awaited too, for a short time.
         """
         subsystems: dict[str, SubsystemHalt] = {}
         unanswered = dict(self._sockets)
-        declined = ""
+        refusals: dict[str, Refusal] = {}  # by socket
         while (left_s := limit_s - time.monotonic()) > 0:
             if self._complete(order, subsystems) and "halt" in sent_to:
                 known = order.scope == EVERYTHING or COMMAND.fullmatch(order.scope) or _reached(subsystems.values())
@@ -214,14 +214,20 @@ class HaltLine:
             for name, socket in self._sockets.items():
                 for answer in self._answers(socket, order):
                     unanswered.pop(name, None)
-                    refused = self._take(answer, order, subsystems)
-                    declined = refused or declined
+                    if not isinstance(answer, m.Declined):
+                        self._take(answer, order, subsystems)
+                        continue
+                    refusals[name] = answer.refusal
                     # A subsystem declines what is not one of its arms; the broker knows those of all.
-                    if refused and name == "halt" and not _reached(subsystems.values()):
+                    if name == "halt" and not _is_obeyed(answer.refusal) and not _reached(subsystems.values()):
                         limit_s = 0.0
-        doubt = ""
-        if COMMAND.fullmatch(order.scope) and not declined and not _reached(subsystems.values()):
+            if any(map(_is_obeyed, refusals.values())) and all(name in refusals for name in sent_to):
+                break
+        declined = next((one.message for one in refusals.values() if not _is_obeyed(one)), "")
+        doubt = "" if subsystems else next((one.message for one in refusals.values() if _is_obeyed(one)), "")
+        if COMMAND.fullmatch(order.scope) and not refusals and not _reached(subsystems.values()):
             declined, doubt = self._check_exists(order.scope, "halt" in sent_to)
+            doubt = doubt if subsystems else ""
         silent = [] if order.scope != EVERYTHING else [name for name in self._confirming if name not in subsystems]
         return _result(order, sent_to, list(subsystems.values()), declined, doubt, silent)
 
@@ -275,10 +281,9 @@ class HaltLine:
             if halt == order.halt:
                 yield answer
 
-    def _take(self, answer: m.FromHalt, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> str:
-        """Note one answer; the message of the refusal, if it is one."""
-        if isinstance(answer, m.Declined):
-            return answer.refusal.message
+    def _take(
+        self, answer: m.HaltStarted | m.HaltAtRest, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]
+    ) -> None:
         found = subsystems.setdefault(answer.subsystem, SubsystemHalt(name=answer.subsystem))
         if isinstance(answer, m.HaltStarted):
             if found.latency_s is None:
@@ -288,7 +293,6 @@ class HaltLine:
         else:
             found.at_rest, found.performers = answer.at_rest, answer.performers
             found.rest_s, found.own_rest_s = self._at(answer.at_s) - order.called_at_s, answer.own_s
-        return ""
 
     def _at(self, time_there_s: float) -> float:
         """A time of the other process by this clock; over tcp the time of arrival, which is an upper bound."""
@@ -301,6 +305,11 @@ def _ms(seconds: float) -> int:
 
 def _at_rest(subsystems: Collection[SubsystemHalt]) -> bool:
     return bool(subsystems) and all(sub.at_rest for sub in subsystems)
+
+
+def _is_obeyed(refusal: Refusal) -> bool:
+    """Whether the halt was obeyed, and only its rest will not be confirmed there."""
+    return refusal.reason is RefusalReason.OVERLOAD
 
 
 def _reached(subsystems: Collection[SubsystemHalt]) -> bool:
@@ -324,8 +333,9 @@ def _result(
         silent = [*(sub.name for sub in subsystems if not sub.at_rest), *(absent if subsystems else [])]
         message = (
             declined
-            or (doubt if _at_rest(subsystems) else "")
-            or (f"{', '.join(silent)} has not come to rest in time" if silent else "no subsystem answered in time")
+            or (f"{', '.join(silent)} has not come to rest in time" if silent else "")
+            or doubt
+            or "no subsystem answered in time"
         )
     return HaltResult(
         halt=order.halt,

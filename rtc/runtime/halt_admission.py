@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import WireError
+from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.protocol.wire import reader
 from rtc.runtime.allowance import Allowance
 
@@ -63,6 +63,12 @@ def sanitize_halt(order: m.HaltOrder) -> m.HaltOrder:
     if not 0.0 <= order.called_at_s < math.inf:
         order = msgspec.structs.replace(order, called_at_s=0.0)
     return msgspec.structs.replace(order, received_at_s=0.0) if order.received_at_s else order
+
+
+def overload(order: m.HaltOrder, why: str) -> m.Declined:
+    """The answer to a halt that is obeyed without a report of its rest."""
+    message = f"the halt was obeyed, but rest will not be confirmed: {why}"
+    return m.Declined(request=order.halt, refusal=Refusal(reason=RefusalReason.OVERLOAD, message=message))
 
 
 class HaltRateLimiter:

@@ -29,6 +29,7 @@ from rtc.protocol.outcomes import (
 )
 from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.protocol.wire import frames, reader, reader_of_many, together
+from rtc.runtime.halt_admission import overload
 from rtc.runtime.settings import Settings
 from tests.apps.cli.in_process import call
 
@@ -48,6 +49,7 @@ class SmallBroker(threading.Thread):
         self.parcels: list[int] = []  # messages in each message of a client
         self.halted: list[tuple[str, m.HaltOrder]] = []
         self.at_rest: bool | None = True
+        self.overloaded: tuple[str, ...] = ()  # sockets that obey and say that they will not confirm rest
         self._answer = answer
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._stop_in = self._context.socket(zmq.PAIR)
@@ -88,6 +90,8 @@ class SmallBroker(threading.Thread):
 
     def _obey(self, order: m.HaltOrder, name: str) -> list[object]:
         rest = m.HaltAtRest(halt=order.halt, subsystem="MCM", at_s=0.0, at_rest=True, performers=[])
+        if name in self.overloaded:
+            return [overload(order, "too many calls")]
         if order.scope == ENDED:
             return [rest] if name == "estop" else []
         if order.scope in UNKNOWN_SCOPES:  # the MCM cannot know; the broker does
@@ -517,6 +521,26 @@ def test_the_scope_of_a_halt_is_understood_as_in_a_sentence(
 ) -> None:
     with Client(run_dir) as rtc:
         assert rtc.halt(sentence).scope == scope
+
+
+@pytest.mark.parametrize("scope", ["ALL", "RIGHT-ARM", "C-99"])
+def test_a_halt_that_no_one_will_confirm_is_answered_at_once(broker: SmallBroker, run_dir: Path, scope: str) -> None:
+    broker.overloaded = ("halt", "estop")
+    with Client(run_dir) as rtc:
+        called_at_s = time.monotonic()
+        result = rtc.halt(scope, timeout_s=600.0)
+    assert time.monotonic() - called_at_s < 60.0
+    assert (result.confirmed, result.declined) == (False, False)  # it was obeyed
+    assert "too many calls" in result.message
+
+
+@pytest.mark.parametrize("overloaded", ["halt", "estop"])
+def test_a_halt_that_one_of_two_will_confirm_is_confirmed(
+    broker: SmallBroker, run_dir: Path, overloaded: str
+) -> None:
+    broker.overloaded = (overloaded,)
+    with Client(run_dir) as rtc:
+        assert rtc.halt().confirmed
 
 
 @pytest.mark.parametrize(("at_rest", "why"), [(False, "has not come to rest"), (None, "has not come to rest")])

@@ -1,7 +1,8 @@
 """Halts of pages: several lines to broker and MCM, each with sockets of its own.
 
 A line is busy until rest is confirmed. The lines are shared out among three kinds of scope, so that no halt of all
-waits for one of a command. Of orders of the same scope one waits at most; later ones join it, and get its result.
+waits for one of a command. Of orders of the same scope one waits at most, which is sent as the newest: later ones join
+it, and get its result. A line sends no more orders than the subsystems confirm (`PER_S`), whatever pages send.
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ from rtc.client.context import ClientContext
 from rtc.client.halt import HaltLine, HaltResult
 from rtc.language.fastpath import EVERYTHING, halt_scope
 from rtc.protocol.outcomes import ClusterError
+from rtc.runtime.halt_admission import PER_S
 from rtc.runtime.keys import Endpoints
 
 TIMEOUT_S = 2.0
+PACE_S = 1.1 / PER_S  # between two orders of a line
 MAX_WAITING = 32  # different scopes of one kind that wait
 
 
@@ -75,11 +78,14 @@ class Halts:
         found: asyncio.Future[dict[str, Any]],
         sent: asyncio.Future[dict[str, Any]],
     ) -> None:
-        lines.free.append(line)
         if sent.cancelled():  # the console ends
             found.cancel()
-        else:
-            found.set_result(sent.result())
+            return
+        found.set_result(sent.result())
+        asyncio.get_running_loop().call_later(PACE_S - sent.result()["took_s"], self._freed, lines, line)
+
+    def _freed(self, lines: _Lines, line: HaltLine) -> None:
+        lines.free.append(line)
         self._send(lines)
 
     def _halt(self, line: HaltLine, scope: str) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from rtc.protocol.outcomes import Measured, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.protocol.primitive_id import MAX_CHARACTERS, is_name
 from rtc.protocol.versions import ARRAYS, VERSION
-from rtc.runtime.halt_admission import HaltRateLimiter
+from rtc.runtime.halt_admission import HaltRateLimiter, overload
 
 BROKER = b""  # not a possible identity of a caller at a halt socket
 REPEAT_S = 0.5  # period of repeating an end report that is not acknowledged
@@ -295,7 +295,7 @@ class Subsystem(ABC, Generic[Performer]):
             if merged.scope == "ALL":  # it replaces the fences that have been merged into it
                 self._fences.clear()
             self._fence(merged)
-            return [(sender, _overload(order, "too many calls in a short time"))]
+            return [(sender, overload(order, "too many calls in a short time"))]
         self._fence(passed_on)
         return [(BROKER, passed_on), *self._answer(order, sender, reached, moving, now_s)]
 
@@ -324,7 +324,7 @@ class Subsystem(ABC, Generic[Performer]):
             return (
                 []
                 if sender == BROKER
-                else [(sender, _overload(order, "earlier halts of this caller still wait for rest"))]
+                else [(sender, overload(order, "earlier halts of this caller still wait for rest"))]
             )
         self._halts[order.halt, order.scope] = halt
         self._halts.move_to_end((order.halt, order.scope))
@@ -471,11 +471,6 @@ def sendable(report: Report) -> Report:
 def _acknowledges(order: m.HaltOrder, seen: m.HaltOrder) -> bool:
     """Whether this order of the broker acknowledges that fence."""
     return order.call == seen.call if order.call else order.halt == seen.halt
-
-
-def _overload(order: m.HaltOrder, why: str) -> m.Declined:
-    message = f"the halt was obeyed, but rest will not be confirmed: {why}"
-    return m.Declined(request=order.halt, refusal=Refusal(reason=RefusalReason.OVERLOAD, message=message))
 
 
 def in_scope(scope: str, performer: str, primitive: str) -> bool:

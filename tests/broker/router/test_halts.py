@@ -24,6 +24,8 @@ def test_who_calls_halts_without_end_is_obeyed_and_folded(working: Bench) -> Non
     assert len(passed_on) == PER_S + 1  # those beyond number together
     assert (passed_on[-1].halt, passed_on[-1].scope) == (calls[-1].halt, "ALL")  # of two scopes
     assert len(working.router.halts.callers[b"x"]) == HALTS_OF_CALLER
+    unconfirmed = [wire.reader(m.FromHalt)(parts[1:]) for parts in working.sockets["halt"].sent if parts[0] == b"x"]
+    assert [one.request for one in unconfirmed if isinstance(one, m.Declined)] == [one.halt for one in calls[PER_S:]]
 
     working.send("halt", b"ann", m.HaltOrder(halt="H-ann", scope="LEFT-ARM"))
     rest = m.HaltAtRest(halt="H-ann", subsystem="MCM", at_s=1.0, at_rest=True, performers=["LEFT-ARM"])
