@@ -170,6 +170,8 @@ def test_give_and_take_hand_an_arm_over_between_two_points_of_rest() -> None:
     it.drive(1.0, twist=[0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
     assert "hand is not part" in it.send(hand="close")
     assert rtc.state.commands[held].phase is m.Phase.HELD
+    waits = {n.command: n.note for n in rtc.notes if n.phase is m.Phase.HELD}
+    assert all("TAKE RIGHT-ARM FROM OPERATOR" in waits[name] for name in (held, beside))
     assert it.say("TAKE LEFT-ARM FROM OPERATOR").kind is OutcomeKind.REFUSED
     assert it.say("TAKE RIGHT-ARM FROM OPERATOR").kind is OutcomeKind.REFUSED  # it moves
     it.drive(0.2, hold=False)

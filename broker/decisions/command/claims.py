@@ -55,8 +55,16 @@ def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> b
         return False
     context.grant(resources.wait(command.id, claim))
     context.check_space_lines()
-    context.enter(command, Phase.HELD, f"{name} is in use by {owner}")
+    context.enter(command, Phase.HELD, f"{name} is in use by {owner}{_of_operator(context, owner)}")
     return False
+
+
+def _of_operator(context: DecisionContext, owner: str) -> str:
+    """What ends the use of a name by the operator, who may have left; empty for other owners."""
+    other = context.state.commands.get(owner)
+    if other is None or not other.operated:
+        return ""
+    return f": the operator has {other.performers[0]}; TAKE {other.performers[0]} FROM OPERATOR ends that"
 
 
 def on_granted(context: DecisionContext, command: Command, _: Any) -> None:
