@@ -14,7 +14,7 @@ from lark.lexer import Token
 from rtc.language.refuse import SentenceError, quoted
 from rtc.language.words import WrittenNumber
 from rtc.protocol.sentence import Quantity
-from rtc.protocol.units import KINDS, UNITS, such_as, to_si
+from rtc.protocol.units import KINDS, LEAST, UNITS, such_as, to_si
 
 Sense = Literal["any", "not nothing", "not negative", "more than nothing"]
 
@@ -81,7 +81,7 @@ def checked(given: WrittenNumber, takes: QuantityRule, by: str) -> Quantity:
         kinds = " or ".join(KINDS[u].word for u in takes.units)
         message = f"{by} takes {kinds}; {quoted(given.text)} is {KINDS[si].word}."
         raise SentenceError(given.column, message, map(such_as, takes.units))
-    value = to_si(given.number, given.unit)
+    value = _to_si(given, given.unit)
     negative, nothing = takes.sense in ("any", "not nothing"), takes.sense in ("any", "not negative")
     if (value < 0 and not negative) or (value == 0 and not nothing):
         message = f"{by} {quoted(given.text)} makes no sense: it must be {takes.sense}."
@@ -120,7 +120,11 @@ def si_numbers(last_first: list[WrittenNumber], takes: tuple[str, ...], word: To
     """The numbers after JOINTS or POSITION, in SI."""
     if not last_first:
         raise SentenceError(word.end_pos or 0, f"{word.value} needs numbers after it.", ["a number", such_as(takes[0])])
-    return in_si(in_one_unit(last_first), takes, word.value)
+    numbers = in_one_unit(last_first)
+    for given, unit in numbers:
+        if unit is None:
+            _refuse_beyond(given, given.number, takes[0])
+    return in_si(numbers, takes, word.value)
 
 
 def positions(last_first: list[WrittenNumber], word: Token) -> list[float]:
@@ -136,7 +140,22 @@ def in_si(numbers: list[tuple[WrittenNumber, str | None]], units: tuple[str, ...
     for given, _ in numbers:
         if given.unit is not None:
             checked(given, QuantityRule(units, "any"), by)
-    return [given.number + 0.0 if unit is None else to_si(given.number, unit) for given, unit in numbers]
+    return [given.number + 0.0 if unit is None else _to_si(given, unit) for given, unit in numbers]
+
+
+def _to_si(given: WrittenNumber, unit: str) -> float:
+    """The value in SI. Raises `SentenceError` for one that no planner could compute with, nor any arm perform."""
+    value = to_si(given.number, unit)
+    _refuse_beyond(given, value, UNITS[unit].si)
+    return value
+
+
+def _refuse_beyond(given: WrittenNumber, value: float, si: str) -> None:
+    kind = KINDS[si]
+    if abs(value) > kind.most or 0.0 < abs(value) < LEAST:
+        size = "large" if abs(value) > kind.most else "small"
+        message = f"{quoted(given.text)} is too {size} a number for {kind.word}."
+        raise SentenceError(given.column, message, [such_as(si)])
 
 
 def check_angles(numbers: Iterable[tuple[WrittenNumber, str | None]], by: str) -> None:

@@ -18,6 +18,7 @@ class Unit(NamedTuple):
 class Kind(NamedTuple):
     word: str  # "a length"
     example: str  # "10 CM"
+    most: float  # in SI: beyond it, or below LEAST, no number of a sentence is about arms and what they move
 
 
 UNITS: dict[str, Unit] = {
@@ -45,19 +46,21 @@ UNITS: dict[str, Unit] = {
     "%": Unit("ratio", over=100),
 }
 
+LEAST = 1e-9  # of any quantity but nothing, in SI
+
 KINDS: dict[str, Kind] = {
-    "m": Kind("a length", "10 CM"),
-    "rad": Kind("an angle", "90 DEG"),
-    "turn": Kind("a number of turns", "6 TURNS"),
-    "N": Kind("a force", "20 N"),
-    "N.m": Kind("a torque", "3 NM"),
-    "N/m": Kind("a stiffness", "400 N/M"),
-    "m/s": Kind("a speed", "10 CM/S"),
-    "rad/s": Kind("a turning speed", "20 DEG/S"),
-    "s": Kind("a time", "30 SEC"),
-    "Hz": Kind("a rate", "10 HZ"),
-    "kg": Kind("a mass", "2 KG"),
-    "ratio": Kind("a percentage", "50 PERCENT"),
+    "m": Kind("a length", "10 CM", 1e3),
+    "rad": Kind("an angle", "90 DEG", 1e4),
+    "turn": Kind("a number of turns", "6 TURNS", 1e4),
+    "N": Kind("a force", "20 N", 1e6),
+    "N.m": Kind("a torque", "3 NM", 1e6),
+    "N/m": Kind("a stiffness", "400 N/M", 1e9),
+    "m/s": Kind("a speed", "10 CM/S", 1e3),
+    "rad/s": Kind("a turning speed", "20 DEG/S", 1e4),
+    "s": Kind("a time", "30 SEC", 1e6),
+    "Hz": Kind("a rate", "10 HZ", 1e6),
+    "kg": Kind("a mass", "2 KG", 1e6),
+    "ratio": Kind("a percentage", "50 PERCENT", 1e6),
 }
 
 #: SI unit -> the end of a figure's name: width_m, mass_kg

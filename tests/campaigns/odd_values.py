@@ -207,9 +207,16 @@ class Doors:
         for kind in ("elaborator", "binder", "analyzer"):  # a failed first job has rolled them back
             self._load(kind, "phases: [ODD]" + ("\ntrimmers: [ODD, stack]" if kind == "analyzer" else ""))
         if not answer:
-            return f"{place} {deed}: no answer in {ANSWER_S:g} s"
+            return f"{place} {deed}: no answer in {ANSWER_S:g} s; live: {self._live()}"
         named = answer.startswith(("succeeded", "halted")) or "ODD" in answer
         return "" if named else f"{place} {deed}: {answer[:200]}"
+
+    def _live(self) -> str:
+        """The commands that have not ended, and what each waits for."""
+        self.peer.say(type="StatusQuery", request="l")
+        found = self.peer.receive(10.0, lambda message: message["type"] == "StatusReply")
+        rows = found["status"]["commands"] if found else []
+        return "; ".join(f"{row['command']} {row['text'][:40]!r}: {row['phase']} {row['step']}" for row in rows)
 
     def facts(self) -> str:
         view = Peer(self.context, self.settings, "world")
@@ -336,10 +343,12 @@ class Doors:
             )
             unanswered += hand.receive(5.0) is None
         hand.close()
-        taken = self.peer.outcome("TAKE RIGHT-ARM FROM OPERATOR")
-        return (
-            "" if taken and not unanswered else f"twists: {unanswered} without an answer, TAKE {taken or 'no answer'}"
-        )
+        taken, end_s = "", time.monotonic() + ANSWER_S
+        while not taken.startswith("succeeded") and time.monotonic() < end_s:  # it may not have begun, or still move
+            taken = self.peer.outcome("TAKE RIGHT-ARM FROM OPERATOR")
+        if unanswered or not taken.startswith("succeeded"):
+            return f"twists: {unanswered} without an answer, TAKE {taken or 'no answer'}; live: {self._live()}"
+        return ""
 
     def pages(self) -> str:
         if self.page is None:

@@ -535,9 +535,7 @@ def test_a_halt_that_no_one_will_confirm_is_answered_at_once(broker: SmallBroker
 
 
 @pytest.mark.parametrize("overloaded", ["halt", "estop"])
-def test_a_halt_that_one_of_two_will_confirm_is_confirmed(
-    broker: SmallBroker, run_dir: Path, overloaded: str
-) -> None:
+def test_a_halt_that_one_of_two_will_confirm_is_confirmed(broker: SmallBroker, run_dir: Path, overloaded: str) -> None:
     broker.overloaded = (overloaded,)
     with Client(run_dir) as rtc:
         assert rtc.halt().confirmed

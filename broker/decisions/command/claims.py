@@ -55,16 +55,18 @@ def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> b
         return False
     context.grant(resources.wait(command.id, claim))
     context.check_space_lines()
-    context.enter(command, Phase.HELD, f"{name} is in use by {owner}{_of_operator(context, owner)}")
+    context.enter(command, Phase.HELD, f"{name} is in use by {owner}{_ended_by(context, owner)}")
     return False
 
 
-def _of_operator(context: DecisionContext, owner: str) -> str:
-    """What ends the use of a name by the operator, who may have left; empty for other owners."""
+def _ended_by(context: DecisionContext, owner: str) -> str:
+    """What ends a use that does not end by itself: that of a paused command, and of an operator, who may have left."""
     other = context.state.commands.get(owner)
-    if other is None or not other.operated:
-        return ""
-    return f": the operator has {other.performers[0]}; TAKE {other.performers[0]} FROM OPERATOR ends that"
+    if other is not None and (other.pause_wanted or other.phase is Phase.PAUSED):
+        return f", which is paused: RESUME {owner}, or ABORT {owner}"
+    if other is not None and other.operated:
+        return f": the operator has {other.performers[0]}; TAKE {other.performers[0]} FROM OPERATOR ends that"
+    return ""
 
 
 def on_granted(context: DecisionContext, command: Command, _: Any) -> None:

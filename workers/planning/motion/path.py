@@ -24,6 +24,7 @@ from workers.planning.motion import smooth
 from workers.planning.motion.blended import Blended, lengths, widest
 from workers.planning.motion.spline import Spline
 
+LONGEST_M = 1e3  # no arm goes so far; the line is not computed
 KNOT_M = 0.025  # distance between inverse solutions; a cubic through them is straight to some micrometres
 KNOT_RAD = 0.10
 LEAP_RAD = 0.60  # a larger joint step between knots means a singularity or another branch
@@ -166,6 +167,10 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
     Raises Refused."""
     start_pose = arm.fk(start)
     metres, turn = geometry.distance(start_pose, goal_pose), geometry.angle(start_pose, goal_pose)
+    if not metres <= LONGEST_M:  # from a program or a fact; sentences have no such lengths
+        problem = _problem(arm, np.asarray(goal_pose, dtype=float), None, np.asarray(start, dtype=float), margin_rad)
+        assert problem is not None
+        raise _at(problem, 1.0, metres, metres)
     length = max(metres, METRES_PER_RAD * turn, 1e-9)
     count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
     fractions = even(0.0, 1.0, count - 1)

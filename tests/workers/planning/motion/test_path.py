@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
 from tests.workers.refusals import refusal_of
 from workers.planning.motion.path import joint_line, spline_through, task_line, through
@@ -106,6 +107,13 @@ def test_a_joint_limit_on_the_way_names_the_joint(right, home):
     assert refusal.detail["cause"] == "joint_limit"
     assert refusal.detail["joint"] == "joint_3"
     assert 0 < refusal.detail["fraction"] < 1
+
+
+@pytest.mark.parametrize("far_m", [1e6, 1e20, 1e308])
+def test_a_line_that_no_arm_goes_is_refused_without_its_samples(right, home, far_m):
+    """Its knots at 25 mm would take the memory of the machine."""
+    goal = geometry.translate(right.fk(home["RIGHT-ARM"]), [0.0, 0.0, far_m])
+    assert refusal_of(task_line, right, home["RIGHT-ARM"], goal).reason is RefusalReason.INFEASIBLE
 
 
 def test_a_singularity_on_the_way_is_reported_as_such(right):
