@@ -71,7 +71,7 @@ def fit(sightings: Sequence[TagObservation], near: Array | None = None) -> Fit |
     made = Fit(best, second, _covariance(used, best), used)
     if second is None or not made.ambiguous:
         return made
-    return made._replace(covariance=made.covariance + _spread(best.matrix, second.matrix))
+    return made._replace(covariance=made.covariance + between(best, second))
 
 
 def planar(sighting: TagObservation) -> list[Solution]:
@@ -321,7 +321,7 @@ def _apart(a: Array, b: Array) -> bool:
     return bool(np.linalg.norm(between[:3]) > APART_M or np.linalg.norm(between[3:]) > APART_RAD)
 
 
-def _spread(a: Array, b: Array) -> Array:
-    """Covariance of a choice between two poses."""
-    between = _difference(a, b)
-    return np.outer(between, between)
+def between(a: Solution, b: Solution) -> Array:
+    """Covariance of a choice between two solutions, as that of a `Fit`."""
+    off = _difference(a.matrix, b.matrix)
+    return np.outer(off, off)

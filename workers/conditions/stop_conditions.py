@@ -59,7 +59,7 @@ class Line(NamedTuple):
 
 #: tag of a predicate -> constructor from the limit, the axis of an opposing force (tool frame), the line and figures
 MAKERS: dict[str, Callable[[float, Vector | None, Line, Values], Predicate]] = {
-    "goal-reached": lambda limit, axis, line, values: GoalReached(),
+    "goal-reached": lambda limit, axis, line, values: GoalReached(_stretched_m(values)),
     "time-above": lambda limit, axis, line, values: TimeAbove(limit),
     "force-above": lambda limit, axis, line, values: ForceAbove(limit_n=limit, axis=axis),
     "torque-above": lambda limit, axis, line, values: TorqueAbove(limit_nm=limit, axis=axis),
@@ -74,6 +74,13 @@ MAKERS: dict[str, Callable[[float, Vector | None, Line, Values], Predicate]] = {
     "turn-above": lambda limit, axis, line, values: TurnAbove(limit_rad=limit, axis=line.axis, point=line.point),
     "unseen-above": lambda limit, axis, line, values: UnseenAbove(limit),
 }
+
+
+def _stretched_m(values: Values) -> float | None:
+    """How far from its goal a compliant arm may rest, if the step states it; the analyzer judges by the same figure."""
+    return values.get("within_m") if "stiffness_n_m" in values else None
+
+
 #: limit of MAINTAIN -> the figure that it tightens
 TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torque_nm"}
 OVERLOADS = {"force-above": StopReason.FORCE_LIMIT, "torque-above": StopReason.TORQUE_LIMIT}

@@ -33,6 +33,7 @@ from rtc.world.spread import EXACT, Spread, widened
 from workers.analyzer import analyze
 from workers.binder import bind
 from workers.elaborator import elaborate
+from workers.planning import pose_spread
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 from workers.rehearsal.paper_world import PaperWorld
@@ -40,6 +41,9 @@ from workers.rehearsal.predicted_report import end_report
 
 UNTIL_STOPPED_S = 600.0  # a rest or a look of this length without FOR lasts until a person ends it
 MAX_STEPS = 200  # of one sentence: a limit of the loop, which trims make longer
+# What a compliant hand bears where it comes to rest with an object on a hinge: it stretches its spring. It was at most
+# 9.9 mm and 0.014 rad beside its goal, with 600 N/m and hinges of 1.0 and 1.5 N.m (n 9; docs/physics.md).
+BEARS_N, BEARS_NM = 6.0, 0.27
 
 Programs = Mapping[WorkerKind, Any]
 
@@ -75,6 +79,7 @@ class Performance:
     remark: str = ""  # of the last step: what the result would state
     # Pose -> how far a camera or a touch may find it from where the paper has it: what was known before that.
     known_within: dict[str, Spread] = field(default_factory=dict)
+    stretched: dict[str, Spread] = field(default_factory=dict)  # arm -> how far it may rest from where the paper has it
 
     @property
     def predicted_s(self) -> float:
@@ -159,7 +164,18 @@ class Performance:
     def spread_of(self, fact: Fact) -> list[float] | None:
         """How far the fact may be from what is predicted."""
         within = self.known_within.get(fact.key)
-        return fact.spread if within is None else widened(fact.spread or EXACT, within)
+        spread = fact.spread if within is None else widened(fact.spread or EXACT, within)
+        return widened(spread or EXACT, aside) if (aside := self._beside_hinge(fact)) is not None else spread
+
+    def _beside_hinge(self, fact: Fact) -> list[float] | None:
+        """How far a hand may be from where the paper has it, in the axes of a body that its hinge keeps in place; None
+        for any other fact. Only the angle of such a body is unsure, but its place in the hand is as unsure as the hand.
+        """
+        thing, _, attribute = fact.key.rpartition(".")
+        if attribute != "grasp" or fact.value is None or (query := self.query()).hinge(thing) is None:
+            return None
+        off = self.stretched.get(query.held_by(thing))
+        return None if off is None else pose_spread.spread_at(off, fact.value)
 
     def follow(self, judged: Assessment) -> str:
         """Push the trim that the verdict asks for; what follows it. Raises Refused without one, with the failure."""
@@ -189,10 +205,23 @@ class Performance:
             self.moments.append(Moment(copied(self.actions), self.world, self.now_s, bound))
         if report is None:
             return
+        self._note_stretched(bound)
         judged = self.judge(bound, report)
         self.remark = judged.remark
         if judged.verdict != "continue":
             self.follow(judged)
+
+    def _note_stretched(self, bound: BoundStep) -> None:
+        """A compliant hand rests beside its goal by what it bears; one whose position is controlled rests there."""
+        made = bound.primitive
+        if made is None or not isinstance(made.trajectory, JointTrajectory):
+            return
+        self.stretched.pop(made.performer, None)
+        if (soft := made.control_law.compliance) is not None:
+            bears = [BEARS_N] * 3 + [BEARS_NM] * 3
+            self.stretched[made.performer] = [
+                most / firm if firm else 0.0 for most, firm in zip(bears, soft.stiffness, strict=True)
+            ]
 
     def _report(self, query: WorldQuery, bound: BoundStep) -> EndReport:
         """The predicted one. An exact arm refuses what must give way, as it would in a motion (`KinematicArm`)."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from rtc.model.robot.quintic import Hermite
 from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext
-from rtc.protocol.outcomes import RefusalReason, Refused, Sighting, StopReason
+from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import (
     ForceAbove,
     HandMotion,
@@ -29,14 +29,11 @@ from rtc.protocol.primitive import (
     TorqueBelow,
     TurnAbove,
 )
-from rtc.sensing import optics
-from rtc.sensing.locate import corners
-from rtc.sensing.pose_fit import TagObservation, fit
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.prediction import closes_on_m
-from workers.planning import sight
 from workers.planning.world_query import WorldQuery
+from workers.rehearsal.predicted_sighting import sighting
 
 TURN_TIMES = 201  # of a path, at which its turn is evaluated
 HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
@@ -99,7 +96,7 @@ def _of_path(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, 
         at_s = 0.0
     else:
         at_s = 0.5 * path.duration_s
-    takes_s = path.duration_s if reason is StopReason.GOAL else at_s  # an arm that lags is there at the end
+    takes_s = evaluation.predicted_s if reason is StopReason.GOAL else at_s  # an arm that lags is there at the end
     report = _at_rest(query, made.performer, made.id, reason, _posture(path, at_s), takes_s)
     if made.partner is None:
         return report
@@ -320,7 +317,8 @@ def _joints_at(query: WorldQuery, arm: str, pose: Array) -> list[float]:
 
 
 def _of_look(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
-    seen = sighting(query, made, evaluation.body) if reason in (StopReason.GOAL, StopReason.FOUND) else None
+    expected = reason in (StopReason.GOAL, StopReason.FOUND)
+    seen, why = sighting(query, made, evaluation.body) if expected else (None, "")
     if reason is StopReason.FOUND and seen is None:
         reason = StopReason.NOT_SEEN
     return EndReport(
@@ -330,46 +328,8 @@ def _of_look(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, 
         at_s=0.0,
         duration_s=evaluation.predicted_s,
         sighting=seen,
+        message=why,
     )
-
-
-def sighting(query: WorldQuery, made: Primitive, body: str) -> Sighting | None:
-    """What the cameras of a look see of a body that is where it is believed to be, with the accuracy of its tags in
-    their pictures. None: they cannot see it there."""
-    pose = query.pose(body)
-    views = [
-        optics.view(camera, query.tcp(camera.arm) if camera.arm else None)
-        for camera in map(query.cell.camera, made.performers)
-    ]
-    look = made.trajectory
-    assert isinstance(look, Look)
-    seen = [one for view in views for one in _observations(query, view, body, pose)]
-    found = fit(seen * look.pictures, geometry.to_matrix(pose))  # one pose from all pictures of a look
-    if found is None:
-        return None
-    follows = look.duration_s is not None
-    return Sighting(
-        pose=pose.tolist(),
-        covariance=found.covariance.ravel().tolist(),
-        tags=sorted({one.tag for one in found.used}),
-        error_px=0.0,
-        age_s=0.0,
-        pictures=look.pictures,
-        ambiguous=found.ambiguous,
-        velocity=NO_FORCE if follows else None,
-        cameras=sorted({one.view.camera for one in found.used}) if len(views) > 1 else [],
-    )
-
-
-def _observations(query: WorldQuery, view: optics.View, body: str, pose: Array) -> list[TagObservation]:
-    matrix = geometry.to_matrix(pose)
-    found = []
-    for tag in sight.tags(query.cell, body):
-        own = corners(tag)
-        world = own @ matrix[:3, :3].T + matrix[:3, 3]
-        if optics.visible(view, world, np.cross(world[1] - world[0], world[3] - world[0])):
-            found.append(TagObservation(tag.id, view, view.pixels(world), own))
-    return found
 
 
 REPORTS: dict[type, Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]] = {

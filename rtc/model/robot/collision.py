@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rtc.model.cells import cell as cells
+from rtc.model.robot import sight_lines
 from rtc.model.robot.boxes import STRAIGHT, Growth
 from rtc.model.robot.coal_groups import CoalGroups, Part, Parts
 from rtc.model.robot.collision_scene import AS_BUILT, Scene, same_places
@@ -266,6 +267,11 @@ class CollisionWorld:
         pairs = np.flatnonzero(self._state.table.touches([name]) & ~self._state.table.with_region).tolist()
         found = [self._state.describe(pair) for pair in pairs]
         return min(found, key=lambda collision: collision.distance_m, default=None)
+
+    def hidden_by(self, joints: Mapping[str, Floats], scene: Scene, eye: Array, points: Array) -> list[str]:
+        """For each point (n x 3, m) the label of a piece before it, seen from the eye (m); empty: none."""
+        self._state.update(joints, scene)
+        return sight_lines.hidden_by(self._state, eye, points)
 
     def radius_m(self, name: str) -> float:
         """Radius of a ball around the origin of a seat, object or region that contains it; 0 without shapes."""

@@ -96,5 +96,10 @@ class Primitive(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="Prim
         partner = {self.partner.performer: self.partner.trajectory} if self.partner else {}
         return {self.performer: self.trajectory, **partner}
 
+    @property
+    def goal_within_m(self) -> float | None:
+        """See `GoalReached`."""
+        return next((stop.when.within_m for stop in self.stop_functions if isinstance(stop.when, GoalReached)), None)
+
     def by_priority(self) -> list[StopFunction]:
         return in_priority(self.stop_functions)

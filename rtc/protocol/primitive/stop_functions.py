@@ -9,13 +9,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
-from rtc.protocol.primitive.limits import MAX_S, Vector
+from rtc.protocol.primitive.limits import FARTHEST_M, MAX_S, Vector
 from rtc.protocol.strict import Strict
 
 
-class GoalReached(Strict, frozen=True, tag="goal-reached"):
+class GoalReached(Strict, frozen=True, tag="goal-reached", omit_defaults=True):
     """The trajectory is complete and the arm has settled. Of a hand: it has its width, or presses with its force. Of a
-    camera: it has its pose, or has followed the body for the duration."""
+    camera: it has its pose, or has followed the body for the duration.
+
+    `within_m`: so near the end of its path a compliant arm at rest has reached it, because a load stretches its spring;
+    None: as near as a position-controlled arm."""
+
+    within_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.within_m is not None and not 0.0 < self.within_m <= FARTHEST_M:  # false for nan too
+            raise ValueError(f"a goal is reached within {self.within_m} m: more than 0, at most {FARTHEST_M:g} m")
 
 
 class TimeAbove(Strict, frozen=True, tag="time-above"):

@@ -47,6 +47,9 @@ TOUCHED = frozenset(
 )
 
 SETTLE_LIMIT_S = 1.0  # maximum wait for measured rest; then the end is reported anyway
+# An arm that rests for so long does not swing: one that bears a load stays beside its command. An arm that swings rests
+# for a part of this, where it turns (measured values: docs/physics.md).
+STILL_TICKS = 100
 PRESSES_N = 3.0  # an arm that feels more than this since the start of its primitive leans on something
 RELEASE_LIMIT_S = 3.0
 # Reflex COMPLY: no spring, damping only. It ends at rest with a smaller force than this, or after this time.
@@ -71,6 +74,7 @@ class Executor:
         self._ticks = 0  # since the start of this primitive
         self._paused_ticks = 0  # of them
         self._moved_ticks = 0  # of them, with a motion
+        self._still_ticks = 0  # at rest, since it settles
         self._stands = False  # on its path, in a pause
         self._stops: stop_functions.Stops = []
         self._bounds = Bounds([], arm.traits)
@@ -327,7 +331,8 @@ class Executor:
             self._spindle.run()
         if isinstance(trajectory, p.SpindleMotion) and trajectory.retreat is not None:
             self._setpoints.keep(trajectory.retreat)
-        self._arrived = arrival(trajectory, self._seen, self._setpoints.profile.duration_s, self._turned_rad)
+        duration_s, within_m = self._setpoints.profile.duration_s, self.primitive.goal_within_m
+        self._arrived = arrival(trajectory, self._seen, duration_s, self._turned_rad, within_m)
 
     def _begin_operation(self, trajectory: p.Operated) -> None:
         """Let the operator move the arm, from where it is."""
@@ -511,6 +516,7 @@ class Executor:
 
     def _begin_settling(self) -> None:
         self._setpoints.stay()
+        self._still_ticks = 0
 
     def _settle(self, now_s: float) -> Reports:
         """Wait for rest. An arm that leans then gives way: its command goes to where it is, and it presses no more."""
@@ -529,10 +535,13 @@ class Executor:
         return [report]
 
     def _still(self) -> bool:
-        """At rest and at the commanded position: an arm that swings with a load satisfies only one at a time. An arm
-        that leans on an obstacle cannot reach the commanded position."""
+        """At rest and at the commanded position, or at rest beside it for as long as no swing is: an arm that swings
+        with a load is at rest where it turns, and there it is not at the commanded position. An arm that bears the load
+        of a door or a seat, or leans on an obstacle, does not reach that position."""
         rests = self._seen.joints_rest() and self._seen.fingers_rest()
-        return rests and (self._leans() or self._off_command() < GOAL_RAD)
+        self._still_ticks = self._still_ticks + 1 if rests else 0
+        there = self._leans() or self._off_command() < GOAL_RAD or self._still_ticks >= STILL_TICKS
+        return rests and there
 
     def _leans(self) -> bool:
         assert self.trip is not None

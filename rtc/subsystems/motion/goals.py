@@ -9,15 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rtc.protocol import primitive as p
+from rtc.spatial import geometry
 from rtc.subsystems.motion.moment import Finding
 from rtc.subsystems.motion.observation import Observation
 from rtc.subsystems.motion.stop_functions import RELAXED_S
 
 GOAL_RAD = 0.002  # maximum joint error at the goal
-# An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position. The
-# spring of a compliant arm at the stop of a door is stretched, which turns a joint of its wrist: by up to 0.042 rad
-# with 1.5 N.m of friction in the hinge, so that CLOSE fails there. A stretched spring of 100 to 200 N/m at a wall must
-# not count as the goal either, and does from 0.06 on.
+# An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position. A
+# stretched spring of 100 to 200 N/m at a wall must not count as the goal, and does from 0.06 rad on. The friction of a
+# hinge of 1.5 N.m turns a joint of the wrist by 0.042 rad: a step that expects a load says in metres how far it may
+# stretch the spring (`GoalReached.within_m`).
 LEANING_TICKS, LEANING_RAD = 100, 0.04
 WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
 # Shares of the commanded force. At the first a grip is complete at once. A hand may exert less than that: one
@@ -32,8 +33,15 @@ TURNED_RAD = 1e-6  # tolerance of the turn of a spindle
 Arrived = Callable[[float], Finding | None]  # time of the profile (s) -> (measured, limit, '') at the goal
 
 
-def arrival(trajectory: p.Trajectory, seen: Observation, duration_s: float, turned: Callable[[], float]) -> Arrived:
-    """The test of a trajectory. `duration_s`: of its profile; `turned`: what the spindle has turned (rad)."""
+def arrival(
+    trajectory: p.Trajectory,
+    seen: Observation,
+    duration_s: float,
+    turned: Callable[[], float],
+    within_m: float | None = None,
+) -> Arrived:
+    """The test of a trajectory. `duration_s`: of its profile; `turned`: what the spindle has turned (rad); `within_m`:
+    see `GoalReached`."""
     if isinstance(trajectory, p.HandMotion):
         return _Hand(trajectory, seen)
     if isinstance(trajectory, p.SpindleMotion):
@@ -45,14 +53,17 @@ def arrival(trajectory: p.Trajectory, seen: Observation, duration_s: float, turn
     if isinstance(trajectory, p.Operated):
         return lambda time_s: None  # the operator states it
     assert isinstance(trajectory, p.JointTrajectory)
-    return _Path(trajectory, seen, duration_s)
+    return _Path(trajectory, seen, duration_s, within_m)
 
 
 class _Path:
     """The end of a path."""
 
-    def __init__(self, trajectory: p.JointTrajectory, seen: Observation, duration_s: float) -> None:
+    def __init__(
+        self, trajectory: p.JointTrajectory, seen: Observation, duration_s: float, within_m: float | None
+    ) -> None:
         self._goal, self._seen, self._duration_s = trajectory.positions[-1], seen, duration_s
+        self._within_m = within_m
         self._leaning_ticks = 0
 
     def __call__(self, time_s: float) -> Finding | None:
@@ -62,9 +73,19 @@ class _Path:
         self._leaning_ticks = self._leaning_ticks + 1 if rests else 0
         if rests and error <= GOAL_RAD:
             return error, GOAL_RAD, ""
-        if self._leaning_ticks >= LEANING_TICKS and error <= LEANING_RAD:
+        if self._leaning_ticks < LEANING_TICKS:
+            return None
+        if error <= LEANING_RAD:
             return error, LEANING_RAD, ""
-        return None
+        return self._stretched()
+
+    def _stretched(self) -> Finding | None:
+        """A compliant arm whose spring a load stretches, by no more than the step allows."""
+        within_m = self._within_m
+        if within_m is None:
+            return None
+        off_m = geometry.distance(self._seen.tcp(), self._seen.arm.tcp_pose(self._goal))
+        return (off_m, within_m, "") if off_m <= within_m else None
 
 
 class _Hand:

@@ -71,6 +71,54 @@ def test_an_arm_that_leans_on_something_at_the_goal_has_arrived(rig) -> None:
     assert report.measured == pytest.approx(0.01)  # and the report says how far it is
 
 
+def _beside(rig, aside) -> None:
+    """The first joint is measured beside its command; `aside`: joint (rad), tick -> joint (rad)."""
+    read, ticks = rig.arm.read, [0]
+
+    def measured():
+        ticks[0] += 1
+        sample = read()
+        sample.joints = [aside(sample.joints[0], ticks[0]), *sample.joints[1:]]
+        return sample
+
+    rig.arm.read = measured
+
+
+def test_an_arm_that_bears_a_load_at_its_goal_ends_as_soon_as_it_rests(rig) -> None:
+    """Its outcome waited for a command that a joint under load never reaches: a second after the goal."""
+    _beside(rig, lambda joint, tick: min(joint, rig.away[0] - 0.003))
+    rig.accept(rig.swing(limit_s=3.0))
+    report = rig.until_end()
+    assert report.reason is StopReason.GOAL
+    assert report.duration_s < 1.35
+    assert report.joints[0] == pytest.approx(rig.away[0] - 0.003)
+
+
+def test_an_arm_that_swings_beside_its_command_is_not_at_rest_where_it_turns(rig) -> None:
+    """Two Hz, from 10 mrad down to 0.2 mrad in 0.9 s."""
+
+    def swinging(joint: float, tick: int) -> float:
+        return joint + 0.005 + 0.005 * np.exp(-3.5e-3 * max(0, tick - 400)) * np.cos(4e-3 * np.pi * tick)
+
+    _beside(rig, swinging)
+    rig.accept(rig.swing(limit_s=0.4))
+    report = rig.until_end()
+    assert report.reason is StopReason.TIMEOUT
+    assert report.duration_s > 1.0
+
+
+@pytest.mark.parametrize(("share", "reason"), [(1.1, StopReason.GOAL), (0.9, StopReason.TIMEOUT)])
+def test_a_compliant_arm_has_arrived_as_near_as_its_step_allows(rig, make, share, reason) -> None:
+    """The friction of a stiff hinge stretches its spring, and turns a joint by more than one that leans may be off."""
+    soft = p.ControlLaw(name="impedance", compliance=p.Compliance(stiffness=[600.0] * 3 + [20.0] * 3))
+    short = [rig.away[0] - 0.05, *rig.away[1:]]
+    _beside(rig, lambda joint, tick: min(joint, short[0]))
+    within_m = share * geometry.distance(rig.arm.tcp_pose(rig.away), rig.arm.tcp_pose(short))
+    goal = make.stop(StopReason.GOAL, p.GoalReached(within_m))
+    rig.accept(make.primitive(make.joint_path(rig.home, rig.away, 1.0), goal, control_law=soft, limit_s=2.0))
+    assert rig.until_end().reason is reason
+
+
 def test_hold_still_for_a_time_and_for_ever(rig, make) -> None:
     rig.accept(make.primitive(p.HoldStill(duration_s=0.2)))
     report = rig.until_end()

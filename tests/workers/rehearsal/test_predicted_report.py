@@ -8,6 +8,7 @@ import pytest
 
 from rtc.protocol.primitive import HandMotion, JointTrajectory, Look
 from tests.workers.conftest import Bench, Kinematic
+from tests.workers.eyes import Drawn
 from tests.workers.rehearsal.on_paper import SERVICING, OnPaper
 from workers.planning.world_query import WorldQuery
 from workers.rehearsal.predicted_report import end_report
@@ -65,8 +66,22 @@ def test_a_door_ends_at_the_angle_of_the_sentence(sentence, angle_deg):
     assert math.degrees(angle) == pytest.approx(angle_deg - 15.0, abs=0.1)
 
 
-def test_a_predicted_sighting_is_as_certain_as_one_of_ideal_pictures():
+def test_the_place_of_a_turned_door_in_the_hand_is_as_unsure_as_the_hand():
+    """The hinge keeps the door in place, and the friction of the hinge stretches the spring of the arm: measured 6.6 mm
+    beside the predicted place, where 0 were stated."""
+    paper = OnPaper(SERVICING)
+    paper.test("GRASP LEFT-END-EFF DOOR-2 LATCH-PULL")
+    opened = {one.key: one for one in paper.test("OPEN DOOR-2 BY 60 DEG").rehearsal.changes}
+    assert min(opened["DOOR-2.grasp"].spread[:2]) > 0.0066
+    assert max(opened["DOOR-2.grasp"].spread[:3]) < 0.02
+    assert max(opened["DOOR-2.frame"].spread[:3]) < 1e-6
+    assert opened["DOOR-2.frame"].spread[5] > math.radians(1.0)
+
+
+def test_a_predicted_sighting_is_as_certain_as_one_of_drawn_pictures():
+    """Four of the eight tags that face the camera are too small in its pictures, or behind something."""
     arms = Kinematic()
+    arms.eyes = Drawn(arms.sim.cell)
     bench, pairs = Bench(arms), []
     perform = arms.perform
 
@@ -81,4 +96,4 @@ def test_a_predicted_sighting_is_as_certain_as_one_of_ideal_pictures():
     [(made, predicted, measured)] = pairs
     assert isinstance(made.trajectory, Look)
     assert predicted.tags == measured.tags
-    assert predicted.covariance == pytest.approx(measured.covariance, rel=0.02, abs=1e-12)
+    assert predicted.covariance == pytest.approx(measured.covariance, rel=0.1, abs=1e-8)
