@@ -189,20 +189,23 @@ class Unload:
     def at(self, time_s: float) -> Motion:
         if self._done:
             return self._joints, self._still, self._still
-        joints: list[float] = []
-        speeds: list[float] = []
         aims = (min(most, max(least, q)) for q, (least, most) in zip(self._measured(), self._bounds, strict=True))
-        for n, aim in enumerate(aims):
-            speed = _within_most(UNLOAD_PER_S * (aim - self._joints[n]), UNLOAD_RAD_S)
-            faster = _within_most(speed - self._speeds[n], STOP_ACCELERATION_RAD_S2 * TICK_S)
-            speeds.append(self._speeds[n] + faster)
-            joints.append(self._joints[n] + speeds[n] * TICK_S)
-        self._joints, self._speeds = joints, speeds
-        return joints, speeds, self._still
+        wanted = _within_most(
+            [UNLOAD_PER_S * (aim - q) for aim, q in zip(aims, self._joints, strict=True)], UNLOAD_RAD_S
+        )
+        change = [new - old for new, old in zip(wanted, self._speeds, strict=True)]
+        change = _within_most(change, STOP_ACCELERATION_RAD_S2 * TICK_S)
+        speeds = [old + more for old, more in zip(self._speeds, change, strict=True)]
+        self._joints = [q + TICK_S * speed for q, speed in zip(self._joints, speeds, strict=True)]
+        self._speeds = speeds
+        return self._joints, speeds, self._still
 
 
-def _within_most(value: float, most: float) -> float:
-    return min(most, max(-most, value))
+def _within_most(values: list[float], most: float) -> list[float]:
+    """The same direction, with no component beyond `most`: if each joint were limited by itself, a light wrist would
+    lag behind, and the hand would give way towards what it presses on."""
+    greatest = max(map(abs, values))
+    return values if greatest <= most else [most / greatest * value for value in values]
 
 
 class Retrace:

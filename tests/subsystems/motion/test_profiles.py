@@ -118,6 +118,18 @@ def test_a_command_goes_to_an_arm_that_leans_on_something_springy_and_along_with
     assert way.at(2.0)[0] == way.at(3.0)[0] == pytest.approx([0.5 * q for q in commanded])
 
 
+@given(st.lists(st.sampled_from([-0.02, -0.006, 1e-4, 0.002, 0.008]), min_size=2, max_size=7))
+def test_a_light_arm_gives_way_in_the_direction_in_which_it_is_pushed(pushed: list[float]) -> None:
+    """Its leads are larger than what speed and acceleration allow: all joints are slowed alike. Limited each by itself,
+    the wrist of a small arm lagged behind, and a finger that had touched a cube pressed on it with 9 N, then 7.5 N."""
+    still = [0.0] * len(pushed)
+    command = profiles.Unload((still, still, still), lambda: pushed)
+    for tick in range(1, 8):
+        joints, speeds, _ = command.at(tick * TICK_S)
+        for values in (joints, speeds):
+            assert np.allclose(values, np.max(np.abs(values)) / np.max(np.abs(pushed)) * np.array(pushed), atol=1e-12)
+
+
 def test_a_command_does_not_follow_an_arm_that_a_weight_pulls_down() -> None:
     """It sinks below any command by the same angle."""
     commanded = [0.0] * 6
