@@ -25,7 +25,7 @@ from rtc.subsystems.perception.look_task import Evaluated
 from rtc.subsystems.perception.subsystem import PerceptionSubsystem
 
 GREY = np.full((480, 640, 3), 128, np.uint8)
-PERIOD_S = 0.1  # between two pictures
+PERIOD_S = 0.1  # of a picture: those of several cameras come one after the other
 
 
 class Ideal:
@@ -43,9 +43,12 @@ class Ideal:
             for _, message in cameras.tick(self.now_s):
                 if isinstance(message, EndReport):
                     return message
-            self.now_s += PERIOD_S
-            for camera in cameras.performers.values():
+            due = [one for one in cameras.performers.values() if one.due_s is not None]
+            due = [one for one in due if one.due_s - PERIOD_S <= self.now_s + 1e-9]
+            for camera in due:
+                self.now_s += PERIOD_S
                 camera.take(self.picture(camera.name, scene))
+            self.now_s += 0.0 if due else PERIOD_S
 
     def picture(self, name: str, scene: SceneView) -> Evaluated:
         camera = self.cell.camera(name)

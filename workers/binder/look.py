@@ -9,6 +9,7 @@ from rtc.protocol.messages import BoundStep, EvaluationContext
 from rtc.protocol.primitive import Look, TagGeometry
 from workers.binder import assemble
 from workers.binder.bind_task import RuledTask, refused_program
+from workers.conditions.stop_conditions import Values
 from workers.planning import sight, suggestions
 
 
@@ -19,7 +20,7 @@ def bind(task: RuledTask) -> BoundStep:
     evaluation = EvaluationContext(
         context=task.data.context,
         step=task.data.step,
-        predicted_s=values["pictures"] * values["picture_s"] * len(cameras) if follows_s is None else follows_s,
+        predicted_s=_lasts_s(values, len(cameras)) if follows_s is None else follows_s,
         body=body,
         body_pose=_place(task),
     )
@@ -32,6 +33,13 @@ def bind(task: RuledTask) -> BoundStep:
         cameras=cameras[1:],
     )
     return assemble.of_camera(task, look, cameras[0], evaluation)
+
+
+def _lasts_s(values: Values, cameras: int) -> float:
+    """Of a look for a body at rest. The pictures of a camera are `every_s` apart. Those of all cameras are drawn, and
+    searched, one after the other."""
+    round_s = cameras * values["picture_s"]
+    return round_s + (values["pictures"] - 1.0) * max(values["every_s"], round_s)
 
 
 def _cameras(task: RuledTask) -> list[str]:

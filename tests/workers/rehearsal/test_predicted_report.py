@@ -78,6 +78,23 @@ def test_the_place_of_a_turned_door_in_the_hand_is_as_unsure_as_the_hand():
     assert opened["DOOR-2.frame"].spread[5] > math.radians(1.0)
 
 
+@pytest.mark.parametrize("body", ["POWER-DRIVER", "MACS-NEW", "DOOR-2", "SATELLITE"])
+def test_a_look_takes_as_long_as_the_pictures_of_its_cameras(body):
+    """Of one to four cameras. Three times as much was predicted for four."""
+    bench, looks = Bench(Kinematic(SERVICING.cell), SERVICING), []
+    perform = bench.subsystem.perform
+
+    def beside(made, bound):
+        looks.append((len(made.performers), bound.evaluation.predicted_s, perform(made, bound)))
+        return looks[-1][2]
+
+    bench.subsystem.perform = beside
+    assert bench.do(f"LOCATE {body}").succeeded
+    [(cameras, predicted_s, report)] = looks
+    assert cameras == ["POWER-DRIVER", "MACS-NEW", "DOOR-2", "SATELLITE"].index(body) + 1
+    assert predicted_s == pytest.approx(report.duration_s, rel=0.15)
+
+
 def test_a_predicted_sighting_is_as_certain_as_one_of_drawn_pictures():
     """Four of the eight tags that face the camera are too small in its pictures, or behind something."""
     arms = Kinematic()
