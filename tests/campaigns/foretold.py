@@ -2,8 +2,9 @@
 
 In physics, with pictures that are drawn and cameras that find tags in them. A run draws one of the scenes of
 `benchmarks.skills`, and looks, small motions and stows between its sentences. Modules are displaced by errors whose two
-sigma are what the cell states of them, the driver by those of the skills. Each sentence is rehearsed, then performed.
-An axis of a pose is inside if the truth after the sentence is within the predicted spread of the predicted fact.
+sigma are what the cell states of them, the driver as in the skills and within what they state of it. Each sentence is
+rehearsed, then performed. An axis of a pose is inside if the truth after the sentence is within the predicted spread of
+the predicted fact.
 
     python -m tests.campaigns.foretold [--runs 100] [--only 7] [--processes 1] [--out FILE] [--exact]
     python -m tests.campaigns.foretold --join a.json b.json
@@ -27,7 +28,7 @@ import numpy as np
 from benchmarks.copies import in_copies
 from benchmarks.grasp import wilson
 from benchmarks.report import finish, percentile, question
-from benchmarks.skills import SCENES, offset
+from benchmarks.skills import SCENES, _unsurveyed, offset
 from broker.decisions import events
 from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import Outcome, OutcomeKind
@@ -104,7 +105,7 @@ def _extra(rng: random.Random, before: str, *, looks: bool) -> str:
 def perform(number: int, exact: bool) -> list[Foretold]:
     rng = random.Random(f"{SEED}/{number}")
     name, given = sentences(rng)
-    cell = Cell.load(name)
+    cell = _unsurveyed(Cell.load(name))
     sim: Any = KinematicCell(cell) if exact else BulletCell(cell)
     noise = np.random.default_rng([SEED, number])
     for module in MODULES:
