@@ -5,8 +5,9 @@
 e and de are errors of pose and velocity along the axes of the selection frame, at the centre of compliance. J is the
 Jacobian of this point of the tool, by default the tcp. D is scaled by the effective mass
 matrix: D = Z (sqrt(L) sqrt(K) + sqrt(K) sqrt(L)), symmetric, with L = (J M^-1 J')^-1 and damping ratios Z. An axis with
-a force set-point has no spring: it presses with the set-point plus an integral of the force error, and its damping
-limits the approach to `APPROACH_M_S`. This module must not know sockets, samples or primitives.
+a force set-point has no spring: it presses with the set-point plus an integral of the force error. Nothing may resist
+it, so it presses with no more than brings it to its speed of approach within a tick. This module must not know sockets,
+samples or primitives.
 """
 
 from __future__ import annotations
@@ -26,8 +27,7 @@ from rtc.subsystems.motion.arm import TICK_S, Motion
 MAX_N_M, MAX_NM_RAD = 5000.0, 300.0
 REFRESH_TICKS = 10  # the damping follows the posture at this interval; it costs more than all the rest
 MIN_INVERSE_MASS = 1e-4  # added to (J M^-1 J') so that a singular posture has a finite effective mass
-# A force-controlled axis that touches nothing moves at most this fast (m/s, rad/s) under its set-point.
-APPROACH_M_S, APPROACH_RAD_S = 0.005, 0.05
+APPROACH_RAD_S = 0.05  # greatest speed of an axis with a torque set-point that touches nothing
 # Damping of an axis without a spring: that of this spring (N/m, N.m/rad), whatever the set-point.
 IDLE_N_M, IDLE_NM_RAD = 1000.0, 20.0
 MAX_DAMPED = 0.4  # share of an axis' momentum that its damping may take in one tick
@@ -62,6 +62,9 @@ class Impedance:
         self._ratio = np.array(compliance.damping)
         self._most_n, self._most_nm = compliance.most_n, compliance.most_nm
         self._damping = np.zeros((6, 6))
+        self._approach = np.array([compliance.approach_m_s] * 3 + [APPROACH_RAD_S] * 3)
+        self._own_damping = np.zeros(6)
+        self._mass_per_s = np.zeros(6)  # of each axis by the time of a tick: N that change its speed by 1 m/s
         self._ticks = 0
         self._set_point = np.array([force or 0.0 for force in compliance.wrench or [None] * 6])
         self._profile = compliance.profile
@@ -111,7 +114,7 @@ class Impedance:
         self._ticks += 1
         pull = self._spring(error if selection is None else _turned(selection, error))
         if self._presses:
-            pull += self._force(selection)
+            pull += self._force(selection, -speed_error)
         if selection is not None:
             pull = _turned(selection.T, pull)
         torque += jacobian.T @ (pull + self._damping @ speed_error)
@@ -130,19 +133,23 @@ class Impedance:
                     part *= most / size
         return pull
 
-    def _force(self, selection: Array | None) -> Array:
-        """Push along the force-controlled axes: set-point and integral of the force error."""
+    def _force(self, selection: Array | None, speed: Array) -> Array:
+        """Push along the force-controlled axes: set-point and integral of the force error. `speed`: tool axes."""
         felt = -self._measured if selection is None else _turned(selection, -self._measured)
+        speed = speed if selection is None else _turned(selection, speed)
         wanted = self._set_point
         if self._profile is not None:
             wanted = wanted * np.interp(self._ticks * TICK_S, self._profile.time_s, self._profile.share)
-        error = wanted - felt
-        touching = np.abs(felt) > TOUCHING * np.abs(wanted)
+        error, way = wanted - felt, np.sign(wanted)
+        touching = way * felt > TOUCHING * np.abs(wanted)
         if not self._saturated:
             self._integral += np.where(self._pressed & touching, INTEGRAL_PER_S * TICK_S * error, 0.0)
         most = np.maximum(MAX_INTEGRAL * np.abs(wanted), [MIN_INTEGRAL_N] * 3 + [MIN_INTEGRAL_NM] * 3)
         np.clip(self._integral, -most, most, out=self._integral)
-        push: Array = np.where(self._pressed, wanted + self._integral, 0.0)
+        # Without resistance the axis would pass its speed of approach; what resists may not be felt at once.
+        room = self._mass_per_s * (self._approach - way * speed) + self._own_damping * way * speed
+        most_free = np.maximum(0.0, room + np.maximum(0.0, way * felt))
+        push: Array = np.where(self._pressed, way * np.minimum(np.abs(wanted), most_free) + self._integral, 0.0)
         return push
 
     def _refresh(self, q: Array, jacobian: Array, selection: Array | None) -> None:
@@ -160,11 +167,13 @@ class Impedance:
         shaped = root_mass * (self._ratio * self._root)
         damping: Array = shaped + shaped.T
         if self._presses:
-            slow = np.abs(self._set_point) / ([APPROACH_M_S] * 3 + [APPROACH_RAD_S] * 3)
+            slow = np.abs(self._set_point) / self._approach
             most = MAX_DAMPED / (np.diag(inverse) * TICK_S)
             own = np.diag(damping)
             extra = np.clip(np.minimum(slow, most) - own, 0.0, None)
             damping.flat[::7] += np.where(self._pressed, extra, 0.0)
+            self._mass_per_s = 1.0 / (np.diag(inverse) * TICK_S)
+            self._own_damping = np.diag(damping)
         self._damping = damping if selection is None else both.T @ damping @ both
 
 

@@ -7,6 +7,7 @@ from typing import Literal
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import Compliance, ControlLaw, ForceProfile, HandMotion, Load, Trajectory
 from rtc.spatial.axis_names import AXES
+from workers.binder import impact
 from workers.binder.bind_task import BindTask, RuledTask, refused_program
 from workers.conditions.stop_conditions import Values
 from workers.planning import axes, suggestions
@@ -17,8 +18,9 @@ def control_law(task: RuledTask, trajectory: Trajectory, load: Load | None) -> C
     """M: the law of the stop class, or impedance if the command or the step names a stiffness. While only the hand
     moves, its arm complies if the step names one.
 
-    `press_n` of the step is a force set-point along its axis. `centre_share` puts the centre of compliance between
-    the tcp (0) and the centre of mass of the load (1). `spin_m` replaces `turn_m` about the axis of the step.
+    `press_n` of the step is a force set-point along its axis, approached as slowly as its force limit demands.
+    `centre_share` puts the centre of compliance between the tcp (0) and the centre of mass of the load (1). `spin_m`
+    replaces `turn_m` about the axis of the step.
 
     Its spring pulls with a share of the force and torque limits, so a blocked arm leans on the obstacle within them.
     Raises Refused for impossible figures, and for those that would have no effect.
@@ -36,12 +38,14 @@ def control_law(task: RuledTask, trajectory: Trajectory, load: Load | None) -> C
     frame: Literal["tool", "world"] = "tool"
     wrench: list[float | None] = []
     profile: ForceProfile | None = None
+    approach_m_s = values["press_m_s"]
     if "press_n" in values:
         owner, direction = AXES[axis]
         frame = "tool" if owner == "tool" else "world"
         most_n = max(values["press_n"], values.get("press_from_n", 0.0)) if "press_s" in values else values["press_n"]
         wrench = [most_n * n if n else None for n in direction] + [None] * 3
         profile = _press_profile(values, most_n)
+        approach_m_s = impact.approach_m_s(task, axis, most_n)
     turning = [values["turn_m"] ** 2 * stiffness_n_m] * 3
     if "spin_m" in values:
         turning[_spin_axis(task)] = values["spin_m"] ** 2 * stiffness_n_m
@@ -53,6 +57,7 @@ def control_law(task: RuledTask, trajectory: Trajectory, load: Load | None) -> C
         centre=[share * x for x in load.com_m] if load and share else [],
         wrench=wrench,
         profile=profile,
+        approach_m_s=approach_m_s,
     )
     return ControlLaw(name="impedance", load=load, gains=gains, compliance=compliance)
 

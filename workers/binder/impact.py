@@ -14,11 +14,12 @@ from msgspec.structs import replace
 
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.messages import ScriptContext
-from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from workers.binder.bind_task import BindTask, RuledTask
 from workers.conditions.stop_conditions import Values
+from workers.planning import axes
 from workers.planning.motion.plan import Motion
 from workers.planning.motion.timing import Timed, slower
 from workers.planning.segments import Target
@@ -95,21 +96,59 @@ def impact(
 
 
 def keeping(task: RuledTask, target: Target, *, touches: bool) -> Keeping:
-    """The speed at which this motion keeps what the command promises: the lower one of it and of the speed in force.
+    """The speed at which this motion keeps what the command promises, and meets what it is to meet well within the
+    force limit of the step: the lowest one of these and of the speed in force.
 
     A path on which no touch is possible (not `touches`) is not slowed: there a force limit is a collision stop. Raises
-    Refused if the slowest motion does not keep it.
+    Refused if the slowest motion does not keep a promise.
     """
+    keep, limit_n = _keeping_promise(task, target, touches=touches), _meeting_n(task)
+    if limit_n >= keep.limit_n or (hit := _impact(task, target, keep.speed_m_s, limit_n)) is None:
+        return keep
+    slow_m_s = min(keep.speed_m_s, max(hit.safe_speed_m_s, task.values["slowest_m_s"]))
+    return Keeping(slow_m_s, limit_n, _carried_kg(task), keep.remark)
+
+
+def approach_m_s(task: RuledTask, axis: str, press_n: float) -> float:
+    """Speed at which a hand that presses along `axis` with `press_n` meets what it presses on: blow and press together
+    stay within the share of the force limit that a touch may take."""
+    values = task.values
+    fastest_m_s, blow_n = values["press_m_s"], values["met_share"] * values["force_n"] - press_n
+    hit = _impact_along(task, axes.direction(task.query.tcp(task.arm), axis), fastest_m_s, blow_n)
+    return min(fastest_m_s, max(hit.safe_speed_m_s, values["slowest_m_s"])) if hit else fastest_m_s
+
+
+def _meeting_n(task: RuledTask) -> float:
+    """The greatest force (N) with which this step is to meet something with what is in the hand; inf if it is not.
+
+    A step with `touch_s` begins in contact."""
+    expected = StopReason.CONTACT in task.data.step.expect and "touch_s" not in task.values
+    return task.values["met_share"] * task.values["force_n"] if task.held and expected else math.inf
+
+
+def _carried_kg(task: BindTask) -> float:
+    load = task.query.load(task.arm) if task.held else None
+    return load.mass_kg if load else 0.0
+
+
+def _impact(task: RuledTask, target: Target, speed_m_s: float, limit_n: float) -> Impact | None:
+    """Impact at the beginning of the way to `target`."""
+    return _impact_along(task, _way_m(task, task.query.model.arms[task.arm], target), speed_m_s, limit_n)
+
+
+def _impact_along(task: RuledTask, way_m: Floats, speed_m_s: float, limit_n: float) -> Impact | None:
+    arm, joints, values = task.query.model.arms[task.arm], task.query.joints(task.arm), task.values
+    return impact(arm, joints, way_m, _carried_kg(task), values["impact_s"], speed_m_s, limit_n, values["least_kg"])
+
+
+def _keeping_promise(task: RuledTask, target: Target, *, touches: bool) -> Keeping:
+    """How a motion keeps the force that the command promises."""
     values = task.values
     speed_m_s, promise = values["speed_m_s"], promise_of(task.data.context, values)
     if promise is None:
         return Keeping(speed_m_s)
-    limit_n = promise.limit_n
-    load = task.query.load(task.arm) if task.held else None
-    carried_kg = load.mass_kg if load else 0.0
-    arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
-    way = _way_m(task, arm, target)
-    hit = impact(arm, joints, way, carried_kg, values["impact_s"], speed_m_s, limit_n, values["least_kg"])
+    limit_n, carried_kg = promise.limit_n, _carried_kg(task)
+    hit = _impact(task, target, speed_m_s, limit_n)
     if hit is None or hit.felt_n <= limit_n:
         return Keeping(speed_m_s, limit_n if touches else math.inf, carried_kg)
     felt = f"at {speed_m_s * 1e3:.3g} mm/s the first millisecond on a rigid body is felt with {hit.felt_n:.0f} N"

@@ -61,6 +61,7 @@ class Compliance(Strict, frozen=True, kw_only=True, omit_defaults=True):
     # has no spring; None leaves it to the spring. Empty: no axis is force-controlled.
     wrench: list[float | None] = []
     profile: ForceProfile | None = None  # of these set-points; None: constant
+    approach_m_s: float = 0.005  # at most, of a force-controlled axis that nothing resists
     most_n: float | None = None  # greatest pull of the spring; None: unlimited
     most_nm: float | None = None
     # Comply until the arm rests: another arm holds the same object and stops too. False: until the primitive ends.
@@ -82,7 +83,7 @@ class Compliance(Strict, frozen=True, kw_only=True, omit_defaults=True):
             raise ValueError("a force profile needs a force set-point")
         if not all(force is None or math.isfinite(force) for force in self.wrench):
             raise ValueError("a force set-point is not a finite number")
-        for name, most in (("most_n", self.most_n), ("most_nm", self.most_nm)):
+        for name, most in (("most_n", self.most_n), ("most_nm", self.most_nm), ("approach_m_s", self.approach_m_s)):
             if most is not None and not 0.0 < most < math.inf:
                 raise ValueError(f"{name} must be above 0, not {most}")
 

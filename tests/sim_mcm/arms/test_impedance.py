@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pybullet
 import pytest
 
@@ -11,7 +12,9 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.spatial import geometry
+from rtc.subsystems.motion.arm import TICK_S
 from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.arms.impedance import Impedance
 
 pytestmark = pytest.mark.physics
 ARM = "RIGHT-ARM"
@@ -181,6 +184,27 @@ def test_a_set_point_without_a_wall_moves_slowly_and_does_not_wind_up(world, ben
     start = model.fk(executor.sample.joints)
     bench.perform(hold(make, impedance(wrench=[None, None, 10.0, None, None, None]), 2.0))
     assert 0.005 < geometry.distance(start, model.fk(executor.sample.joints)) < 0.012  # 5 mm/s
+
+
+@pytest.mark.parametrize("false_n", [0.0, 3.0, -3.0])  # the bias of the sensor may hold a force that has ended
+@pytest.mark.parametrize("approach_m_s", [0.001, 0.0026, 0.005])
+def test_a_set_point_meets_nothing_faster_than_its_approach(model, cell, approach_m_s: float, false_n: float) -> None:
+    """Pure. It passed 4 mm/s, whatever was wanted: its damping is limited."""
+    figures = p.Compliance(
+        stiffness=[300.0] * 3 + [200.0] * 3, wrench=[None, None, 8.0, None, None, None], approach_m_s=approach_m_s
+    )
+    law = Impedance(model.model, model.tcp_frame, np.eye(3), figures, np.full(model.model.nv, 1e3))
+    start = np.array(cell.arm(ARM).home_rad)
+    along = geometry.rotate(model.fk(start), (0.0, 0.0, 1.0))
+    q, v, data, still = start, np.zeros_like(start), model.model.createData(), [0.0] * len(start)
+    fastest_m_s = 0.0
+    for _ in range(300):
+        law.feel([0.0, 0.0, -false_n, 0.0, 0.0, 0.0])
+        torque = np.array(law.torque((start.tolist(), still, still), q.tolist(), v.tolist()))
+        v = v + TICK_S * pin.aba(model.model, data, q, v, torque)
+        q = q + TICK_S * v
+        fastest_m_s = max(fastest_m_s, float(along @ (model.jacobian(q)[:3] @ v)))
+    assert fastest_m_s == pytest.approx(approach_m_s, abs=0.001 if false_n else 1e-5)
 
 
 def test_a_halt_while_pressing_holds_where_it_is(world, bench, make, model) -> None:

@@ -31,6 +31,7 @@ def model(cell) -> ArmModel:
         ({"stiffness": GOOD, "wrench": [1.0] * 3}, "6 figures"),
         ({"stiffness": GOOD, "wrench": [float("inf"), *[None] * 5]}, "finite"),
         ({"stiffness": GOOD, "most_n": 0.0}, "above 0"),
+        ({"stiffness": GOOD, "approach_m_s": float("nan")}, "above 0"),
         ({"stiffness": GOOD, "frame": "camera"}, "camera"),
         ({"stiffness": GOOD, "centre": [0.1, 0.2]}, "centre of compliance"),
         ({"stiffness": GOOD, "centre": [0.1, 0.2, float("nan")]}, "centre of compliance"),
