@@ -41,7 +41,7 @@ SAMPLES = 4000  # budget of all searches for one way
 WIDE_SAMPLES = 1000  # of them, of the first search; the rest is for one that finds out of a narrow place
 ROOMY_SAMPLES = 80  # budget of the search with more room, before that
 LONG = 2.0  # times the length of a line: a way with an attitude that is longer is sought again
-SEARCHES, SHORTER_SAMPLES = 4, 500  # for one way, the first one included; budget of each of the others
+SEARCHES = 10  # for one way, the first one included; four of ten find a short one round a panel
 ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects all but the last
 MORE_M = 0.002  # clearance of the search beyond that of the request
 JUDGED_RAD = 0.012  # step of the final check: shortened ways pass obstacles closely, so it is finer than `CHECK_RAD`
@@ -165,7 +165,7 @@ class _Space:
         for n in range(1, SEARCHES if self._attitude is not None else 1):
             if self._size(best) <= LONG * self._length(best[-1] - best[0]):
                 break
-            more = self.search(goals, seed + n * ATTEMPTS, SHORTER_SAMPLES)
+            more = self.search(goals, seed + n * ATTEMPTS, SAMPLES, draw=NARROW)
             if isinstance(more, Found):
                 best = min(best, shorten(more.waypoints, more.steer, self.weights, seed=seed), key=self._size)
         return best
