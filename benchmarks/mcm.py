@@ -39,6 +39,7 @@ from rtc.subsystems.motion.arm import CellState
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.bullet_world import STEP_S
+from sim_mcm.period import period
 from sim_mcm.state_file import StateFile
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
@@ -229,17 +230,27 @@ def bare_factor(cell: Cell, seconds: float) -> float:
 
 
 def _stepped(world: BulletCell, subsystem: McmSubsystem, primitives: int) -> float:
-    """Simulated seconds per second of the physics step alone, until so many primitives have ended."""
+    """Simulated seconds per second of the physics step alone, until so many primitives have ended. The rest of a period
+    is that of the MCM: without the catches, for example, a module would never leave its seat."""
     steps, took_s = 0, 0.0
-    while primitives:
-        primitives -= sum(isinstance(message, m.EndReport) for _, message in subsystem.tick(0.0))
-        for arm in world.arms.values():
-            arm.drive()
+    step = world.world.step
+
+    def timed_step() -> None:
+        nonlocal steps, took_s
         began_s = time.thread_time()
-        world.world.step()
+        step()
         took_s += time.thread_time() - began_s
-        world.world.look_for_contacts()
         steps += 1
+
+    world.world.step = timed_step  # type: ignore[method-assign]
+    try:
+        while primitives:
+            ends = period(subsystem.tick, world, steps * STEP_S)
+            primitives -= sum(isinstance(message, m.EndReport) for _, message in ends)
+            if steps * STEP_S > LIMIT_S:
+                raise SystemExit(f"the motion has not ended within {LIMIT_S:.0f} s of simulated time")
+    finally:
+        del world.world.step  # type: ignore[method-assign]
     return steps * STEP_S / (took_s - steps * _clock_s())
 
 
