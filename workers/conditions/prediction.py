@@ -39,11 +39,11 @@ def of_path(values: Values, step: Step, path_s: float, *, speed_m_s: float, lade
 
 def of_hand(query: WorldQuery, values: Values, evaluation: EvaluationContext, motion: HandMotion) -> Expected:
     """Of a hand that opens or closes. It takes `force_s_n` seconds a newton to build its force up, and to take the one
-    with which it grips now away."""
+    with which it grips now away. Fingers that grip already have their spring stretched: only its limit rises."""
     arm = evaluation.arm
     width_m, between_m, now_n = query.hand_width(arm), closes_on_m(query, evaluation), query.hand_force(arm)
     if motion.width_m < width_m:
-        force_n = max(0.0, motion.force_n - now_n) if between_m > motion.width_m else 0.0
+        force_n = motion.force_n if between_m > motion.width_m and now_n == 0.0 else 0.0
         more_s = values["force_s_n"] * force_n
     else:
         more_s = values["free_s"] + values["force_s_n"] * now_n if now_n > 0.0 else 0.0

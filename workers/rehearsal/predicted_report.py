@@ -96,13 +96,25 @@ def _of_path(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, 
         at_s = 0.0
     else:
         at_s = 0.5 * path.duration_s
-    takes_s = evaluation.predicted_s if reason is StopReason.GOAL else at_s  # an arm that lags is there at the end
+    takes_s = at_s
+    if reason is StopReason.GOAL:
+        takes_s = evaluation.predicted_s  # an arm that lags is there at the end
+    elif reason is StopReason.CONTACT and reason in evaluation.step.expect:
+        takes_s += _unloads_s(evaluation, path.duration_s)
     report = _at_rest(query, made.performer, made.id, reason, _posture(path, at_s), takes_s)
     if made.partner is None:
         return report
     second = made.partner
     posture = _posture(second.trajectory, min(at_s, second.trajectory.duration_s))
     return _replaced(report, partner=_at_rest(query, second.performer, made.id, reason, posture, at_s))
+
+
+def _unloads_s(evaluation: EvaluationContext, path_s: float) -> float:
+    """From the touch that a step expects until its arm presses on nothing: what the binder has predicted (`of_path`)
+    beyond the time of the touch itself."""
+    if StopReason.GOAL in evaluation.step.expect:
+        return 0.0
+    return max(0.0, evaluation.predicted_s + evaluation.within_s - path_s)
 
 
 def _posture(path: JointTrajectory, at_s: float) -> list[float]:

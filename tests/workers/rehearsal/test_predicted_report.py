@@ -33,7 +33,7 @@ def test_predictions_are_what_exact_arms_report():
         query = WorldQuery(bench.model, bench.world)
         predicted = end_report(query, bound, 0.0)
         measured = perform(made, bound)
-        gains_n = max(0.0, predicted.hand_force_n - query.hand_force(made.performer))
+        gains_n = 0.0 if query.hand_force(made.performer) else predicted.hand_force_n
         pairs.append((made, predicted, measured, FORCE_S_N * gains_n))
         return measured
 
@@ -76,6 +76,17 @@ def test_the_place_of_a_turned_door_in_the_hand_is_as_unsure_as_the_hand():
     assert max(opened["DOOR-2.grasp"].spread[:3]) < 0.02
     assert max(opened["DOOR-2.frame"].spread[:3]) < 1e-6
     assert opened["DOOR-2.frame"].spread[5] > math.radians(1.0)
+
+
+def test_times_beside_those_of_paths_are_foretold():
+    """Of an arm that gives way after a touch (measured 0.13 to 0.19 s), and of fingers that grip already and press
+    harder (0.00 to 0.04 s, foretold were 0.13)."""
+    paper = OnPaper()
+    grasp = paper.test("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").rehearsal
+    [first, _] = [step for step in grasp.steps if step.reason == "contact"]
+    assert 1.55 < first.predicted_s < 1.65  # measured 1.63
+    tight = paper.test("EXTRACT MACS-NEW FROM RACK-1 WITH RIGHT-ARM").rehearsal.steps[0]
+    assert tight.predicted_s < 0.05
 
 
 @pytest.mark.parametrize("body", ["POWER-DRIVER", "MACS-NEW", "DOOR-2", "SATELLITE"])
