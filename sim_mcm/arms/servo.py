@@ -34,8 +34,8 @@ class Servo:
 
     def use_law(self, law: ControlLaw, joints: Sequence[float]) -> None:
         """Change the law. Raises ValueError if it is unknown, or rejects its figures at the present joints; the old
-        law stays. A compliant law starts without the state of an earlier one."""
-        if law == self._name and law.compliance is None:
+        law stays. A compliant law starts without the state of an earlier one, and one that has failed anew."""
+        if law == self._name and law.compliance is None and not self.fault:
             return
         why = control_laws.beyond_motors(law, self._arm, joints)
         if why:

@@ -36,7 +36,7 @@ SEED = 43
 HOUR = round(3600.0 / TICK_S)  # ticks
 LIMIT = round(600.0 / TICK_S)  # ticks of one sentence
 IDLE = round(1.0 / TICK_S)
-WAITS = round(5.0 / TICK_S)  # ticks without motion after which a command is seen to wait: a look takes less
+WAITS = round(2.0 / TICK_S)  # ticks without motion after which a command is seen to wait: a look takes less
 PERIOD = 20  # ticks between two messages of a hand
 ATTEMPTS = 20  # sentences that end before they are paused are drawn anew
 RELEASED = re.compile(r"\b(?:TAKE [A-Z-]+ FROM OPERATOR|RESUME C-\d+|ABORT C-\d+)")
@@ -119,7 +119,7 @@ def draw(random: np.random.Generator) -> Drawn:
         sentence=sentence.format(**names),
         later=str(random.choice(LATER)).format(**names),
         then=str(random.choice(PAUSED_THEN if what == "pause" else LEAVES)),
-        after_s=float(random.uniform(0.1, 4.0)),
+        after_s=float(random.uniform(0.1, 3.0 if what == "pause" else 0.8)),  # a tick by hand takes milliseconds
         twist=[*random.uniform(-0.1, 0.1, 3).tolist(), *random.uniform(-0.3, 0.3, 3).tolist()],
     )
 

@@ -30,9 +30,12 @@ def what_happened(task: AnalyzeTask, reason: StopReason, failure: OutcomeClass, 
 
 
 def _message(failure: OutcomeClass, task: AnalyzeTask) -> str:
-    """The program's message, or that of the report if the program's is about a value that was not measured."""
-    unmeasured = "{measured}" in failure.message and task.report.measured is None
-    return "{message}" if unmeasured and task.report.message else failure.message
+    """The program's message, or that of the report if the program's is about a value that the report lacks."""
+    report, words = task.report, failure.message
+    of_force = report.reason in (StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT)
+    measured = "{measured}" in words or (of_force and ("{excess}" in words or "{jam}" in words))
+    lacks = (measured and report.measured is None) or ("{limit}" in words and report.limit is None)
+    return "{message}" if lacks and report.message else words
 
 
 def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:

@@ -16,6 +16,7 @@ from rtc.subsystems.motion.arm import TICK_S
 from sim_mcm.arms import control_laws
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.servo import Servo
+from sim_mcm.arms.servo import Servo
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +136,18 @@ def test_a_law_that_hangs_is_replaced_before_a_halt_has_waited_long(install, cel
     assert torques[18] == [0.0] * 6
     assert torques[20] == torques[29] == own.torque(wanted, home, [0.0] * 6)
     assert "control law evil" in law.failed
+
+
+def test_a_law_that_has_failed_once_is_tried_again_by_the_next_primitive(install, cell, model) -> None:
+    install(registry.CONTROL_LAWS, "evil", "Law", ODD.format(what="raise RuntimeError").replace("200", "2"))
+    home = cell.arm("RIGHT-ARM").home_rad
+    servo = Servo(model, home)
+    for _ in range(2):
+        servo.use_law(ControlLaw(name="evil"), home)
+        assert servo.fault == ""
+        for _ in range(5):
+            servo.torque(list(home), [0.0] * 6)
+        assert "control law evil" in servo.fault
 
 
 @pytest.mark.physics

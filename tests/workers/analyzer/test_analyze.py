@@ -440,6 +440,14 @@ def test_a_refused_primitive_tells_where_the_arm_really_is(bench):
     assert "does not start where it is" in made.message
 
 
+@pytest.mark.parametrize("reason", [StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.TIMEOUT])
+def test_an_end_without_figures_is_told_by_its_own_words(bench, reason):
+    """As of a forced end, or of a subsystem of a user: not by the words of figures that are not there."""
+    bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
+    bare = ended(report, reason, measured=None, limit=None, message="as forced")
+    assert judged(bench, bound, bare).message.endswith("as forced")
+
+
 def test_a_goal_that_is_not_there_is_no_success(bench):
     """R151: the post-condition is checked after every primitive."""
     bound, report = bound_and_done(bench, "MOVE RIGHT-ARM TO BAY-2-FRONT")
