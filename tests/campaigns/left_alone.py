@@ -171,10 +171,11 @@ class Person:
 
 def _settled(cluster: OneProcess, command: str) -> bool:
     """Let time pass until the command has ended; False if it waits, and nothing moves."""
-    last, still = cluster.ticks + LIMIT, 0
+    last, still, here = cluster.ticks + LIMIT, 0, list[Any]()
     while command not in cluster.outcomes and cluster.ticks < last and still < WAITS:
         cluster.tick()
-        still = 0 if any(executor.moving for executor in cluster.mcm.executors.values()) else still + 1
+        before, here = here, [executor.sample.joints for executor in cluster.mcm.executors.values()]
+        still = still + 1 if here == before else 0
     return command in cluster.outcomes
 
 

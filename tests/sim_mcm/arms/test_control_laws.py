@@ -16,7 +16,6 @@ from rtc.subsystems.motion.arm import TICK_S
 from sim_mcm.arms import control_laws
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.servo import Servo
-from sim_mcm.arms.servo import Servo
 
 
 @pytest.fixture(scope="module")
