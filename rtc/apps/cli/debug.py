@@ -11,6 +11,9 @@ from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_j
 from rtc.apps.cli.trace import last_number, number
 from rtc.client.client import Client
 from rtc.language.dictionary import verbs
+from rtc.programs.loader import decode
+from rtc.programs.schema import ElaboratorProgram
+from rtc.programs.splice import spliced
 from rtc.protocol.messages import Breakpoint
 
 PLACE = re.compile(r"([A-Z-]+):([1-9][0-9]{0,3})", re.IGNORECASE)
@@ -39,6 +42,10 @@ def break_(
             found = rtc.set_breakpoints([one for one in found if named and one not in named])
         elif named:
             found = rtc.set_breakpoints(list(dict.fromkeys([*found, *named])))
+            longest = longest_scripts(rtc.program("elaborator").body)
+            for one in (one for one in named if one.step > longest.get(one.verb, 0)):
+                words = f"the longest script of {one.verb} has {longest.get(one.verb, 0)} steps"
+                console.print(f"{one} pauses nothing now: {words}; only looks that come first make it longer")
     console.print("breakpoints: " + (", ".join(map(str, found)) or "none"))
     if json:
         emit_json({"breakpoints": [str(one) for one in found]})
@@ -50,6 +57,16 @@ def _checked(place: str) -> Breakpoint:
     if found is None or found[1].upper() not in verbs():
         raise cli_error(f"{place} is not VERB:STEP, such as GRASP:5; rtc dictionary lists the verbs", 2)
     return Breakpoint(found[1].upper(), int(found[2]))
+
+
+def longest_scripts(program: bytes) -> dict[str, int]:
+    """The most steps of a script of each verb, in a program of the elaborators."""
+    document = spliced(decode(program, ElaboratorProgram))
+    steps = {script.script: len(script.steps) for script in document.scripts}
+    found: dict[str, int] = {}
+    for row in document.decision_tree:
+        found[row.verb] = max(found.get(row.verb, 0), steps[row.script])
+    return found
 
 
 def step(
