@@ -441,7 +441,7 @@ def test_a_refused_primitive_tells_where_the_arm_really_is(bench):
 
 
 @pytest.mark.parametrize("reason", [StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.TIMEOUT])
-def test_an_end_without_figures_is_told_by_its_own_words(bench, reason):
+def test_an_end_without_figures_has_its_own_words(bench, reason):
     """As of a forced end, or of a subsystem of a user: not by the words of figures that are not there."""
     bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
     bare = ended(report, reason, measured=None, limit=None, message="as forced")
