@@ -296,7 +296,7 @@ def test_every_figure_is_si():
 
     assert names
     for name in names:
-        assert re.search(r"_(m|rad|s|n|nm|kg|factor|m_s2|rad_s|turns)$", name), name
+        assert re.search(r"_(m|rad|s|n|nm|kg|factor|share|m_s2|rad_s|turns)$", name), name
 
 
 # --- expressions -------------------------------------------------------------------------------------------
