@@ -59,6 +59,7 @@ STANDS_M = (0.0, 0.3, 0.5)
 STAND_M = 0.16  # side of what it then stands on
 FREE_M = 0.01  # clearance of a posture that is chosen
 FLAT_M = 0.005  # which a body may reach below its base: rounding of meshes
+FAR_AWAY = "it does not reach them with its hand down"
 STEPS, JUMP_RAD = 8, 0.6  # of a line down to a pad, 30 mm each at most; a joint that moves more is in another branch
 
 
@@ -91,10 +92,11 @@ def draft(urdf: Path, name: str = "", tip: str = "") -> Draft:
 def _at_work(cell: Cell, adapted: AdaptedArm) -> Cell:
     """The cell with postures, pads and a cube. An arm whose hand points down below its base only is put on a stand."""
     foot_m, notes, first = _below_base_m(adapted), list(adapted.notes), None
+    causes = Counter[str]()
     for stand_m in STANDS_M if len(adapted.joints) >= ARM_JOINTS else STANDS_M[:1]:
         adapted.notes[:] = notes
         posed = _with_postures(_on_stand(cell, stand_m, foot_m), adapted)
-        placed = _with_pads(posed, adapted, (0.0,) if stand_m else TABLES_M)
+        placed = _with_pads(posed, adapted, (0.0,) if stand_m else TABLES_M, causes)
         if placed is not None:
             if stand_m:
                 adapted.notes.append(f"it stands {100 * stand_m:.0f} cm high: its hand points down below its base only")
@@ -102,9 +104,12 @@ def _at_work(cell: Cell, adapted: AdaptedArm) -> Cell:
         first = first or (posed, list(adapted.notes))
     assert first is not None
     cell, adapted.notes[:] = first
+    hindrances = causes.copy()
+    del hindrances[FAR_AWAY]  # at most places of most arms
     adapted.notes.append(
         "no pads were placed: no two places were found at which the hand points down freely, near the floor or up to "
-        f"{PAD_HEIGHT_M + TABLES_M[-1]:g} m above it; add objects and seats yourself"
+        f"{PAD_HEIGHT_M + TABLES_M[-1]:g} m above it. Most often {(hindrances or causes).most_common(1)[0][0]}; add "
+        "objects and seats yourself"
     )
     return cell
 
@@ -321,8 +326,9 @@ def _payload_kg(model: ArmModel, held: Array) -> float:
 # --- pads, cube and a place ----------------------------------------------------------------------------
 
 
-def _with_pads(cell: Cell, adapted: AdaptedArm, tables_m: Sequence[float]) -> Cell | None:
-    """The cell with two pads on either side, a cube on the first, and a place between them; None: no such place."""
+def _with_pads(cell: Cell, adapted: AdaptedArm, tables_m: Sequence[float], causes: Counter[str]) -> Cell | None:
+    """The cell with two pads on either side, a cube on the first, and a place between them; None: no such place, and
+    `causes` has why not."""
     name, home = cell.arms[0].name, cell.arms[0].home_rad
     model, margin = ArmModel.of(cell, name), math.radians(cell.numbers.joint_margin_deg)
     farthest = max(float(np.linalg.norm(model.fk(q)[:2])) for q in _samples(model))
@@ -330,6 +336,7 @@ def _with_pads(cell: Cell, adapted: AdaptedArm, tables_m: Sequence[float]) -> Ce
         down, reach_m = (180.0, 0.0, how.yaw_deg), share * farthest
         front = Frame(xyz=(round(reach_m, 3), 0.0, round(how.pad_m + how.height * CARRY_M, 3)), rpy_deg=down)
         if not model.ik(front.pose, home, margin):
+            causes[FAR_AWAY] += len(BEARINGS_DEG)
             continue  # at any bearing
         for bearing_deg in BEARINGS_DEG:
             bearing = math.radians(bearing_deg)
@@ -341,8 +348,10 @@ def _with_pads(cell: Cell, adapted: AdaptedArm, tables_m: Sequence[float]) -> Ce
                 places=[Place(name="FRONT", poses={name: front})],
                 attitudes={"TOOL-DOWN": Frame(rpy_deg=down)},
             )
-            if _can_work(tried, how.height * ABOVE_M):
+            cause = hindrance(tried, how.height * ABOVE_M)
+            if not cause:
                 return tried
+            causes[cause] += 1
     return None
 
 
@@ -432,8 +441,9 @@ def _cube(how: _Layout) -> Object:
     )
 
 
-def _can_work(cell: Cell, above_m: float) -> bool:
-    """Whether the arm reaches cube, both pads and the place, and comes down to the pads from above."""
+def hindrance(cell: Cell, above_m: float) -> str:
+    """Why the arm does not reach cube, both pads and the place, or does not come down to the pads from above; "" if it
+    does."""
     name = cell.arms[0].name
     model, world = ArmModel.of(cell, name), CollisionWorld(cell)
     grasp = cell.object("CUBE").grasp_points[0].frame.pose
@@ -442,26 +452,30 @@ def _can_work(cell: Cell, above_m: float) -> bool:
     goals = [(geometry.compose(cell.seated_pose(seat.name), grasp), above_m) for seat in cell.seats]
     for goal, way_m in ((cell.places[0].poses[name].pose, 0.0), *goals):
         line = [geometry.translate(goal, (0.0, 0.0, float(h))) for h in np.linspace(way_m, 0.0, STEPS if way_m else 1)]
-        if not any(
-            _line_is_free(model, world, aside, line, q, margin)
-            for q in model.ik(line[0], cell.arms[0].home_rad, margin)
-        ):
-            return False
-    return True
+        cause = FAR_AWAY
+        for q in model.ik(line[0], cell.arms[0].home_rad, margin):
+            cause = _hindrance_on(model, world, aside, line, q, margin)
+            if not cause:
+                break
+        if cause:
+            return cause
+    return ""
 
 
-def _line_is_free(
+def _hindrance_on(
     model: ArmModel, world: CollisionWorld, scene: Scene, line: list[Array], start: Array, margin: float
-) -> bool:
+) -> str:
     rows = model.ik_along(line, start)
     if len(rows) < len(line) or np.abs(np.diff(rows, axis=0)).max(initial=0.0) > JUMP_RAD:
-        return False  # it ends, or goes on in another branch
-    return all(
-        model.limit_margin_rad(q) >= margin
-        and _weight_share(model, q) < EFFORT
-        and world.check({model.name: q}, scene) is None
-        for q in rows
-    )
+        return "the line down to them leaves its reach"  # it ends, or goes on in another branch
+    for q in rows:
+        if model.limit_margin_rad(q) < margin:
+            return "a joint is at its limit there"
+        if _weight_share(model, q) >= EFFORT:
+            return f"its motors need more than {EFFORT:.0%} of their torque to hold it there"
+        if (hit := world.check({model.name: q}, scene)) is not None:
+            return f"{hit.body_a} touches {hit.body_b} there"
+    return ""
 
 
 # --- the file ------------------------------------------------------------------------------------------

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from rtc.apps.authoring import words_and_keys
-from rtc.apps.authoring.draft import draft
+from rtc.apps.authoring.draft import ABOVE_M, FAR_AWAY, draft, hindrance
 from rtc.apps.authoring.hull import hull_of
 from rtc.apps.authoring.review import review
 from rtc.model.cells.cell import Cell
+from rtc.model.cells.parts import Box, Frame, Object
 from rtc.model.robot import hulls
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.kinematics import ArmModel
@@ -91,6 +94,29 @@ def test_an_arm_gets_pads_that_it_reaches_from_above(tmp_path, kind):
     findings, cell = review(tmp_path / "cell.yaml")
     assert findings == []
     assert [seat.name for seat in cell.seats] == ["PAD-1", "PAD-2"]
+
+
+def test_what_keeps_an_arm_from_its_pads_is_named(small_cell):
+    """Weak motors, too: they were stated as places that the hand does not reach (PR2)."""
+    cell = small_cell("SIX")
+    assert not hindrance(cell, ABOVE_M)
+
+    file = cell.arms[0].urdf
+    weak = re.sub(r'effort="[^"]*"', 'effort="1"', cell.texts[file])
+    assert "torque" in hindrance(msgspec.structs.replace(cell, texts={**cell.texts, file: weak}), ABOVE_M)
+
+    far = [msgspec.structs.replace(seat, frame=Frame(xyz=(5.0, 0.0, 0.1))) for seat in cell.seats]
+    assert hindrance(msgspec.structs.replace(cell, seats=far), ABOVE_M) == FAR_AWAY
+
+    at = cell.seat("PAD-2").frame.xyz
+    lid = Object(
+        name="LID",
+        kind="structure",
+        fixed=True,
+        mass_kg=1.0,
+        shapes=[Box(name="lid", size_m=(0.2, 0.2, 0.01), frame=Frame(xyz=(at[0], at[1], at[2] + 0.1)))],
+    )
+    assert "LID" in hindrance(msgspec.structs.replace(cell, objects=[*cell.objects, lid]), ABOVE_M)
 
 
 @pytest.mark.parametrize("kind", ["SIX", "FIVE", "SCARA", "PORTAL"])
