@@ -38,6 +38,7 @@ LIMIT = round(600.0 / TICK_S)  # ticks of one sentence
 IDLE = round(1.0 / TICK_S)
 WAITS = round(2.0 / TICK_S)  # ticks without motion after which a command is seen to wait: a look takes less
 PERIOD = 20  # ticks between two messages of a hand
+FEWEST = 100  # runs whose results are kept
 ATTEMPTS = 20  # sentences that end before they are paused are drawn anew
 RELEASED = re.compile(r"\b(?:TAKE [A-Z-]+ FROM OPERATOR|RESUME C-\d+|ABORT C-\d+)")
 
@@ -50,7 +51,7 @@ MOTIONS = {
     ),
     "lifted": (
         *("CARRY {module} TO CLEAR-POINT-1", "MOVE {arm} TO CLEAR-POINT-1", "MOVE {arm} BY {cm} CM ALONG {axis}"),
-        *("LIFT {module} BY {cm} CM WITH {arm}", "STOW {arm}", "CARRY {module} TO BAY-2-FRONT WITH BOTH-ARMS"),
+        *("LIFT {module} BY {cm} CM WITH {arm}", "STOW {arm}"),
     ),
 }
 BY_HAND = {
@@ -60,7 +61,7 @@ BY_HAND = {
     ),
     "lifted": ("GIVE {arm} TO OPERATOR", "MOVE {arm} TO CLEAR-POINT-1 MAINTAIN SHARED VIA OPERATOR-INTERVENTION"),
 }
-LATER = ("STOW {arm}", "STOW {other}", "MOVE {arm} TO CLEAR-POINT-1", "RETRACT {arm} BY 5 CM", "STOW BOTH-ARMS")
+LATER = ("STOW {arm}", "STOW {other}", "MOVE {arm} TO CLEAR-POINT-1", "RETRACT {arm} BY 5 CM")
 PAUSED_THEN = ("RESUME", "ABORT", "HALT", "another sentence")
 LEAVES = ("page closed", "lets go", "taken", "halted", "CANNOT", "the MCM dies")
 
@@ -106,8 +107,7 @@ def _names(arm: str) -> dict[str, str]:
     return {"arm": arm, "other": next(one for one in ARMS if one != arm), "module": module, "handle": handle}
 
 
-def draw(random: np.random.Generator) -> Drawn:
-    what: Any = str(random.choice(["pause", "operator"]))
+def draw(random: np.random.Generator, what: Literal["pause", "operator"]) -> Drawn:
     start, arm = str(random.choice(list(LED))), str(random.choice(list(ARMS)))
     figures = {"cm": f"{random.choice([-1, 1]) * random.uniform(4, 20):.1f}", "axis": random.choice(["X", "Y", "UP"])}
     names = _names(arm) | figures
@@ -128,7 +128,7 @@ def run(n: int) -> Ran:
     """The run of this number: sentences are drawn until one is paused, or handed to the operator."""
     random = np.random.default_rng([SEED, n])
     for _ in range(ATTEMPTS):
-        found = leave_alone(draw(random))
+        found = leave_alone(draw(random, "pause" if n % 2 else "operator"))
         if found is not None:
             return found
     raise AssertionError(f"run {n}: {ATTEMPTS} sentences ended before they were left alone")
@@ -200,6 +200,8 @@ def leave_alone(drawn: Drawn) -> Ran | None:
         return Ran(drawn, "done", "", 0, [])
     ended = cluster.outcomes.get(command)
     first = Answer.of_outcome(ended) if ended is not None and aim == drawn.sentence else person.say(aim)
+    if not first.succeeded and not first.clears and ended is not None:  # nothing holds the arm
+        first = person.say(aim)
     if not first.succeeded and first.message.startswith("waits"):
         return Ran(drawn, "stuck", first.message, len(person.given), person.story)
     if first.succeeded:
@@ -279,7 +281,7 @@ def main() -> None:
         ("stuck", f"{dict(Counter(one.why for one in found if one.end == 'stuck'))}"),
     ]
     metrics: dict[str, float | None] = {"runs": len(found), "led_on": led, "low": low, "high": high}
-    numbered_runs.report("left_alone", metrics, rows, kept=not given.only)
+    numbered_runs.report("left_alone", metrics, rows, kept=given.runs >= FEWEST and not given.only)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from rtc.protocol.messages import Script, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.spatial import geometry
 from rtc.world.spread import even, widened
+from tests.campaigns import left_alone
 from tests.campaigns.after_stops import Drawn, halt_and_follow
 from tests.workers.conftest import Bench
 
@@ -80,6 +81,16 @@ def test_deeper_into_a_handle_stays_refused(in_the_handle):
     in_the_handle.do(SAME_PLACE)
     refusal = in_the_handle.do("MOVE RIGHT-ARM BY 1 CM ALONG Y STRAIGHT-LINE").refusal
     assert refusal.detail["cause"] == "collision"
+
+
+@pytest.mark.parametrize(("what", "then"), [("operator", "page closed"), ("pause", "another sentence")])
+def test_what_waits_for_an_arm_that_was_left_alone_says_what_frees_it(what, then):
+    sentence = "GIVE RIGHT-ARM TO OPERATOR" if what == "operator" else "MOVE RIGHT-ARM TO CLEAR-POINT-1"
+    twist = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
+    drawn = left_alone.Drawn(what, "home", "RIGHT-ARM", sentence, "STOW RIGHT-ARM", then, after_s=0.2, twist=twist)
+    found = left_alone.leave_alone(drawn)
+    assert found is not None
+    assert found.end == "done", found
 
 
 # --- letting go ----------------------------------------------------------------------------------------------
