@@ -27,6 +27,7 @@ from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Outcome, Refusal
 from rtc.protocol.primitive import JointTrajectory, Primitive
 from rtc.protocol.subsystems import CAMERAS
+from rtc.protocol.versions import PAUSES
 from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.subsystem import McmSubsystem
@@ -178,6 +179,9 @@ class OneProcess:
                     performers=self.state.subsystems[CAMERAS.name].performers,
                 )
                 self._later(1, still)
+            case do.SendPace() if effect.subsystem != CAMERAS.name:
+                paused = m.SetPaused(primitive=effect.primitive, paused=effect.paused)
+                self._from_mcm(self.mcm.handle(paused, BROKER, self.now_s))
             case do.SendAnswer():
                 self._from_mcm(self.mcm.handle(effect.answer, BROKER, self.now_s))
             case do.SendHalt():
@@ -245,7 +249,10 @@ class OneProcess:
                     pid=message.pid,
                     performers=message.performers,
                     at_rest=message.at_rest,
+                    pauses=PAUSES in message.abilities,
                 )
+            case m.PauseChanged():
+                return events.PrimitivePaced(at_s=at_s, subsystem="MCM", change=message)
             case m.Started():
                 return made(events.PrimitiveStarted, at_s=at_s, subsystem="MCM", primitive=message.primitive)
             case m.AnswerRefused():
