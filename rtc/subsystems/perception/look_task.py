@@ -167,7 +167,8 @@ class LookTask:
         self.pictures += 1
         alone = found if len(others) + len(kept) == 1 else self._located([new], expected)
         if alone is not None:
-            side.motion.take(picture.own_s, alone.pose)
+            known = found.pose if expected is None or not found.ambiguous else expected
+            side.motion.take(picture.own_s, _nearer_pose(alone, known))
 
     def fail(self, camera: str, why: str, retry_s: float) -> None:
         """The camera gave no picture. It tries again at `retry_s`, until the time limit."""
@@ -273,6 +274,15 @@ class LookTask:
         if picture.image is None:
             return absence.Cause.OCCLUDED.value
         return absence.cause(self.tags, self.look.believed, picture.view, picture.image).value
+
+
+def _nearer_pose(fit: Fit, known: Array) -> Array:
+    """The pose of a fit, or its second solution if the first cannot be told from it and is farther from a known pose:
+    one tag in one picture may be tilted either way, which is no motion from picture to picture."""
+    if not fit.ambiguous or fit.second is None:
+        return fit.pose
+    poses = (fit.pose, geometry.from_matrix(fit.second.matrix))
+    return min(poses, key=lambda pose: geometry.angle(known, pose))
 
 
 class _Place(NamedTuple):

@@ -397,6 +397,7 @@ def test_its_end_report_is_repeated_until_it_is_acknowledged(subsystem, eyes, lo
 
 # --- several cameras -------------------------------------------------------------------------------------
 
+FLIP_RAD_S = 0.2
 PAIR = {"camera": "CAMERA-3", "cameras": ["CAMERA-4"]}
 
 
@@ -453,6 +454,21 @@ def test_a_pair_of_cameras_decides_which_way_a_single_tag_is_tilted(cell, eyes, 
             wrong[count] += geometry.angle(seen.pose, cell.object_pose(FACE)) > math.radians(10.0)
     assert wrong[1] > 0
     assert wrong[2] == 0
+
+
+def test_a_tag_that_may_be_tilted_either_way_does_not_move(cell, eyes, look) -> None:
+    """A camera that sees one tag takes one solution or the other by its noise; a driver at rest "moved" at 8.7 mm/s."""
+    random, fastest_rad_s = np.random.default_rng(4), 0.0
+    eyes.cell = msgspec.structs.replace(
+        cell, tags=[msgspec.structs.replace(one, size_m=0.03) if one.id == 18 else one for one in cell.tags]
+    )
+    tag = next(p.TagGeometry(id=tag.id, size_m=0.03, pose=tag.frame.pose.tolist()) for tag in cell.tags if tag.id == 18)
+    for n in range(5):
+        made = look(FACE, id=f"C-{n}.1", **PAIR, pictures=2)
+        made = msgspec.structs.replace(made, trajectory=msgspec.structs.replace(made.trajectory, tags=[tag]))
+        seen = located(cell, eyes, made, SceneView(), random).sighting
+        fastest_rad_s = max(fastest_rad_s, math.hypot(*seen.velocity[3:]))
+    assert fastest_rad_s < FLIP_RAD_S
 
 
 def test_a_camera_that_does_not_see_the_body_is_left_out(cell, eyes, look) -> None:
