@@ -277,7 +277,7 @@ class LookTask:
 
 
 def _nearer_pose(fit: Fit, known: Array) -> Array:
-    """The pose of a fit, or its second solution if the first cannot be told from it and is farther from a known pose:
+    """The pose of a fit, or its second solution, if that explains the picture as well and is nearer to a known pose:
     one tag in one picture may be tilted either way, which is no motion from picture to picture."""
     if not fit.ambiguous or fit.second is None:
         return fit.pose
