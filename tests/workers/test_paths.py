@@ -176,8 +176,9 @@ def test_a_verb_of_one_file_sweeps_a_panel_and_changes_its_sequence_if_the_force
         wide = np.ptp(traced.path[:, 1:3], axis=0)
         assert ((wide > 0.010) & (wide < 0.020)).all()
 
+        # 7 N: with a limit of 12 N a sweep meets 8.5 to 9.9 N (4 seeds), the gentle one 5.4 to 5.5 N (4 seeds).
         text = whole_file.sections(WIPE.read_bytes(), WIPE.name)["binder"].decode()
-        traced.bench.load("binder", text.replace("force_n: 40.0", "force_n: 12.0"))
+        traced.bench.load("binder", text.replace("force_n: 40.0", "force_n: 7.0"))
         run = traced.do(f"WIPE {ARM} BY 8 MM")
         assert run.trims == [1]
         assert run.labels[2:5] == ["leave the panel", "touch the panel again", "sweep gently"]
