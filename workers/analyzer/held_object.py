@@ -11,11 +11,12 @@ from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.world.facts import TRUSTED
 from rtc.world.spread import even, widened
-from workers.analyzer import turning
+from workers.analyzer import flat_grip, turning
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.world_changes import EFFECTS, Changes, perhaps_taken
 from workers.planning import pose_spread, shared_hold
 
+UNTURNED_RAD = 1e-6  # a smaller angle is of the arithmetic: the value stays
 CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
 
 
@@ -94,10 +95,37 @@ def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
         if report.peak_force_n > task.values["twisted_n"]:
             spread = pose_spread.twisted_spread(spread, fact.value, task.values["twisted_rad"])
         wider_m = max(map(abs, _widened_m(task).values()))
-        if turning.is_proved(task):
-            spread = turning.wrung(task, spread)
-        elif wider_m <= task.values["opened_m"]:  # else they have let go of it
+        if wider_m <= task.values["opened_m"]:  # else they have let go of it
             spread = pose_spread.askew_spread(spread, fact.value, wider_m, task.values["pad_m"])
+            if turning.is_proved(task):
+                spread = turning.on_its_bolt(task, spread)
+            return _between_pads(task, changes, spread)
+    return _stated(changes, thing, spread)
+
+
+def _between_pads(task: AnalyzeTask, changes: Changes, spread: list[float]) -> Changes:
+    """The changes, with what the opening of the hand says about how the object is turned in it."""
+    thing, arm, report = task.evaluation.held, task.evaluation.arm, task.report
+    by_key = {change.key: change for change in changes if change.spread is None}
+    held, placed = by_key.get(f"{thing}.grasp"), by_key.get(f"{thing}.frame")
+    grasp = held.value if held is not None and not held.keep_value else task.query.grasp(thing)
+    alone = task.query.held_by(thing) == arm and not task.query.sharers(arm)
+    if held is None or placed is None or grasp is None or not alone or not report.tcp_pose:
+        return _stated(changes, thing, spread)
+    lies, spread = flat_grip.between_pads(task.query, thing, grasp, spread, report.hand_width_m, task.values["pad_m"])
+    if geometry.angle(lies, grasp) < UNTURNED_RAD:
+        return _stated(changes, thing, spread)
+    turned = geometry.normalise(geometry.compose(report.tcp_pose, lies)).tolist()
+    values = {held.key: lies.tolist(), placed.key: turned}
+    moved = [
+        msgspec.structs.replace(change, value=values[change.key], keep_value=False) if change.key in values else change
+        for change in changes
+    ]
+    return _stated(moved, thing, spread)
+
+
+def _stated(changes: Changes, thing: str, spread: list[float]) -> Changes:
+    """The changes, with this spread where they state the pose of the object without one."""
     keys = {f"{thing}.frame", f"{thing}.grasp"}
     return [
         msgspec.structs.replace(change, spread=spread)

@@ -19,7 +19,7 @@ from rtc.sensing import rest
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.spread import even, widened
-from workers.analyzer import joined
+from workers.analyzer import flat_grip, joined, touch
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.reported_facts import seat_at
 from workers.planning import pose_spread
@@ -41,6 +41,9 @@ def sighted(task: AnalyzeTask, validity: Validity) -> Changes:
     if _doubt(task, sighting):
         validity = Validity.SUSPECT
     frame, spread = geometry.normalise(sighting.pose), spread_of(sighting, task)
+    holder = task.query.held_by(body)
+    if holder and task.query.hinge(body) is None:
+        frame, spread = _between_pads(task, holder, frame, spread)
     change = WorldChange(key=f"{body}.frame", value=frame.tolist(), validity=validity, spread=spread)
     evidence = WorldChange(key=f"{body}.sighting", value=_evidence(sighting, task.report.performer))
     if _only_watched(task):
@@ -50,7 +53,7 @@ def sighted(task: AnalyzeTask, validity: Validity) -> Changes:
         return [*changes, *joined.mounted(task.query, change)]
     if task.query.is_seat(body):
         return [*changes, *joined.content(task.query, body, frame, spread, validity)]
-    if task.query.held_by(body):
+    if holder:
         return [*changes, *_in_hand(task.query, body, frame, spread, validity)]
     return [*changes, *_seated(task, frame, spread, validity)]
 
@@ -151,6 +154,16 @@ def is_in_hand(task: AnalyzeTask, arm: str) -> bool:
 def _is_at(query: WorldQuery, tcp: Array, thing: str, frame: Array) -> bool:
     points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
     return min((geometry.distance(tcp, point) for point in points), default=math.inf) <= IN_HAND_M
+
+
+def _between_pads(task: AnalyzeTask, arm: str, frame: Array, spread: list[float]) -> touch.Found:
+    """Where a body is that a hand has been seen to hold: it may have turned flat between the pads since."""
+    query, body, tcp = task.query, task.evaluation.body, task.query.tcp(arm)
+    if query.sharers(arm) or not _is_at(query, tcp, body, frame):
+        return frame, spread
+    opening_m, pad_m = query.hand_width(arm), task.values["pad_m"]
+    grasp, spread = flat_grip.between_pads(query, body, geometry.relative(tcp, frame), spread, opening_m, pad_m)
+    return geometry.normalise(geometry.compose(tcp, grasp)), spread
 
 
 def _in_hand(query: WorldQuery, thing: str, frame: Array, spread: list[float], validity: Validity) -> Changes:

@@ -193,9 +193,9 @@ def is_proved(task: AnalyzeTask) -> bool:
     return turns and abs(driven_turns(task)) > LEAST_TURNS and not is_unproved(task)
 
 
-def wrung(task: AnalyzeTask, spread: list[float]) -> list[float]:
-    """The spread of a driver, in its own axes, after it has turned a bolt. The torque turns it in the hand about its
-    spindle. It is tilted by no more than the tip may be from the axis of the bolt."""
+def on_its_bolt(task: AnalyzeTask, spread: list[float]) -> list[float]:
+    """The spread of a driver, in its own axes, after it has turned a bolt: it is tilted by no more than its tip may be
+    from the axis of the bolt. How far the torque has turned it about its spindle shows in the opening of the hand."""
     query, driver, tip = task.query, task.query.driver(task.evaluation.arm), _tip(task)
     if tip is None or driver is None or driver.spindle is None:
         return spread
@@ -203,12 +203,7 @@ def wrung(task: AnalyzeTask, spread: list[float]) -> list[float]:
     off_m = min(aside_m, task.values["engaged_m"]) + task.values["engaged_m"] + max(spread[:3])
     tilt_rad = off_m / math.hypot(*driver.spindle.frame.xyz)
     along = np.abs(geometry.rotate(driver.spindle.frame.pose, (0.0, 0.0, 1.0)))
-    values, torque_nm = task.values, task.report.peak_torque_nm
-    more_rad = values["wrung_rad"] if torque_nm > values["wrung_nm"] else 0.0
-    angles = (
-        max(had, min(had + more_rad, values["wrung_most_rad"])) if part > ALONG else min(had, tilt_rad)
-        for had, part in zip(spread[3:], along, strict=True)
-    )
+    angles = (had if part > ALONG else min(had, tilt_rad) for had, part in zip(spread[3:], along, strict=True))
     return [*spread[:3], *(float(angle) for angle in angles)]
 
 

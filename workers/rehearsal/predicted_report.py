@@ -40,6 +40,8 @@ HALVINGS = 24  # of the time of a path, to find the place of a touch within some
 CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
 NO_FORCE = [0.0] * 6
 TURN = 2.0 * math.pi
+# A torque above TWISTS_NM turns a driver between the pads of a hand with 60 N, and so holds them apart (n 12, 3.4 N.m).
+TWISTS_NM, APART_M = 1.0, 0.0016
 BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
 
 
@@ -279,7 +281,9 @@ def _of_spindle(query: WorldQuery, made: Primitive, evaluation: EvaluationContex
         found = arm.nearest_ik(there.tolist(), joints)
         joints = joints if found is None else [float(angle) for angle in found]
     report = _at_rest(query, made.performer, made.id, reason, joints, share * abs(turn.turn_rad) / turn.speed_rad_s)
-    return _replaced(report, turned_rad=share * turn.turn_rad)
+    when = _stop(made, reason)
+    apart_m = APART_M if isinstance(when, TorqueAbove) and when.limit_nm > TWISTS_NM else 0.0
+    return _replaced(report, turned_rad=share * turn.turn_rad, hand_width_m=report.hand_width_m + apart_m)
 
 
 def _turned(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> float:
