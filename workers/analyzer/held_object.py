@@ -91,9 +91,8 @@ def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
         if report.tcp_pose:
             before, pull = task.query.tcp(task.evaluation.arm), task.query.cell.gravity_m_s2
             spread = pose_spread.tipped_spread(spread, before, report.tcp_pose, pull, task.values)
-        spread = pose_spread.struck_spread(spread, report.peak_force_n, task.values)
-        if report.peak_force_n > task.values["twisted_n"]:
-            spread = pose_spread.twisted_spread(spread, fact.value, task.values["twisted_rad"])
+        if not task.query.seat(thing):  # a seat guides what is pulled out of it
+            spread = pose_spread.struck_spread(spread, fact.value, report.peak_force_n, task.values)
         wider_m = max(map(abs, _widened_m(task).values()))
         if wider_m <= task.values["opened_m"]:  # else they have let go of it
             spread = pose_spread.askew_spread(spread, fact.value, wider_m, task.values["pad_m"])

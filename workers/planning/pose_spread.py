@@ -73,14 +73,6 @@ def uncertainty_figures(spread: Spread, at: Floats) -> dict[str, float]:
     return {"unsure_x_m": x, "unsure_y_m": y, "unsure_z_m": z, "unsure_rad": max(angles)}
 
 
-def twisted_spread(spread: Spread, grasp: Floats, turn_rad: float) -> list[float]:
-    """Spread of a held object that a force has turned between the pads: about the closing direction (tool y), and
-    by half of that about the bar (tool x).
-
-    `grasp`: the frame of the object in the axes of the tcp."""
-    return widened(spread, spread_at([0.0, 0.0, 0.0, 0.5 * turn_rad, turn_rad, 0.0], grasp))
-
-
 def askew_spread(spread: Spread, grasp: Floats, wider_m: float, pad_m: float) -> list[float]:
     """Spread of a held object after the fingers have moved by `wider_m`: its bar, which is `pad_m` deep, has turned
     between the pads, about the bar (tool x) or about the approach (tool z).
@@ -105,10 +97,18 @@ def tipped_spread(
     return widened(spread, even(share * values["tipped_m"], share * values["tipped_rad"]))
 
 
-def struck_spread(spread: Spread, peak_force_n: float, values: Mapping[str, float]) -> list[float]:
-    """Spread of a held object after a motion: a force above `struck_n` displaces it."""
-    struck = peak_force_n > values["struck_n"]
-    return widened(spread, even(values["struck_m"], values["struck_rad"])) if struck else list(spread)
+def struck_spread(spread: Spread, grasp: Floats, peak_force_n: float, values: Mapping[str, float]) -> list[float]:
+    """Spread of a held object after a motion. A force above `twisted_n` turns it between the pads about the closing
+    direction (tool y), and by half of that about the bar (tool x). One above `struck_n` displaces it.
+
+    `grasp`: the frame of the object in the axes of the tcp."""
+    found = list(spread)
+    if peak_force_n > values["struck_n"]:
+        found = widened(found, even(values["struck_m"], values["struck_rad"]))
+    if peak_force_n > values["twisted_n"]:
+        turn_rad = values["twisted_rad"]
+        found = widened(found, spread_at([0.0, 0.0, 0.0, 0.5 * turn_rad, turn_rad, 0.0], grasp))
+    return found
 
 
 def rolled_spread(spread: Spread, axis: Floats, rolled_m: float, most_m: float, lever_m: float) -> list[float]:

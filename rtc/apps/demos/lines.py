@@ -63,7 +63,9 @@ def among(given: Collection[str], needed: Mapping[str, set[str]]) -> dict[str, s
 
 @dataclass
 class Course:
-    """What became of each line: command, times of execution in seconds of the demo, end."""
+    """What became of each line: command, times of execution in seconds of the demo, end.
+
+    The times are those of the broker, which has the same clock: on a busy machine its events come here later."""
 
     begun_s: float = field(default_factory=time.monotonic)
     commands: dict[str, str] = field(default_factory=dict)  # label -> C-7
@@ -80,7 +82,8 @@ class Course:
 
     def note(self, label: str, note: m.ProgressNote) -> None:
         if note.phase is m.Phase.EXECUTING:
-            self.executing.setdefault(label, [self.now_s, self.now_s])[1] = self.now_s
+            at_s = note.at_s - self.begun_s
+            self.executing.setdefault(label, [at_s, at_s])[1] = at_s
         elif note.phase is m.Phase.HELD:
             self.held.add(label)
         if note.compared is not None:
@@ -91,7 +94,7 @@ class Course:
     def end(self, label: str, ended: m.CommandEnded) -> None:
         self.ends[label] = ended
         if label in self.executing:
-            self.executing[label][1] = self.now_s
+            self.executing[label][1] = ended.at_s - self.begun_s
 
     def together(self, labels: Collection[str]) -> int:
         """The greatest number of these lines that were in execution at one time."""

@@ -11,6 +11,7 @@ from rich.console import Console
 from rtc.apps.demos import lines, swapout
 from rtc.apps.demos.narrator import Narrator
 from rtc.model.cells.cell import Cell
+from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind
 from rtc.protocol.rehearsal import Rehearsal, RehearsedStep
 from tests.workers.conftest import record
@@ -131,6 +132,17 @@ def test_what_was_in_execution_at_once_is_counted():
     course = lines.Course(executing={"C1": [0.0, 2.0], "C2": [1.0, 3.0], "C3": [2.0, 4.0]})
     assert course.together(["C1", "C2", "C3"]) == 2
     assert course.together(["C1", "C3"]) == 1
+
+
+def test_an_end_that_comes_late_from_a_busy_machine_lasts_no_longer():
+    """A line that another one has aborted was counted as in execution beside the next line of its arm."""
+    course = lines.Course(begun_s=100.0)
+    for label, at_s in (("C8", 101.0), ("C19", 103.5)):
+        course.note(label, m.ProgressNote(seq=1, at_s=at_s, command="C-1", phase=m.Phase.EXECUTING))
+    ended = Outcome(kind=OutcomeKind.ABORTED)
+    course.end("C8", m.CommandEnded(seq=2, at_s=103.0, command="C-1", request="", text="", outcome=ended, took_s=2.0))
+    assert course.executing["C8"] == [1.0, 3.0]
+    assert course.together(["C8", "C19"]) == 1
 
 
 @pytest.mark.parametrize(

@@ -207,3 +207,20 @@ def test_fingers_clear_the_doubt_of_an_end_without_a_contact(carried, reason) ->
     assert validity(carried, "MACS-NEW.grasp") is Validity.SUSPECT
     for sentence in (VERIFY, PLACE):
         assert carried.do(sentence).succeeded
+
+
+@pytest.mark.parametrize(("seat", "wider"), [("RACK-1", False), ("", True)])
+def test_a_force_that_pulls_an_object_out_of_its_seat_does_not_turn_it_in_the_hand(bench, seat, wider) -> None:
+    """In physics 58 N out of a seat moved it by 0.1 mm; the same force on an object that is free displaces it."""
+    assert bench.do(GRASP).succeeded
+    bench.set_fact("MACS-NEW.seat", seat)
+    before = bench.world.get("MACS-NEW.grasp").spread
+    ended(
+        bench,
+        "EXTRACT MACS-NEW FROM RACK-1" if seat else "LIFT MACS-NEW BY 15 CM",
+        StopReason.GOAL,
+        1,
+        peak_force_n=58.0,
+    )
+    after = bench.world.get("MACS-NEW.grasp").spread
+    assert (max(after[:3]) > max(before[:3]) + 0.005) == wider

@@ -20,7 +20,7 @@ from workers.planning.pose_spread import (
 )
 
 NUMBERS = Numbers(creep_m_s=0.0025 / 60, creep_rad_s=math.radians(1) / 60)
-VALUES = {"struck_n": 40.0, "struck_m": 0.01, "struck_rad": 0.1}
+VALUES = {"struck_n": 40.0, "struck_m": 0.01, "struck_rad": 0.1, "twisted_n": 15.0, "twisted_rad": 0.04}
 HANDLE = geometry.from_rpy([-0.15, -0.085, 0.0], [0.0, math.pi / 2, 0.0])  # of the module's handle, in its axes
 
 
@@ -72,8 +72,10 @@ def test_a_thing_that_was_moved_in_belief_along_an_axis_not_measured_is_known_le
 def test_what_is_held_creeps_and_what_is_struck_turns():
     assert crept_spread(even(0.001, 0.0), 60.0, NUMBERS)[0] == pytest.approx(0.0035)
     assert crept_spread(even(0.001, 0.0), 0.0, NUMBERS) == pytest.approx(even(0.001, 0.0))
-    assert struck_spread(even(0.001, 0.0), 41.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
-    assert struck_spread(even(0.001, 0.0), 5.0, VALUES) == even(0.001, 0.0)
+    grasp, before = geometry.IDENTITY, even(0.001, 0.0)
+    assert struck_spread(before, grasp, 5.0, VALUES) == before
+    assert struck_spread(before, grasp, 16.0, VALUES) == pytest.approx([0.001] * 3 + [0.02, 0.04, 0.0])
+    assert struck_spread(before, grasp, 41.0, VALUES) == pytest.approx([0.011] * 3 + [0.12, 0.14, 0.1])
 
 
 def test_what_is_held_moves_when_its_weight_comes_from_another_side() -> None:
