@@ -51,6 +51,7 @@ MAGNET_N = 10.0  # of a pad: the cube must not slide when a hand feels its sides
 MARGIN_RAD = math.radians(8.0)
 ABOVE_M = 0.20  # a pad is reachable with the hand over it up to this height
 CARRY_M = 0.25  # height of the place before the arm
+POINTS_DOWN, HEADING_DEG = -0.8, 15  # cosine of the hand's tilt; steps of the front of an arm
 REACHES, BEARINGS_DEG = (0.6, 0.5, 0.7, 0.4, 0.8), (25.0, 35.0, 15.0, 50.0)
 HEIGHTS, LOW = (1.0, 0.6), 0.3  # shares of the heights over the pads; the last one for arms with fewer than six joints
 TABLES_M = (0.0, 0.2, 0.4, 0.7)  # by which the pads are higher, for arms whose hand does not point down near the floor
@@ -331,16 +332,20 @@ def _with_pads(cell: Cell, adapted: AdaptedArm, tables_m: Sequence[float], cause
     `causes` has why not."""
     name, home = cell.arms[0].name, cell.arms[0].home_rad
     model, margin = ArmModel.of(cell, name), math.radians(cell.numbers.joint_margin_deg)
-    farthest = max(float(np.linalg.norm(model.fk(q)[:2])) for q in _samples(model))
-    for how, share in itertools.product(_layouts(cell, model, tables_m), REACHES):
-        down, reach_m = (180.0, 0.0, how.yaw_deg), share * farthest
-        front = Frame(xyz=(round(reach_m, 3), 0.0, round(how.pad_m + how.height * CARRY_M, 3)), rpy_deg=down)
-        if not model.ik(front.pose, home, margin):
+    hands = np.array([model.fk(q) for q in _samples(model)])
+    farthest = float(np.linalg.norm(hands[:, :2], axis=1).max())
+    down_at = _down_at(hands)
+    ways = itertools.product(_layouts(cell, model, tables_m), _headings_deg(down_at), REACHES)
+    for how, heading_deg, share in ways:
+        heading, reach_m = math.radians(heading_deg), share * farthest
+        down = (180.0, 0.0, how.hand_deg(heading))
+        front = Frame(xyz=_at(reach_m, heading, how.pad_m + how.height * CARRY_M), rpy_deg=down)
+        if front.xyz[2] > down_at[:, 2].max(initial=0.0) or not model.ik(front.pose, home, margin):
             causes[FAR_AWAY] += len(BEARINGS_DEG)
             continue  # at any bearing
         for bearing_deg in BEARINGS_DEG:
             bearing = math.radians(bearing_deg)
-            pads = [_pad(f"PAD-{n}", reach_m, sign * bearing, how) for n, sign in ((1, 1.0), (2, -1.0))]
+            pads = [_pad(f"PAD-{n}", reach_m, heading + sign * bearing, how) for n, sign in ((1, 1.0), (2, -1.0))]
             tried = msgspec.structs.replace(
                 cell,
                 seats=pads,
@@ -353,6 +358,22 @@ def _with_pads(cell: Cell, adapted: AdaptedArm, tables_m: Sequence[float], cause
                 return tried
             causes[cause] += 1
     return None
+
+
+def _down_at(hands: Array) -> Array:
+    """The places of the hands, one in each row, that point down."""
+    tools = np.array([geometry.rotate(pose, (0.0, 0.0, 1.0)) for pose in hands])
+    return hands[tools[:, 2] < POINTS_DOWN, :3]
+
+
+def _headings_deg(down_at: Array) -> list[float]:
+    """What may be the front of an arm: the x axis of its base, and where its hand points down in drawn postures."""
+    x, y, _ = down_at.sum(axis=0)
+    return list(dict.fromkeys((0.0, float(HEADING_DEG * round(math.degrees(math.atan2(y, x)) / HEADING_DEG)))))
+
+
+def _at(reach_m: float, bearing: float, high_m: float) -> Vec3:
+    return round(reach_m * math.cos(bearing), 3), round(reach_m * math.sin(bearing), 3), round(high_m, 3)
 
 
 class _Layout(NamedTuple):
@@ -374,9 +395,13 @@ class _Layout(NamedTuple):
         """The yaw of the hand on a cube whose sides are parallel to its fingers."""
         return 90.0 * round(self.yaw_deg / 90.0)
 
+    def hand_deg(self, bearing: float) -> float:
+        """The yaw of the hand at a bearing."""
+        return self.yaw_deg + (math.degrees(bearing) if self.radial else 0.0)
+
     def turned_deg(self, bearing: float) -> float:
         """The yaw of the pads and of the cube on them, which the hand grasps square."""
-        return self.yaw_deg - self.quarter_deg + (math.degrees(bearing) if self.radial else 0.0)
+        return self.hand_deg(bearing) - self.quarter_deg
 
 
 def _layouts(cell: Cell, model: ArmModel, tables_m: Sequence[float]) -> Iterator[_Layout]:
@@ -399,11 +424,6 @@ def _layouts(cell: Cell, model: ArmModel, tables_m: Sequence[float]) -> Iterator
 
 
 def _pad(name: str, reach_m: float, bearing: float, how: _Layout) -> Seat:
-    at: Vec3 = (
-        round(reach_m * math.cos(bearing), 3),
-        round(reach_m * math.sin(bearing), 3),
-        round(how.pad_m + 0.5 * CUBE_M, 3),
-    )
     block = Box(
         name="block",
         size_m=(PAD_M, PAD_M, round(how.pad_m, 3)),
@@ -413,7 +433,9 @@ def _pad(name: str, reach_m: float, bearing: float, how: _Layout) -> Seat:
     return Seat(
         name=name,
         kind="pad",
-        frame=Frame(xyz=at, rpy_deg=(0.0, 0.0, round(how.turned_deg(bearing), 3))),
+        frame=Frame(
+            xyz=_at(reach_m, bearing, how.pad_m + 0.5 * CUBE_M), rpy_deg=(0.0, 0.0, round(how.turned_deg(bearing), 3))
+        ),
         way_out=(0.0, 0.0, 1.0),
         depth_m=0.02,
         detent_n=MAGNET_N,

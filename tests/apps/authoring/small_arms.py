@@ -105,6 +105,9 @@ SCARA = [
     Joint((0.26, 0.0, 0.0), "0 0 -1", (0.03, 0.03, 0.10), (0.0, 0.0, -0.08), 1.0, (0.0, 0.33), SLIDE, 200.0),
     Joint((0.0, 0.0, -0.14), "0 0 -1", (0.04, 0.04, 0.03), (0.0, 0.0, -0.02), 0.5, ALL_ROUND),
 ]
+#: arms whose front is not the x axis of their base: to the right, and behind on the left
+RIGHT = [FIVE[0]._replace(limits=(-2.6, -0.5)), *FIVE[1:]]
+BEHIND = [SCARA[0]._replace(limits=(1.4, 3.2)), *SCARA[1:]]
 #: a portal with three slides: its hand always points down, with one yaw
 PORTAL = [
     Joint((-0.1, 0.0, 0.75), "1 0 0", (0.05, 1.0, 0.05), (0.0, 0.0, 0.0), 8.0, (0.0, 0.9), SLIDE, 300.0),

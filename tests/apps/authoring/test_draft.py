@@ -83,9 +83,10 @@ def test_a_mounted_hand_has_colours_of_its_own(first_cell):
         assert visual.find("material/color") is not None
 
 
-@pytest.mark.parametrize("kind", ["SIX", "FIVE", "SCARA", "PORTAL"])
+@pytest.mark.parametrize("kind", ["SIX", "FIVE", "SCARA", "PORTAL", "RIGHT", "BEHIND"])
 def test_an_arm_gets_pads_that_it_reaches_from_above(tmp_path, kind):
-    """Also one with fewer than six joints: in the attitude that its hand has there."""
+    """Also one with fewer than six joints: in the attitude that its hand has there. And one whose front is not the x
+    axis of its base."""
     file = tmp_path / "arm.urdf"
     file.write_text(small_arms.urdf("arm", getattr(small_arms, kind)))
     found = draft(file, "UNIT")
