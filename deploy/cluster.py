@@ -117,11 +117,12 @@ def _subsystem(one: Subsystem, settings: Settings) -> list[Spec]:
 
 
 def _with_template(name: str, module: str, settings: Settings, *more: str) -> list[Spec]:
-    """A singleton process and its fork server, which makes its restart fast."""
+    """A singleton process and its fork server, of which the first one is forked too: all is imported once."""
     its_template = f"{name}-{TEMPLATE}"
+    forked: dict[str, Any] = {"fork_server": its_template, "order": b"start", "awaits_fork_server": True}
     return [
-        _spec(name, module, settings, *more, beats=True, fork_server=its_template, order=b"start"),
-        _spec(its_template, module, settings, *more, "--template", is_fork_server=True, later=True),
+        _spec(its_template, module, settings, *more, "--template", is_fork_server=True),
+        _spec(name, module, settings, *more, beats=True, **forked),
     ]
 
 

@@ -59,7 +59,7 @@ def gone(pids):
 
 
 def all_ready(run_dir):
-    """Wait for the templates too, which start when the cluster is ready."""
+    """Wait for the standby too, which starts when the cluster is ready."""
     end = os.times().elapsed + LIMIT_S
     while {row["state"] for row in rows(run_dir).values()} != {"ready"}:
         assert os.times().elapsed < end, rows(run_dir)
@@ -91,6 +91,8 @@ def test_up_work_down_and_again(run_dir):
         assert [line.split()[0] for line in started.stdout.splitlines()[-1:]] == ["ready"]
         table = report(run_dir)
         assert sorted(rows(run_dir)) == sorted(NAMES)
+        for name in ("broker", "world", "MCM"):  # forked too: what they import and build is made once
+            assert b"--template" in Path(f"/proc/{rows(run_dir)[name]['pid']}/cmdline").read_bytes()
         pids = [table["pid"], *(row["pid"] for row in table["processes"])]
         ended = deploy("down", run_dir=run_dir)
         assert (ended.returncode, str(table["pid"]) in ended.stdout) == (0, True)
