@@ -97,14 +97,15 @@ class KinematicCell:
             arm.step()
         for name, (arm_name, grasp) in self.carried.items():
             carrier = self.arms[arm_name]
+            if not carrier.turned_rad:
+                continue
             hand = carrier.pose
             self.poses[name] = self._hung(name, hand, grasp) if name in self._homes else geometry.compose(hand, grasp)
             self._moved.add(name)
-            if carrier.turned_rad > 0.0:
-                lever_m = LEVER_M + math.hypot(*grasp[:3]) + self._sizes[name]
-                for arm in self.arms.values():
-                    if arm is not carrier:
-                        arm.use_clearance(lever_m * carrier.turned_rad)
+            lever_m = LEVER_M + math.hypot(*grasp[:3]) + self._sizes[name]
+            for arm in self.arms.values():
+                if arm is not carrier:
+                    arm.use_clearance(lever_m * carrier.turned_rad)
 
     def _hung(self, name: str, hand: Array, grasp: Array) -> Array:
         """The pose of an object with a hinge, turned to where the hand that holds it is."""
@@ -260,6 +261,7 @@ class KinematicArm:
         self._pose: Array | None = None  # of the tcp; computed on demand
         self._hand_busy = True  # its command is not yet complete
         self._clear_m = 0.0  # distance that the hand can move without touching anything
+        self._clear_of_seats_m = 0.0  # distance that it can move until a seat acts on what it carries
         self.turned_rad = 0.0  # by all joints together, in the latest step
         self._wrench = [0.0] * 6
 
@@ -369,14 +371,20 @@ class KinematicArm:
             self._velocities = velocities
             return
         wanted = self._model.fk(joints)
-        touches = list(self._touches(wanted))
+        may_touch = self._hand_busy or self._clear_m <= 0.0
+        touches = list(self._touches(wanted)) if may_touch else []
         seats, blocked = self._seats(wanted, joints == self.joints)
-        if touches or blocked:  # blocked: keep the last free position
-            self._velocities = [0.0] * len(joints)
-        else:
+        free = not (touches or blocked)
+        if free:
             self.joints, self._velocities, self._pose = joints, velocities, wanted
-            self._clear_m = min([self._clearance(wanted), *map(self._world.seats.away_m, self._held(wanted).values())])
+        else:  # keep the last free position
+            self._velocities = [0.0] * len(joints)
         self._move_fingers()
+        if free and not self._hand_busy:  # no one asks for the clearances of a busy hand
+            if may_touch:
+                self._clear_m = self._clearance(wanted)
+            away_m = map(self._world.seats.away_m, self._held(wanted).values())
+            self._clear_of_seats_m = min(away_m, default=CLEAR_M)
         self._wrench = [a + b for a, b in zip(self._feel(wanted, touches), seats, strict=True)]
 
     def _held(self, tcp: Array) -> dict[str, Array]:
@@ -399,19 +407,22 @@ class KinematicArm:
 
     def forget_clearance(self) -> None:
         """Objects have moved: compute the clearance again."""
-        self._clear_m = 0.0
+        self._clear_m = self._clear_of_seats_m = 0.0
 
     def use_clearance(self, moved_m: float) -> None:
         """What another arm carries has moved by at most this."""
         self._clear_m -= moved_m
 
     def _stays_clear(self, joints: Sequence[float]) -> bool:
-        """Whether the hand cannot touch anything on the way to these joints, and its fingers rest."""
+        """Whether the hand cannot touch anything on the way to these joints, no seat acts on what it carries, and its
+        fingers rest."""
         if self._hand_busy:
             return False
         if joints is not self.joints:
-            self._clear_m -= LEVER_M * _turned_rad(self.joints, joints)
-        return self._clear_m > 0.0
+            moved_m = LEVER_M * _turned_rad(self.joints, joints)
+            self._clear_m -= moved_m
+            self._clear_of_seats_m -= moved_m
+        return self._clear_m > 0.0 and self._clear_of_seats_m > 0.0
 
     def _clearance(self, pose: Array) -> float:
         tcp = geometry.to_matrix(pose)

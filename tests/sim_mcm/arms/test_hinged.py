@@ -83,9 +83,8 @@ def test_a_door_follows_the_exact_hand_that_holds_it_about_its_hinge() -> None:
     cell.carried[DOOR] = (ARM, geometry.relative(tcp, HOME))
     for angle in (0.2, 0.8, 1.5):
         where = geometry.transform_point(hinges.turned(HOME, HINGE.axis, angle), bar.xyz)
-        arm.joints = ArmModel.of(CELL, ARM).ik(geometry.make_pose(where, tcp[3:]), near=arm.joints)[0].tolist()
-        arm.follow((arm.joints, [0.0] * 6, [0.0] * 6))
-        arm._pose = None
+        joints = ArmModel.of(CELL, ARM).ik(geometry.make_pose(where, tcp[3:]), near=arm.joints)[0].tolist()
+        arm.follow((joints, [0.0] * 6, [0.0] * 6))
         cell.step()
         assert hinges.angle_of(HOME, HINGE.axis, cell.poses[DOOR]) == pytest.approx(angle)
 
