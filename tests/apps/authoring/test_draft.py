@@ -11,8 +11,9 @@ import pinocchio as pin
 import pytest
 
 from rtc.apps.authoring import words_and_keys
-from rtc.apps.authoring.draft import ABOVE_M, FAR_AWAY, draft, hindrance
+from rtc.apps.authoring.draft import draft
 from rtc.apps.authoring.hull import hull_of
+from rtc.apps.authoring.pads import ABOVE_M, FAR_AWAY, hindrance
 from rtc.apps.authoring.review import review
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Box, Frame, Object
