@@ -285,6 +285,8 @@ def on_started(context: DecisionContext, event: PrimitiveStarted) -> None:
 
 def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
     report = event.report
+    if report.pictures and (subsystem := context.state.subsystems.get(event.subsystem)) is not None:
+        subsystem.pictures = report.pictures
     command = context.state.commands.get(command_of(report.primitive))
     awaited = (
         command is not None

@@ -14,7 +14,7 @@ import msgspec
 
 from broker.decisions.resources import Resources
 from rtc.programs.action_stack import ActionStack
-from rtc.protocol.messages import Breakpoint, OperatorAnswer, Phase, ProgressNote, SavedWorld, WorkerKind
+from rtc.protocol.messages import Breakpoint, OperatorAnswer, Phase, PictureTime, ProgressNote, SavedWorld, WorkerKind
 from rtc.protocol.outcomes import Compared, Measured, OutcomeKind, Refusal, StopReason
 from rtc.protocol.primitive import Box
 from rtc.protocol.rehearsal import Rehearsal
@@ -398,6 +398,8 @@ class Subsystem(msgspec.Struct, kw_only=True):
     """It can pause a primitive on its path."""
     rigid: bool = False
     """Its arms neither comply with a force nor turn bolts."""
+    pictures: dict[str, PictureTime] = {}
+    """What pictures of its cameras have taken lately."""
 
 
 def queues_of(state: State) -> set[str]:
@@ -408,6 +410,11 @@ def queues_of(state: State) -> set[str]:
 def exact_arms_of(state: State) -> list[str]:
     """The arms that neither comply with a force nor turn bolts."""
     return [name for subsystem in state.subsystems.values() if subsystem.rigid for name in subsystem.performers]
+
+
+def picture_times_of(state: State) -> dict[str, PictureTime]:
+    """What pictures of each camera have taken lately."""
+    return {name: time for subsystem in state.subsystems.values() for name, time in subsystem.pictures.items()}
 
 
 class RolloutPhase(StrEnum):

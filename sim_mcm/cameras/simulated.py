@@ -1,7 +1,7 @@
 """Cameras of a simulated cell: a process of its own draws each picture from the true scene.
 
 The true scene goes only to that process (`rtc.drawing.renderer`); the result is pixels. The drawing process starts with
-the first picture and ends when the cameras are released.
+the first picture and is kept: its start takes longer than a look.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import zmq
 
 from rtc.drawing.renderer import Renderer
-from rtc.drawing.scene import true_scene
+from rtc.drawing.scene import SceneView, true_scene
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError, TimedOut
@@ -41,15 +41,13 @@ class SimulatedCameras:
         self._arms: dict[str, m.ArmSample] = {}
 
     def photograph(self, camera: str, windows: Sequence[Window] = ()) -> Photograph:
+        renderer = self._renderer or self._started(camera)
         arm = self._cell.camera(camera).arm
         before = self._tcp(arm)
         asked_s, truth = now_s(), self._truth()
-        if self._renderer is None:
-            self._renderer = Renderer(DRAWING_NICENESS)
-            self._renderer.__enter__()
         what = self._settings.cell, camera, true_scene(truth)
         try:
-            parts = self._renderer.windows(*what, windows) if windows else [self._renderer.photograph(*what)]
+            parts = renderer.windows(*what, windows) if windows else [renderer.photograph(*what)]
         except RtcError:
             self.release()  # the next picture gets a new process
             raise
@@ -57,6 +55,19 @@ class SimulatedCameras:
         if before is not None and after is not None and _moved(before, after):
             raise RtcError(f"{arm}, which carries {camera}, moved during the picture")
         return Photograph(truth.at_s or asked_s, parts, before, truth.sim_s)
+
+    def _started(self, camera: str) -> Renderer:
+        """The drawing process, which has built the cell: the first picture takes no longer than others."""
+        self._renderer = renderer = Renderer(DRAWING_NICENESS)
+        renderer.__enter__()
+        arm = self._cell.camera(camera).arm
+        somewhere = SceneView(tcp={} if arm is None else {arm: [*geometry.IDENTITY]})
+        try:
+            renderer.windows(self._settings.cell, camera, somewhere, [Window(0, 0, 1, 1)])
+        except RtcError:
+            self.release()
+            raise
+        return renderer
 
     def release(self) -> None:
         if self._renderer is not None:

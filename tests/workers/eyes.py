@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtc.drawing.scene import SceneView
 from rtc.model.cells.cell import Cell
@@ -21,11 +22,14 @@ from rtc.sensing.detector import Mark
 from rtc.sensing.locate import corners
 from rtc.spatial import geometry
 from rtc.subsystems.base.subsystem import BROKER
-from rtc.subsystems.perception.look_task import Evaluated
+from rtc.subsystems.perception.look_task import Evaluated, Windows
 from rtc.subsystems.perception.subsystem import PerceptionSubsystem
 
+Seen = tuple[NDArray[np.uint8] | None, list[Mark]]  # (the whole picture, the tags in it or in its windows)
+NOTHING: Windows = {}
 GREY = np.full((480, 640, 3), 128, np.uint8)
 PERIOD_S = 0.1  # of a picture: those of several cameras come one after the other
+WINDOWS_S = 0.02  # of windows of one
 
 
 class Ideal:
@@ -33,6 +37,7 @@ class Ideal:
         self.cell = cell
         self.blind = False  # something hides everything
         self.now_s = 1000.0
+        self.slower = 1.0  # how much longer than PERIOD_S, WINDOWS_S its pictures take
         self.rate = 1.0  # of the clock of what is seen, by ours
 
     def perform(self, made: Primitive, scene: SceneView) -> EndReport:
@@ -43,17 +48,27 @@ class Ideal:
             for _, message in cameras.tick(self.now_s):
                 if isinstance(message, EndReport):
                     return message
-            due = [one for one in cameras.performers.values() if one.due_s is not None]
-            due = [one for one in due if one.due_s - PERIOD_S <= self.now_s + 1e-9]
-            for camera in due:
-                self.now_s += PERIOD_S
-                camera.take(self.picture(camera.name, scene))
-            self.now_s += 0.0 if due else PERIOD_S
+            camera = cameras.next_camera(self.now_s)
+            if camera is None:
+                self.now_s = min(cameras.due_s(), self.now_s + PERIOD_S)
+                continue
+            windows = camera.windows(self.now_s)
+            taken = self.picture(camera.name, scene, windows)
+            took_s = self.slower * (WINDOWS_S if windows else PERIOD_S)
+            self.now_s += took_s
+            camera.take(taken)
+            cameras.clock.note(camera.name, took_s, len(windows))
 
-    def picture(self, name: str, scene: SceneView) -> Evaluated:
+    def picture(self, name: str, scene: SceneView, windows: Windows = NOTHING) -> Evaluated:
+        """`windows`: only these parts of it."""
         camera = self.cell.camera(name)
         view = optics.view(camera, scene.tcp[camera.arm] if camera.arm else None)
-        return Evaluated(self.now_s, self.rate * self.now_s, view, GREY, [] if self.blind else self._marks(view, scene))
+        image, marks = self._seen(name, view, scene, windows)
+        return Evaluated(self.now_s, self.rate * self.now_s, view, image, [] if self.blind else marks)
+
+    def _seen(self, name: str, view: optics.View, scene: SceneView, windows: Windows) -> Seen:
+        marks = self._marks(view, scene)
+        return (None, [mark for mark in marks if mark.tag in windows]) if windows else (GREY, marks)
 
     def _marks(self, view: optics.View, scene: SceneView) -> list[Mark]:
         marks = []
@@ -75,14 +90,16 @@ class Drawn(Ideal):
         self.studio, self._detector = SceneRenderer(cell), TagDetector()
         self._seeds = itertools.count(seed)
 
-    def picture(self, name: str, scene: SceneView) -> Evaluated:
+    def _seen(self, name: str, view: optics.View, scene: SceneView, windows: Windows) -> Seen:
         self.studio.pose(scene)
-        image = self.studio.camera_picture(name, scene, seed=next(self._seeds))
-        camera = self.cell.camera(name)
-        view = optics.view(camera, scene.tcp[camera.arm] if camera.arm else None)
-        return Evaluated(
-            self.now_s, self.rate * self.now_s, view, image, [] if self.blind else self._detector.find(image)
-        )
+        if windows:
+            parts = {
+                tag: (window, self.studio.camera_picture(name, scene, next(self._seeds), window))
+                for tag, window in windows.items()
+            }
+            return None, self._detector.find_in(parts)
+        image = self.studio.camera_picture(name, scene, next(self._seeds))
+        return image, self._detector.find(image)
 
 
 def _poses(cell: Cell, scene: SceneView) -> Mapping[str, Any]:

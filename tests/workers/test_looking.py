@@ -12,10 +12,10 @@ from rtc.drawing.scene import SceneView
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.spatial import geometry
-from rtc.subsystems.perception.look_task import Evaluated
+from rtc.subsystems.perception.look_task import Evaluated, Windows
 from rtc.world.spread import even
 from tests.workers.conftest import CELL
-from tests.workers.eyes import Ideal
+from tests.workers.eyes import NOTHING, Ideal
 from workers.planning.robot_models import CellModel
 
 MODULE, OTHER = "MACS-NEW", "MACS-OLD"
@@ -66,9 +66,10 @@ class Drifting(Ideal):
         super().__init__(CELL)
         self._speed_m_s, self._begun_s = speed_m_s, self.now_s
 
-    def picture(self, name: str, scene: SceneView) -> Evaluated:
+    def picture(self, name: str, scene: SceneView, windows: Windows = NOTHING) -> Evaluated:
         pose = geometry.translate(scene.poses[MODULE], [0.0, 0.0, self._speed_m_s * (self.now_s - self._begun_s)])
-        return super().picture(name, msgspec.structs.replace(scene, poses={**scene.poses, MODULE: pose.tolist()}))
+        moved = msgspec.structs.replace(scene, poses={**scene.poses, MODULE: pose.tolist()})
+        return super().picture(name, moved, windows)
 
 
 def test_a_module_that_moves_is_not_grasped_and_its_pose_is_not_trusted(bench) -> None:

@@ -5,11 +5,15 @@ The primitive contains no name of the body (R15); the analyzer has it from the e
 
 from __future__ import annotations
 
-from rtc.protocol.messages import BoundStep, EvaluationContext
+from collections.abc import Sequence
+from statistics import fmean
+
+from rtc.protocol.messages import BoundStep, EvaluationContext, PictureTime
 from rtc.protocol.primitive import Look, TagGeometry
+from rtc.sensing import optics
+from rtc.sensing.windows import windows
 from workers.binder import assemble
 from workers.binder.bind_task import RuledTask, refused_program
-from workers.conditions.stop_conditions import Values
 from workers.planning import sight, suggestions
 
 
@@ -20,7 +24,7 @@ def bind(task: RuledTask) -> BoundStep:
     evaluation = EvaluationContext(
         context=task.data.context,
         step=task.data.step,
-        predicted_s=_lasts_s(values, len(cameras)) if follows_s is None else follows_s,
+        predicted_s=_lasts_s(task, _in_turn(task, cameras), body) if follows_s is None else follows_s,
         body=body,
         body_pose=_place(task),
     )
@@ -35,11 +39,30 @@ def bind(task: RuledTask) -> BoundStep:
     return assemble.of_camera(task, look, cameras[0], evaluation)
 
 
-def _lasts_s(values: Values, cameras: int) -> float:
-    """Of a look for a body at rest. The pictures of a camera are `every_s` apart. Those of all cameras are drawn, and
-    searched, one after the other."""
-    round_s = cameras * values["picture_s"]
-    return round_s + (values["pictures"] - 1.0) * max(values["every_s"], round_s)
+def _lasts_s(task: RuledTask, cameras: Sequence[str], body: str) -> float:
+    """Of a look for a body at rest that all its cameras see. Their pictures are drawn, and searched, one after the
+    other; those of one camera are `every_s` apart. All but the first are windows, one around each tag."""
+    values, known, query = task.values, task.data.pictures, task.query
+    typical_s = fmean(one.whole_s for one in known.values()) if known else values["picture_s"]
+    passed_s = 0.0 if known else values["start_s"]
+    first_s, further_s, due_s = {}, {}, dict.fromkeys(cameras, 0.0)
+    for name in cameras:
+        camera, time = query.cell.camera(name), known.get(name, PictureTime(whole_s=typical_s))
+        view = optics.view(camera, query.tcp(camera.arm) if camera.arm else None)
+        parts = len(windows(sight.tags(query.cell, body), query.pose(body), view))
+        window_s = values["window_s"] if time.window_s is None else time.window_s
+        first_s[name], further_s[name] = time.whole_s, parts * window_s if parts else time.whole_s
+    for n in range(round(values["pictures"])):
+        for name in cameras:
+            passed_s = max(passed_s, due_s[name])
+            due_s[name] = passed_s + values["every_s"]
+            passed_s += further_s[name] if n else first_s[name]
+    return passed_s
+
+
+def _in_turn(task: RuledTask, cameras: Sequence[str]) -> list[str]:
+    """In the order in which their subsystem takes the first picture of each."""
+    return [camera.name for camera in task.query.cell.cameras if camera.name in cameras]
 
 
 def _cameras(task: RuledTask) -> list[str]:

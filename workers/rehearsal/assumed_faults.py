@@ -108,6 +108,7 @@ def _branch(done: Performance, moment: Moment, reason: StopReason) -> FaultBranc
         script=done.script,
         actions=copied(moment.actions),
         rigid=done.rigid,
+        pictures=done.pictures,
     )
     actions = paper.actions
     assert actions is not None

@@ -22,6 +22,7 @@ from rtc.protocol.messages import (
     ElaboratorInput,
     EndReport,
     Fact,
+    PictureTime,
     Script,
     WorkerKind,
 )
@@ -60,7 +61,7 @@ class Moment(NamedTuple):
 @dataclass
 class Performance:
     """A sentence on paper. `world` and `now_s` (the broker's clock) are those after the steps so far. `advise`: as of
-    the elaborator; a repair that is refused is not shown. `rigid`: as in `RehearsalInput`."""
+    the elaborator; a repair that is refused is not shown. `rigid`, `pictures`: as in `RehearsalInput`."""
 
     programs: Programs
     model: CellModel
@@ -69,6 +70,7 @@ class Performance:
     command: str
     advise: bool = True
     rigid: Collection[str] = ()
+    pictures: Mapping[str, PictureTime] = field(default_factory=dict)
     script: Script | None = None
     actions: ActionStack[Script, Any] | None = None
     steps: list[RehearsedStep] = field(default_factory=list)
@@ -123,7 +125,8 @@ class Performance:
         """The current step, bound in the world on paper. Raises Refused."""
         assert self.actions is not None
         name = f"{self.command}.{len(self.steps) + 1}"
-        bound: BoundStep = self._call(bind, WorkerKind.BINDER, BinderInput(**self.actions.binder_input(name)))
+        data = BinderInput(**self.actions.binder_input(name), pictures=dict(self.pictures))
+        bound: BoundStep = self._call(bind, WorkerKind.BINDER, data)
         self.actions.assign(bound.bindings)
         return bound
 

@@ -51,7 +51,7 @@ def run(programs: Programs, cell: CellModel | None, world: World | None, data: R
     before = data.before or Paper(at_s=data.at_s)
     parsed = msgspec.structs.replace(data.parsed, test=False, assuming=None)
     paper = settled(cell, on_paper(world, before.facts), data.moving)
-    done = Performance(programs, cell, paper, before.at_s, data.command, rigid=data.rigid)
+    done = Performance(programs, cell, paper, before.at_s, data.command, rigid=data.rigid, pictures=data.pictures)
     faults: list[FaultBranch] = []
     feasible = False
     try:
@@ -119,7 +119,14 @@ def _rehearser(first: Performance, world: PaperWorld, at_s: float) -> repairs.Re
             if isinstance(parsed, Refusal) or parsed.kind != "task":
                 return None
             done = Performance(
-                first.programs, first.model, here, now_s, first.command, advise=False, rigid=first.rigid
+                first.programs,
+                first.model,
+                here,
+                now_s,
+                first.command,
+                advise=False,
+                rigid=first.rigid,
+                pictures=first.pictures,
             ).run(parsed)
             if done.refusal is not None or (text is not sentences[-1] and in_vain(done.world)):
                 return None

@@ -25,6 +25,7 @@ from broker.decisions.state import (
     PendingOutcome,
     ScriptHead,
     Subsystem,
+    picture_times_of,
     queues_of,
 )
 from rtc.programs import action_stack
@@ -104,7 +105,7 @@ def bind_step(context: DecisionContext, command: Command, note: str = "") -> Non
         return
     name = primitive_id(command.id, command.primitives + 1, context.state.life)
     others = len(context.state.commands) > 1
-    data = {**actions.binder_input(name), "others": others}
+    data = {**actions.binder_input(name), "others": others, "pictures": picture_times_of(context.state)}
     context.create_job(command, WorkerKind.BINDER, data)
     context.enter(command, Phase.BINDING, note)
 

@@ -21,6 +21,7 @@ from broker.decisions.state import (
     State,
     Tested,
     exact_arms_of,
+    picture_times_of,
 )
 from rtc.protocol import wire
 from rtc.protocol.digest import digest
@@ -49,6 +50,7 @@ def rehearse(context: DecisionContext, command: Command, head: ParsedHead) -> No
         "live": [name for name in named if name in context.state.commands],
         "at_s": context.now,
         "rigid": exact_arms_of(context.state),
+        "pictures": picture_times_of(context.state),
     }
     if before is not None:
         data["before"] = before.paper

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import msgspec
 
 from rtc.protocol.messages.saved import SavedWorld
-from rtc.protocol.messages.shared import Message
+from rtc.protocol.messages.shared import Message, PictureTime
 from rtc.protocol.messages.step import Step
 from rtc.protocol.messages.subsystem import EndReport
 from rtc.protocol.messages.world import Fact, WorldChange
@@ -150,7 +150,8 @@ class ElaboratorInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
 class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """`moving`: as in `ElaboratorInput`. `moved_s`: how long this command has moved, in arm time.
 
-    `others`: other commands are in progress, so another arm may begin to move before this step is sent."""
+    `others`: other commands are in progress, so another arm may begin to move before this step is sent. `pictures`:
+    what pictures of each camera have taken lately."""
 
     primitive_id: str
     context: ScriptContext
@@ -159,6 +160,7 @@ class BinderInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     moving: list[Primitive] = []
     moved_s: float = 0.0
     others: bool = False
+    pictures: dict[str, PictureTime] = {}
 
 
 class AnalyzerInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
@@ -191,6 +193,7 @@ class RehearsalInput(Strict, frozen=True, kw_only=True, omit_defaults=True):
     at_s: float = 0.0
     moving: list[Primitive] = []
     rigid: list[str] = []  # performers that neither comply with a force nor turn bolts
+    pictures: dict[str, PictureTime] = {}  # as in `BinderInput`
     before: Paper | None = None  # the world after the rehearsals before; None: as it is
 
 

@@ -58,6 +58,13 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     inside: str = ""  # of a worker: the code of an installed package that runs now, "phase NAME"
 
 
+class PictureTime(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What pictures of a camera have taken lately, from the exposure until they were evaluated (s)."""
+
+    whole_s: float
+    window_s: float | None = None  # each window of a picture of which only windows were taken; None: none yet
+
+
 class Shutdown(Message, frozen=True, kw_only=True):
     """End in order: the cluster (from a client) or a retiring worker. From the supervisor to the broker: halt
     everything, accept no more commands, and answer AllEnded."""

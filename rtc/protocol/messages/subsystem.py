@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from rtc.protocol.messages.client import Declined
-from rtc.protocol.messages.shared import Heartbeat, Hello, HelloWanted, Message, Name, UnreadableMessages
+from rtc.protocol.messages.shared import Heartbeat, Hello, HelloWanted, Message, Name, PictureTime, UnreadableMessages
 from rtc.protocol.outcomes import Measured, Reflex, Sighting, StopReason
 from rtc.protocol.primitive import Primitive
 
@@ -149,6 +149,7 @@ class EndReport(Message, frozen=True, kw_only=True):
     partner: EndReport | None = None  # of the second arm, if the primitive has one
     sighting: Sighting | None = None  # of a camera; None: the body was not seen
     reading: Measured | None = None  # the items of R; None: the sentence requests none
+    pictures: dict[Name, PictureTime] = {}  # of a camera: of all cameras of its subsystem that have given one
 
 
 class HaltStarted(Message, frozen=True, kw_only=True):

@@ -136,4 +136,5 @@ class Camera:
             message=task.trouble,
             sighting=task.sighting(now_s),
             reading=task.reading(now_s),
+            pictures=self._clock.pictures(),
         )

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from rtc.sensing.detector import Mark, TagDetector
 
 MOST_MARKS = 1000  # of one sensor of a package, in one picture
-IDLE_S = 30.0  # after this time without a picture the driver releases what only pictures need
 
 
 class Photograph(NamedTuple):
@@ -44,7 +43,7 @@ class Cameras(Protocol):
         """A picture, or windows of it. Raises RtcError without one."""
 
     def release(self) -> None:
-        """Release what only pictures need."""
+        """There will be no further pictures."""
 
 
 class Failed(NamedTuple):
@@ -61,13 +60,14 @@ class _Order(NamedTuple):
 class Result(NamedTuple):
     camera: str
     found: Evaluated | Failed
+    windows: int = 0  # number of them in the picture; 0: it is whole
 
 
 class CameraThread:
     """Takes pictures in a thread. `wake_fd` becomes readable with each result. `cameras` makes the driver, in it."""
 
-    def __init__(self, cell: Cell, cameras: Callable[[], Cameras], idle_s: float = IDLE_S) -> None:
-        self._cell, self._cameras, self._idle_s = cell, cameras, idle_s
+    def __init__(self, cell: Cell, cameras: Callable[[], Cameras]) -> None:
+        self._cell, self._cameras = cell, cameras
         self._wanted: queue.SimpleQueue[_Order | None] = queue.SimpleQueue()
         self._results: queue.SimpleQueue[Result] = queue.SimpleQueue()
         self._wake_end, self._wake_start = socket.socketpair()
@@ -105,22 +105,15 @@ class CameraThread:
         from rtc.sensing.detector import TagDetector  # its library is loaded with the first look
 
         detector, cameras = TagDetector(), self._cameras()
-        while True:
-            try:
-                order = self._wanted.get(timeout=self._idle_s)
-            except queue.Empty:
-                cameras.release()
-                order = self._wanted.get()
-            if order is None:
-                cameras.release()
-                return
+        while (order := self._wanted.get()) is not None:
             guard.begin_anew()
             try:
                 found: Evaluated | Failed = self._evaluated(order, cameras, detector)
             except (RtcError, TookTooLong) as error:
                 found = Failed(f"{order.camera} gives no picture: {error}")
-            self._results.put(Result(order.camera, found))
+            self._results.put(Result(order.camera, found, len(order.windows)))
             self._wake_start.send(b"\0")
+        cameras.release()
 
     def _evaluated(self, order: _Order, cameras: Cameras, detector: TagDetector) -> Evaluated:
         """Raises RtcError without a picture."""

@@ -60,6 +60,7 @@ class _Side:
         self._rate = 1.0  # of that clock, by ours
         self.unseen = ""  # why the body is not in the latest picture
         self.failure = ""  # why there is not a picture
+        self.predicts = False  # the latest picture shows the body
         self.motion = Motion()  # of the body, by the pictures of this camera: their common errors do not matter
 
     def expose(self, at_s: float, own_s: float) -> None:
@@ -117,7 +118,6 @@ class LookTask:
         self.halted = False
         self.over = False  # its end report is out
         self._sides = {camera: _Side(now_s) for camera in primitive.performers}
-        self._predicts = False  # the latest picture shows the body
         self._report_s = now_s + (primitive.reporting.every_s or 0.0)  # beat of the exposures that are reported
         self._reported_s = now_s  # exposure of the latest picture that was reported
 
@@ -130,10 +130,10 @@ class LookTask:
         return None if self.over or self.halted or self._enough(self._sides[camera]) else self._sides[camera].due_s
 
     def windows(self, camera: str, now_s: float) -> Windows:
-        """Where the tags of a body that it follows are expected in a picture; empty: it needs the whole picture."""
+        """Where the tags are expected in a picture of a camera that has seen them; empty: it needs the whole one."""
         side = self._sides[camera]
         view, pose = side.view, side.expected(now_s)
-        if not self.follows or view is None or pose is None or not self._predicts:
+        if view is None or pose is None or not side.predicts:
             return {}
         return windows(self.tags, pose, view)
 
@@ -145,7 +145,7 @@ class LookTask:
         side.failure = ""
         shown = ours & {mark.tag for mark in picture.marks}
         if picture.image is None and not shown:  # it may be elsewhere in the picture
-            self._predicts = False
+            side.predicts = False
             return
         # A look that follows keeps its beat, unless a picture is too late for it.
         beat_s = max(side.due_s, picture.at_s - 0.5 * self.look.every_s) if self.follows else picture.at_s
@@ -157,7 +157,7 @@ class LookTask:
         others = [one for other in self._sides.values() if other is not side for one in other.seen]
         expected = side.motion.predicted(picture.own_s)
         found = self._located([*others, *kept], expected if self.follows else None) if shown else None
-        self._predicts = found is not None
+        side.predicts = found is not None
         if found is None:
             assert picture.image is not None or shown
             side.misses(self._absence(picture))

@@ -93,6 +93,7 @@ class Station:
                 camera.fail(result.found.why, now_s)
             else:
                 camera.take(result.found)
+                subsystem.clock.note(camera.name, process.now_s() - result.found.at_s, result.windows)
         link.send(subsystem.tick(now_s))
         if stuck := self._watch.look(now_s):
             self._me.log.error("the %s of an installed package does not return: the process ends", stuck)

@@ -16,6 +16,7 @@ from rtc.sensing import rest
 from rtc.spatial import geometry
 from rtc.subsystems.base.subsystem import BROKER, REPEAT_S
 from rtc.subsystems.perception.camera import MAX_LOOKS, Camera
+from rtc.subsystems.perception.look_clock import LookClock
 from rtc.subsystems.perception.look_task import SETTLES_S
 from rtc.subsystems.perception.motion import KEPT_S
 from rtc.subsystems.perception.subsystem import PerceptionSubsystem
@@ -278,6 +279,28 @@ def test_a_body_that_goes_out_of_sight_ends_the_following(cell, eyes, look) -> N
     (end,) = sent
     assert end.reason is StopReason.NOT_SEEN
     assert end.sighting.age_s >= UNSEEN_S
+
+
+def test_a_further_picture_of_a_body_at_rest_is_of_its_tags_alone(cell, eyes, look) -> None:
+    """By each camera that has seen them: another one, which is blind, goes on with whole pictures."""
+    one, other = Camera("CAMERA-1"), Camera("CAMERA-2")
+    one.accept(look(pictures=2, every_s=0.3, cameras=["CAMERA-2"]), eyes.now_s)
+    one.share("C-1.1", other)
+    one.take(eyes.picture("CAMERA-1", SceneView()))
+    eyes.blind = True
+    other.take(eyes.picture("CAMERA-2", SceneView()))
+    eyes.now_s += 0.3
+    assert one.windows(eyes.now_s)
+    assert other.windows(eyes.now_s) == {}
+
+
+def test_times_of_pictures_are_of_the_latest_ones(cell) -> None:
+    clock = LookClock(scale=2.0)
+    for took_s in (0.2, 0.6, 30.0, 0.8):
+        clock.note("CAMERA-1", took_s)
+    clock.note("CAMERA-1", 0.4, windows=4)
+    clock.note("CAMERA-2", 0.4, windows=4)  # a picture as a whole is not known yet
+    assert clock.pictures() == {"CAMERA-1": m.PictureTime(whole_s=0.4, window_s=0.05)}
 
 
 def test_a_body_that_is_followed_is_looked_for_where_it_is_expected(cell, eyes, look) -> None:
