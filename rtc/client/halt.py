@@ -13,7 +13,7 @@ import re
 import threading
 import time
 import uuid
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 import msgspec
@@ -95,9 +95,16 @@ class HaltLine:
     """Sends halts to one cluster. Thread-safe: calls from several threads run one after the other."""
 
     def __init__(
-        self, context: zmq.Context[zmq.Socket[bytes]], endpoints: Endpoints, first: FirstOrder | None = None
+        self,
+        context: zmq.Context[zmq.Socket[bytes]],
+        endpoints: Endpoints,
+        first: FirstOrder | None = None,
+        on_rest: Callable[[SubsystemHalt, list[str]], None] | None = None,
     ) -> None:
-        """`first`: an order that has left this process already; `finish` waits for its answers on its sockets."""
+        """`first`: an order that has left this process already; `finish` waits for its answers on its sockets.
+        `on_rest` is called with a subsystem that has confirmed rest while a halt of all waits for others, and the names
+        of these."""
+        self._on_rest = on_rest
         self._context, self._endpoints, self._first = context, endpoints, first
         self._far = endpoints.far
         self._connect_s, self._unknown_s = (FAR_CONNECT_S, FAR_UNKNOWN_S) if self._far else (CONNECT_S, UNKNOWN_S)
@@ -200,6 +207,7 @@ class HaltLine:
         subsystems: dict[str, SubsystemHalt] = {}
         unanswered = dict(self._sockets)
         refusals: dict[str, Refusal] = {}  # by socket
+        stated: set[str] = set()
         while (left_s := limit_s - time.monotonic()) > 0:
             if self._complete(order, subsystems) and "halt" in sent_to:
                 known = order.scope == EVERYTHING or COMMAND.fullmatch(order.scope) or _reached(subsystems.values())
@@ -221,6 +229,7 @@ class HaltLine:
                     # A subsystem declines what is not one of its arms; the broker knows those of all.
                     if name == "halt" and not _is_obeyed(answer.refusal) and not _reached(subsystems.values()):
                         limit_s = 0.0
+            self._state_rest(order, subsystems, stated)
             if any(map(_is_obeyed, refusals.values())) and all(name in refusals for name in sent_to):
                 break
         declined = next((one.message for one in refusals.values() if not _is_obeyed(one)), "")
@@ -230,6 +239,17 @@ class HaltLine:
             doubt = doubt if subsystems else ""
         silent = [] if order.scope != EVERYTHING else [name for name in self._confirming if name not in subsystems]
         return _result(order, sent_to, list(subsystems.values()), declined, doubt, silent)
+
+    def _state_rest(self, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt], stated: set[str]) -> None:
+        """State which arms' subsystems are at rest while others are not. `stated`: those that were stated already."""
+        if self._on_rest is None or order.scope != EVERYTHING:
+            return
+        at_rest = [name for name in self._confirming if name in subsystems and subsystems[name].at_rest]
+        awaited = [name for name in self._confirming if name not in at_rest]
+        for name in at_rest if awaited else []:
+            if name not in stated:
+                stated.add(name)
+                self._on_rest(subsystems[name], awaited)
 
     def _complete(self, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> bool:
         """Whether rest is confirmed: by one subsystem, and for a halt of all by each that has arms."""
@@ -330,13 +350,11 @@ def _result(
     confirmed = _at_rest(subsystems) and not nothing and not doubt and not absent
     message = ""
     if not confirmed:
-        silent = [*(sub.name for sub in subsystems if not sub.at_rest), *(absent if subsystems else [])]
-        message = (
-            declined
-            or (f"{', '.join(silent)} has not come to rest in time" if silent else "")
-            or doubt
-            or "no subsystem answered in time"
-        )
+        moves = [sub.name for sub in subsystems if not sub.at_rest]
+        silent = absent if subsystems else []
+        words = [f"{', '.join(moves)} has not come to rest in time"] if moves else []
+        words += [f"{', '.join(silent)} has not answered"] if silent else []
+        message = declined or "; ".join(words) or doubt or "no subsystem answered in time"
     return HaltResult(
         halt=order.halt,
         scope=order.scope,

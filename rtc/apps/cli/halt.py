@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.text import Text
 
 from rtc.apps.cli.halt_at_once import NOT_CONFIRMED, SHORTEST_S, TIMEOUT_S
-from rtc.apps.cli.halt_words import in_words, state_of
+from rtc.apps.cli.halt_words import confirmed, in_words, state_of
 from rtc.apps.cli.output import AsJson, RunDir, With, console, emit_json, errors, exits_with
 from rtc.apps.cli.stdio import OutputClosed
-from rtc.client.halt import HALT_ENDPOINTS, HaltLine, HaltResult, local_settings
+from rtc.client.halt import HALT_ENDPOINTS, HaltLine, HaltResult, SubsystemHalt, local_settings
 from rtc.client.liveness import is_listening, not_running
 from rtc.protocol.outcomes import NoCluster
 from rtc.runtime.keys import Endpoints, KeyFile
@@ -70,11 +70,16 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
     else:
         endpoints = KeyFile.load(key)
     with zmq.Context() as context:
-        line = HaltLine(context, endpoints)
+        line = HaltLine(context, endpoints, on_rest=_show)
         try:
             yield line
         finally:
             line.close()
+
+
+def _show(found: SubsystemHalt, awaited: list[str]) -> None:
+    with suppress(OutputClosed):
+        errors.print(Text.assemble(*confirmed(found, awaited)))
 
 
 def print_halt(result: HaltResult, out: Console = console) -> None:

@@ -13,7 +13,7 @@ from rtc.runtime import environment
 
 TYPE_CHECKING = False  # see rtc/__init__.py
 if TYPE_CHECKING:
-    from rtc.client.halt import HaltResult
+    from rtc.client.halt import HaltResult, SubsystemHalt
 
 NOT_CONFIRMED = 3  # exit status
 TIMEOUT_S, SHORTEST_S = 2.0, 0.01  # wait for rest
@@ -61,7 +61,7 @@ def _finish(first: FirstOrder, timeout_s: float, as_json: bool, run_dir: str) ->
 
     attach()
     with zmq.Context() as context:
-        line = HaltLine(context, local_settings(run_dir), first)
+        line = HaltLine(context, local_settings(run_dir), first, _show)
         try:
             result = line.finish(timeout_s)
         finally:
@@ -76,6 +76,17 @@ def _finish(first: FirstOrder, timeout_s: float, as_json: bool, run_dir: str) ->
         if as_json:
             sys.stderr.write(f"rtc: {closed}\n")
     return 0 if result.confirmed else NOT_CONFIRMED
+
+
+def _show(found: SubsystemHalt, awaited: list[str]) -> None:
+    """On stderr: what comes last on stdout is the result."""
+    from rtc.apps.cli.halt_words import as_text, confirmed
+
+    try:
+        sys.stderr.write(as_text([confirmed(found, awaited)], sys.stderr.isatty() and environment.colours()))
+        sys.stderr.flush()
+    except OSError:
+        pass  # the result follows
 
 
 def _print(result: HaltResult, run_dir: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rtc.client.halt import HaltResult
+from rtc.client.halt import HaltResult, SubsystemHalt
 from rtc.language.refuse import visible
 from rtc.protocol.messages import CommandRecord, Phase
 from rtc.protocol.outcomes import RtcError
@@ -26,6 +26,13 @@ def in_words(result: HaltResult) -> list[Line]:
         late = "the broker did not get this order; subsystems pass it on, and start nothing until the broker has it"
         lines.append([(late, "")])
     return lines
+
+
+def confirmed(found: SubsystemHalt, awaited: list[str]) -> Line:
+    """A subsystem has confirmed rest while others have not."""
+    rest_s = found.rest_s or 0.0
+    words = f"{found.name}: rest confirmed after {rest_s * 1e3:.0f} ms"
+    return [(words, "bold green"), (f"; waiting for {', '.join(awaited)}", "")]
 
 
 def _result(result: HaltResult) -> Line:
