@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from rtc.programs.schema import OutcomeClass
-from rtc.protocol.messages import Validity
+from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from workers.analyzer import what_is_left
@@ -17,8 +17,12 @@ from workers.analyzer.failure_words import fill_in
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
 from workers.analyzer.world_changes import Changes
 from workers.planning import trust
+from workers.planning.lines_of_sight import hiders
 
 SHORT_M = 0.003  # the direction of a shorter way means nothing
+
+
+FAR = [0.0, 0.0, -1000.0, 0.0, 0.0, 0.0, 1.0]  # pose of what is before nothing
 
 
 AWAY_CM = 5.0  # by how much an arm is to move away from what it has pressed on
@@ -70,11 +74,33 @@ def _felt(task: AnalyzeTask, reason: StopReason) -> str:
     """The advice if cameras do not see a body where the class of the failure does not help. In a hand, the fingers tell
     whether it is there; mounted on another body, it is where that is."""
     body = task.evaluation.body
+    if reason is StopReason.NOT_SEEN and body and (cover := _uncovered(task, body)):
+        return cover
     if reason is StopReason.NOT_SEEN and (carrier := task.query.bodies.get(body)) and _unlocated(task, carrier):
         return task.program.clears.get("carrier", "").replace("{carrier}", carrier)
     if reason is not StopReason.NOT_SEEN or not body or not task.query.held_by(body):
         return ""
     return trust.remedy(task.query, f"{body}.grasp", {"grasp": task.program.clears.get("unseen_in_hand", "")})
+
+
+def _uncovered(task: AnalyzeTask, body: str) -> str:
+    """How to take away what is before a body, if a camera then sees it: a door is opened, an arm goes away."""
+    query, clears, cameras = task.query, task.program.clears, task.step.cameras
+    if query.held_by(body):
+        return ""
+    for name in hiders(query, cameras, body)[1]:
+        door = any(thing.name == name and thing.hinge is not None for thing in query.cell.objects)
+        if door:
+            gone = WorldChange(key=f"{name}.frame", value=FAR)
+            row = "before_it" if query.held_by(name) else "closed"
+        elif name in query.model.arms and not query.holding(name):
+            gone = WorldChange(key=f"{name}.joints", value=list(query.cell.arm(name).home_rad))
+            row = "arm_before_it"
+        else:
+            continue
+        if hiders(query.after([gone]), cameras, body)[0]:
+            return clears.get(row, "").replace("{before}", name)
+    return ""
 
 
 def _unlocated(task: AnalyzeTask, carrier: str) -> bool:
