@@ -228,3 +228,13 @@ def in_doubt(judged: Assessment) -> set[str]:
         for change in judged.changes
         if change.key.startswith("BOLT-2.") and change.validity is Validity.SUSPECT
     }
+
+
+def test_to_empty_a_hand_only_seats_in_its_reach_are_advised(bench: Bench) -> None:
+    """RACK-2 was advised, 0.5 m beyond the reach of the arm that holds the driver."""
+    done(bench, DRIVER)
+    refusal = bench.elaborate("GRASP LEFT-END-EFF POWER-DRIVER TOOL-GRIP")
+    assert isinstance(refusal, Refusal)
+    verb, _, seats = refusal.clears.partition(" ON ")
+    for seat in seats.split(" or "):
+        assert isinstance(bench.elaborate(f"{verb} ON {seat}"), Script), seat

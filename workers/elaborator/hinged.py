@@ -81,7 +81,7 @@ def _turn(step: ScriptStep, candidate: TaskCandidate, thing: str) -> tuple[float
 
 
 def _there(candidate: TaskCandidate, thing: str, angle: float) -> Refused:
-    at = f"{math.degrees(angle):g} deg"
+    at = f"{round(math.degrees(angle), 2) + 0.0:g} deg"
     clears = candidate.program.needs.get("hinge_there", "").replace("{at}", at).replace("{held}", thing)
     message = f"{thing} is at {at}: nothing to turn"
     return Refused.because(RefusalReason.STATE, message, clears=clears)
@@ -94,7 +94,7 @@ def _beyond(thing: str, hinge: parts.Hinge, wanted: float, now: float) -> Refuse
         RefusalReason.INFEASIBLE,
         (
             f"{thing} turns from {math.degrees(least):g} deg to {math.degrees(most):g} deg, "
-            f"and not to {math.degrees(wanted):.4g} deg; it is at {math.degrees(now):.4g} deg"
+            f"and not to {math.degrees(wanted):.4g} deg; it is at {round(math.degrees(now), 2) + 0.0:g} deg"
         ),
         clears=f"an angle from {math.degrees(least):g} to {math.degrees(most):g} deg",
         detail={"cause": "stop", "value_rad": wanted, "least_rad": least, "most_rad": most},

@@ -211,10 +211,20 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
 
 
 def let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:
-    """The command that empties the hand: in place if the object stays there; else into a free seat."""
+    """The command that empties the hand: in place if the object stays there; else into a free seat in its reach."""
     if thing not in {known.name for known in query.cell.objects} or query.hinge(thing) or seat_of(query, thing):
         return rows.get("let_go", "").replace("{held}", thing)
     taken = {query.seat(known.name) for known in query.cell.objects if known.name != thing}
-    free = [seat.name for seat in query.cell.seats if seat.name not in taken]
+    free = [seat.name for seat in query.cell.seats if seat.name not in taken and _reaches(query, thing, seat.name)]
     row = "let_go_in_air" if free else "let_go"
     return rows.get(row, "").replace("{held}", thing).replace("{free}", " or ".join(free))
+
+
+def _reaches(query: WorldQuery, thing: str, seat: str) -> bool:
+    """Whether the arm that holds the object has a posture with it in the seat; true if its place in the hand is not
+    known."""
+    arm, grasp = query.held_by(thing), query.grasp(thing)
+    if arm not in query.model.arms or grasp is None:
+        return True
+    tcp = geometry.compose(query.seated_pose(seat), geometry.inverse(grasp))
+    return bool(query.model.arms[arm].ik(tcp.tolist()))
