@@ -17,6 +17,7 @@ from workers.analyzer.failure_words import fill_in
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
 from workers.analyzer.world_changes import Changes
 from workers.planning import trust
+from workers.planning.advice import turn_in_words
 from workers.planning.lines_of_sight import hiders
 
 SHORT_M = 0.003  # the direction of a shorter way means nothing
@@ -99,7 +100,8 @@ def _uncovered(task: AnalyzeTask, body: str) -> str:
         else:
             continue
         if hiders(query.after([gone]), cameras, body)[0]:
-            return clears.get(row, "").replace("{before}", name)
+            words = clears.get(row, "").replace("{turn}", turn_in_words(query, name))
+            return words.replace("{before}", name)
     return ""
 
 

@@ -66,14 +66,20 @@ def advise_on_collision(
         "body": leaves or body,
         "other": hand_in_words(other),
         "places": ", ".join(places),
-        "or_arm": "" if held else ", or another arm",
-        "turn": _turn_in_words(query, body),
+        "or_arm": "" if held or not _another_may(query, arm, goal) else ", or another arm",
+        "turn": turn_in_words(query, body),
         "room": f"{_room_mm(refusal)} MM",
     }
     words = clears.get(row, "") if places else clears.get(row, "").replace(" ({places})", "")
     for name, text in texts.items():
         words = words.replace("{" + name + "}", text)
     return msgspec.structs.replace(refusal, clears=words)
+
+
+def _another_may(query: WorldQuery, arm: str, goal: str) -> bool:
+    """Whether the place that is the goal, if one is named, is one of another arm, too."""
+    able = next(({*place.poses, *place.joints_deg} for place in query.places if place.name == goal), None)
+    return able is None or bool(able - {arm})
 
 
 def _unsure(refusal: Refusal, query: WorldQuery, bodies: list[str], limits: Limits) -> str:
@@ -113,7 +119,7 @@ def _hinged(refusal: Refusal, query: WorldQuery, arm: str, body: str) -> str:
     return "way_beside_hinged" if beside else "way_hinged"
 
 
-def _turn_in_words(query: WorldQuery, body: str) -> str:
+def turn_in_words(query: WorldQuery, body: str) -> str:
     """The sentence that turns a door to its other side, short of the stop; empty for other bodies."""
     hinge = query.hinge(body)
     if hinge is None:
