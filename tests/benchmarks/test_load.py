@@ -18,6 +18,7 @@ from rtc.protocol.outcomes import OutcomeKind
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_many_commands_at_once_all_succeed_and_are_on_record():
     with cluster(2) as running:
         with LoadClient(running.settings, sentence, window=50) as client:
@@ -36,6 +37,7 @@ def test_many_commands_at_once_all_succeed_and_are_on_record():
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_a_peer_does_the_same_chain():
     meters = []
 

@@ -10,6 +10,7 @@ from benchmarks.scaling import Case, measure, summary
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_a_measured_case_has_its_throughput_its_waiting_and_its_halts():
     found = measure(Case("asleep-4ms", "process", 2), 0.5)
     assert 0 < found["commands_per_s"] < 1.2 / 0.004  # the commands of the warm-up may end in the measurement

@@ -34,7 +34,7 @@ from rtc.protocol.outcomes import ClusterError
 from rtc.runtime.fork_server import STANDBY
 from rtc.runtime.process import Process, now_s, send
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 GOOD = "import signal; print('ready', flush=True); signal.pause()"
 STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('ready', flush=True); signal.pause()"

@@ -10,7 +10,7 @@ import pytest
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.world.spread import even
-from tests.campaigns import from_anywhere, laden_ways
+from tests.campaigns import laden_ways
 
 ARM, MODULE = "LEFT-ARM", "MACS-OLD"
 TAKEN = (f"GRASP LEFT-END-EFF {MODULE} HANDLE-B", f"LIFT {MODULE} BY 15 CM WITH {ARM}")
@@ -36,16 +36,6 @@ def test_four_plain_sentences_bring_the_module_into_the_bay_without_a_touch_befo
     assert run.succeeded, (run.refusal, run.assessments)
     assert not touched  # nearer than 4 mm in truth
     assert physical.world.value(f"{MODULE}.seat") == "BAY-2"
-
-
-@pytest.mark.physics
-def test_a_random_carry_and_insertion_touch_nothing_on_free_ways():
-    """The campaign `from_anywhere`, in short: one run, by a place, into the rack."""
-    case = next(case for case in from_anywhere.cases(from_anywhere.SEED) if case.vias == ("BAY-2-FRONT",))
-    run = from_anywhere.run(case)
-    assert run.true, run
-    assert run.free_n <= from_anywhere.MAX_N
-    assert not run.touches
 
 
 def test_every_laden_way_keeps_five_millimetres():
