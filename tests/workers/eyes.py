@@ -30,6 +30,7 @@ NOTHING: Windows = {}
 GREY = np.full((480, 640, 3), 128, np.uint8)
 PERIOD_S = 0.1  # of a picture: those of several cameras come one after the other
 WINDOWS_S = 0.02  # of windows of one
+START_S = 1.0  # of what draws, before the first picture
 
 
 class Ideal:
@@ -38,12 +39,15 @@ class Ideal:
         self.blind = False  # something hides everything
         self.now_s = 1000.0
         self.slower = 1.0  # how much longer than PERIOD_S, WINDOWS_S its pictures take
+        self._started = False
         self.rate = 1.0  # of the clock of what is seen, by ours
 
     def perform(self, made: Primitive, scene: SceneView) -> EndReport:
         """Pictures of this scene until the look ends."""
         cameras = PerceptionSubsystem(made.performers)
         cameras.handle(Execute(primitive=made), BROKER, self.now_s)
+        self.now_s += 0.0 if self._started else START_S
+        self._started = True
         while True:
             for _, message in cameras.tick(self.now_s):
                 if isinstance(message, EndReport):
