@@ -31,7 +31,7 @@ class Detents:
         self._world = world
         self._fastened = fastened
         self._bolted: dict[str, str] = {}  # caught object -> the seat whose bolts fasten it
-        self._caught: dict[str, tuple[int, list[float]]] = {}  # object -> (constraint id, point where it was caught)
+        self._caught: dict[str, tuple[list[int], list[float]]] = {}  # object -> (constraints, where it was caught)
         self._wedged: dict[str, str] = {}  # caught object -> the jammed seat that wedges it
         self._jammed: set[str] = set()  # seats
         self._seats = [seat for seat in world.cell.seats if seat.detent_n > 0]
@@ -100,35 +100,44 @@ class Detents:
         """Catch the object if it is in the seated place of a seat."""
         for seat in self._seats:
             if self._is_in(name, seat.name):
-                self._catch(name, self._world.pose(name), seat.detent_n)
+                self._catch(name, self._world.pose(name), seat.detent_n, seat.detent_nm)
                 return
 
     def let_go(self, name: str) -> None:
         self._wedged.pop(name, None)
         self._bolted.pop(name, None)
         if name in self._caught:
-            constraint, _ = self._caught.pop(name)
-            pybullet.removeConstraint(constraint, physicsClientId=self._world.client)
+            for constraint in self._caught.pop(name)[0]:
+                pybullet.removeConstraint(constraint, physicsClientId=self._world.client)
 
     def let_go_all(self) -> None:
         for name in list(self._caught):
             self.let_go(name)
 
-    def _catch(self, name: str, pose: geometry.Array, force_n: float) -> None:
-        position, quaternion = pybullet.getBasePositionAndOrientation(
-            self._world.objects[name].id, physicsClientId=self._world.client
-        )
-        constraint = pybullet.createConstraint(
-            self._world.objects[name].id,
+    def _catch(self, name: str, pose: geometry.Array, force_n: float, torque_nm: float | None = None) -> None:
+        """Hold an object where it is with at most this force, and its attitude with at most this torque; None: as many
+        N.m as N. A fixed constraint has one limit for both: one that holds a point adds the rest of the force."""
+        both = force_n if torque_nm is None else min(force_n, torque_nm)
+        held = [self._hold(name, pybullet.JOINT_FIXED, both)]
+        if both < force_n:
+            held.append(self._hold(name, pybullet.JOINT_POINT2POINT, force_n - both))
+        self._caught[name] = (held, pose[:3].tolist())
+
+    def _hold(self, name: str, kind: int, most: float) -> int:
+        """A constraint that holds an object where it is."""
+        body, client = self._world.objects[name].id, self._world.client
+        position, quaternion = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+        constraint: int = pybullet.createConstraint(
+            body,
             -1,
             -1,
             -1,
-            pybullet.JOINT_FIXED,
+            kind,
             [0, 0, 0],
             parentFramePosition=[0, 0, 0],
             childFramePosition=position,
             childFrameOrientation=quaternion,
-            physicsClientId=self._world.client,
+            physicsClientId=client,
         )
-        pybullet.changeConstraint(constraint, maxForce=force_n, physicsClientId=self._world.client)
-        self._caught[name] = (constraint, pose[:3].tolist())
+        pybullet.changeConstraint(constraint, maxForce=most, physicsClientId=client)
+        return constraint

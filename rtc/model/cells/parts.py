@@ -198,6 +198,7 @@ class Seat(CellPart, frozen=True, kw_only=True):
     way_out: Vec3 = (-1.0, 0.0, 0.0)  # direction in which a module leaves; unit vector, seat's axes
     depth_m: NotNegative  # distance along way_out until the module is free
     detent_n: NotNegative = 0.0  # holding force of the catch; 0: no catch
+    detent_nm: Positive | None = None  # torque with which it holds the attitude; None: `detent_n` at a lever of 1 m
     needs_within: KnownWithin | None = None  # maximum spread of a held module for insertion
     bolts: list[Name] = []  # objects with a thread: a module in the seat is fastened until all are turned out
     mounted_on: Name | None = None  # a fixed object: where that is, the seat goes with it

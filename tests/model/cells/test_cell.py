@@ -124,6 +124,10 @@ def spoil_way_out(cell):
     cell["seats"][2]["way_out"] = [1, 1, 0]
 
 
+def spoil_catch(cell):
+    cell["seats"][2] |= {"detent_n": 0.0, "detent_nm": 0.5}
+
+
 def spoil_urdf(cell):
     cell["arms"][1]["urdf"] = "puma999.urdf"
 
@@ -176,6 +180,7 @@ def spoil_tag_family(cell):
         (spoil_place_arm, "$.places[0].poses.MIDDLE-ARM: there is no arm MIDDLE-ARM; there are LEFT-ARM, RIGHT-ARM"),
         (spoil_field, "$.objects[0]"),
         (spoil_way_out, "$.seats[2].way_out: must be of unit length"),
+        (spoil_catch, "$.seats[2].detent_nm"),
         (spoil_urdf, "$.arms[1].urdf: cannot read puma999.urdf"),
     ],
 )

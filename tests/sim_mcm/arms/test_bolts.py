@@ -132,3 +132,19 @@ def test_without_a_driver_in_the_hand_nothing_begins(make) -> None:
     assert answer.reason is StopReason.REFUSED
     assert "physics" in answer.message
     assert world.arms[ARM].spindle().turned_rad == 0.0
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize("friction", [0.8, 1.0, 1.2])
+def test_the_wrist_feels_the_catch_of_the_rack(friction: float) -> None:
+    """A catch that holds the attitude with 10 N.m twists what is pulled between the pads, and the simulated sensor
+    misses that: it read 0.7 N where the catch pulled with 10 N, and a tug took the driver for free."""
+    made = Station(CELL, ARM)
+    grip = geometry.compose(CELL.object_pose(DRIVER), CELL.object(DRIVER).grasp_points[0].frame.pose)
+    made.world.arms[ARM].rub(friction)
+    made.to(geometry.compose(grip, (0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0)), 2.0)
+    assert made.line(geometry.rotate(grip, (0.0, 0.0, 0.1)), 0.05).reason is StopReason.GOAL
+    made.end(made.begin(p.HandMotion(width_m=0.0, force_n=60.0)))
+    felt = made.line(np.array((0.0, 0.0, 0.003)), 0.002)
+    made.close()
+    assert 8.0 < felt.peak_force_n < 12.0
