@@ -58,7 +58,7 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     inside: str = ""  # of a worker: the code of an installed package that runs now, "phase NAME"
 
 
-class PictureTime(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class PictureTime(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
     """What pictures of a camera have taken lately, from the exposure until they were evaluated (s)."""
 
     whole_s: float

@@ -234,25 +234,6 @@ def test_an_arm_too_near_a_limit_may_leave_from_there(setting, right, world, hom
     assert back.detail["joint"] == "joint_5"
 
 
-def test_a_way_that_keeps_an_attitude_does_not_go_the_long_way_round(monkeypatch):
-    """The first search finds one round the elbow, at which the module is in the hand for three times as long."""
-    cell = Cell.load("halfway")
-    model = CellModel(cell)
-
-    def carried_s() -> float:
-        bench = Bench(Reporter(cell), model)
-        bench.subsystem.poses["MACS-NEW"] = np.add(cell.object_pose("MACS-NEW"), [-0.0094, -0.0092, 0.0054, 0, 0, 0, 0])
-        for sentence in ("LOCATE MACS-NEW", "GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM", "EXTRACT MACS-NEW FROM RACK-1"):
-            assert bench.do(sentence).succeeded
-        run = bench.do("CARRY MACS-NEW TO CLEAR-POINT-1 MAINTAIN POSE-DURING-MOTION LEVEL AND SPEED 8 CM/S")
-        assert run.succeeded, run.refusal
-        return max(report.duration_s for report in run.reports)
-
-    found_s = carried_s()
-    monkeypatch.setattr(sampled_way, "SEARCHES", 1)
-    assert found_s < 0.6 * carried_s()
-
-
 def test_the_number_of_a_command_does_not_make_its_way_long() -> None:
     """It is the seed of the search. Of twelve ways past an open door four were three times as long as the others."""
     cell = Cell.load("servicing")
