@@ -117,7 +117,7 @@ class Detents:
     def _catch(self, name: str, pose: geometry.Array, force_n: float, torque_nm: float | None = None) -> None:
         """Hold an object where it is with at most this force, and its attitude with at most this torque; None: as many
         N.m as N. A fixed constraint has one limit for both: one that holds a point adds the rest of the force."""
-        both = force_n if torque_nm is None else min(force_n, torque_nm)
+        both = force_n if torque_nm is None else torque_nm
         held = [self._hold(name, pybullet.JOINT_FIXED, both)]
         if both < force_n:
             held.append(self._hold(name, pybullet.JOINT_POINT2POINT, force_n - both))

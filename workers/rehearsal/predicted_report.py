@@ -40,7 +40,7 @@ HALVINGS = 24  # of the time of a path, to find the place of a touch within some
 CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
 NO_FORCE = [0.0] * 6
 TURN = 2.0 * math.pi
-# A torque above TWISTS_NM turns a driver between the pads of a hand with 60 N, and so holds them apart (n 12, 3.4 N.m).
+# A torque above TWISTS_NM turns a driver between pads that press with 60 N. 3.4 N.m hold them 1.1 to 1.8 mm apart (11).
 TWISTS_NM, APART_M = 1.0, 0.0016
 BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
 

@@ -270,8 +270,8 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
     for n, seat in enumerate(cell.seats):
         if abs(math.hypot(*seat.way_out) - 1.0) > 1e-6:
             yield f"seats[{n}].way_out", "must be of unit length"
-        if seat.detent_nm is not None and seat.detent_n <= 0.0:
-            yield f"seats[{n}].detent_nm", "is of a catch, and the seat has none: give detent_n, its force"
+        if seat.detent_nm is not None and seat.detent_nm > seat.detent_n:
+            yield f"seats[{n}].detent_nm", "must be at most detent_n: a catch bears at most as many N.m as N"
         for m, bolt in enumerate(seat.bolts):
             if bolt not in bolts:
                 yield f"seats[{n}].bolts[{m}]", unknown("object with a thread", bolt, bolts)

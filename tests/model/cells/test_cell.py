@@ -125,7 +125,7 @@ def spoil_way_out(cell):
 
 
 def spoil_catch(cell):
-    cell["seats"][2] |= {"detent_n": 0.0, "detent_nm": 0.5}
+    cell["seats"][2] |= {"detent_n": 0.4, "detent_nm": 0.5}
 
 
 def spoil_urdf(cell):
