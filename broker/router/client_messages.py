@@ -13,12 +13,12 @@ from broker.decisions import program_rollout
 from broker.decisions.decide import MAX_TEXT
 from broker.decisions.events import BreakpointsChanged, CommandReceived, StepRequested
 from broker.decisions.state import request_key
+from broker.router.breakpoints import Bodies, refusal_of
 from broker.router.core import Core, name_of
 from broker.router.egress import Egress
 from broker.router.health import Health
 from broker.router.queries import status, trace
 from broker.router.shutdown import Shutdown
-from rtc.programs import checks
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -27,7 +27,6 @@ from rtc.runtime.allowance import Allowance
 
 QUERIES_PER_S = 100  # of one client: replies are large, and are buffered while the client does not read
 CELL = "cell"  # its place among the programs
-MAX_WORDS = 300  # of a refusal
 LOAD_QUERIES = 20  # a program to load counts as so many queries
 GREETED = 10_000  # clients whose hello is remembered
 QUERIES = frozenset([m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText, m.SetBreakpoints, m.StepCommand])
@@ -133,10 +132,11 @@ class ClientMessages:
             self._egress.decline(peer, message.request, too_many)
 
     def _set_breakpoints(self, peer: bytes, message: m.SetBreakpoints, now: float) -> None:
-        verbs = checks.verbs((self._core.store.body(self._core.state.programs.get("parser", "")) or b"").decode())
-        if unknown := [str(one) for one in message.breakpoints if one.verb not in verbs]:
-            words = f"{', '.join(unknown)}: no sentence begins so"
-            self._decline(peer, message, RefusalReason.NAME, words[:MAX_WORDS], f"one of {', '.join(sorted(verbs))}")
+        known = (self._core.state.programs.get(name, "") for name in ("parser", "elaborator", CELL))
+        bodies = Bodies(*(self._core.store.body(digest) or b"" for digest in known))
+        new = [one for one in message.breakpoints if one not in self._core.state.breakpoints]
+        if (refused := refusal_of(new, bodies)) is not None:
+            self._egress.decline(peer, message.request, refused)
             return
         self._core.enqueue(BreakpointsChanged(at_s=now, breakpoints=message.breakpoints))
         self._egress.answer(peer, m.Debugged(request=message.request, breakpoints=message.breakpoints))

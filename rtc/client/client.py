@@ -374,7 +374,9 @@ class Client:
         return self._query(message, m.ProgramLoaded, LOADED_S)
 
     def set_breakpoints(self, breakpoints: list[m.Breakpoint]) -> list[m.Breakpoint]:
-        """Replace all breakpoints; returns those in force. A command pauses before such a step."""
+        """Replace all breakpoints; returns those in force. A command pauses before such a step.
+
+        Raises RequestDeclined for a verb of no sentence, and a step that no command can reach."""
         query = m.SetBreakpoints(request=self._next_request(), breakpoints=breakpoints)
         return self._query(query, m.Debugged).breakpoints
 

@@ -212,9 +212,12 @@ def test_a_sentence_of_a_client_without_a_hello_is_declined(bench: Bench) -> Non
     assert any(isinstance(answer, m.Accepted) for answer in answers)
 
 
-@pytest.mark.parametrize(("verb", "kind"), [("GRASP", m.Debugged), ("FLY", m.Declined), ("", m.Declined)])
-def test_a_breakpoint_is_of_a_verb_of_the_language(bench: Bench, verb: str, kind: type) -> None:
-    points = [m.Breakpoint(verb=verb, step=2)]
+@pytest.mark.parametrize(
+    ("verb", "step", "kind"),
+    [("GRASP", 2, m.Debugged), ("FLY", 2, m.Declined), ("", 2, m.Declined), ("GRASP", 99, m.Declined)],
+)
+def test_a_breakpoint_is_a_step_that_a_command_can_reach(bench: Bench, verb: str, step: int, kind: type) -> None:
+    points = [m.Breakpoint(verb=verb, step=step)]
     (answer,) = bench.send("front", b"ann", m.SetBreakpoints(request="b", breakpoints=points))
     assert isinstance(answer, kind)
     assert bench.state.breakpoints == (points if kind is m.Debugged else [])
