@@ -464,12 +464,18 @@ class Surrender(msgspec.Struct, kw_only=True):
     """Commands that were to follow it or to use its arms; they wait for him, or for RESUME."""
 
 
-class Advised(msgspec.Struct, kw_only=True):
+class Advised(msgspec.Struct):
     """What a sentence without success was advised."""
 
+    command: str
     clears: str
-    done: list[str] = []
-    """Its sentences that have succeeded since."""
+    """By the workers."""
+    words: str
+    """What is left of that."""
+    in_vain: bool
+    """Whether the sentence would end so again."""
+    tried: list[str]
+    """Sentences of the advice that were given since."""
 
 
 class State(msgspec.Struct, kw_only=True):

@@ -41,6 +41,7 @@ NEIGHBORS = re.compile(r"\bAVOID-NEIGHBORS(?: BY \S+ \S+)?")
 CLAUSES = re.compile(r" MAINTAIN | (?=UNLESS|UNTIL|VIA|GUARDED|AFTER|TOGETHER-WITH|NOW)|$")
 STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE|STATE)")
 STEPS = re.compile(r"; |, then ")
+NUMBERED = re.compile(r"^as for C-\d+: |; rtc trace C-\d+ .*$|C-\d+")  # says who got the same advice before
 ALTERNATIVES = re.compile(r", or | or (?=[A-Z]{3})")
 
 Truth = Callable[[], dict[str, Any]]  # poses of objects (`poses`) and of seats (`seats`), world frame
@@ -103,7 +104,7 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
     Each step is done if one of its alternatives succeeds; the aim is given after at most four sentences.
     """
     given: list[str] = []
-    history, advised = [f"{aim}: {answer}"], {answer.clears}
+    history, advised = [f"{aim}: {answer}"], {NUMBERED.sub("", answer.clears)}
     for _ in range(MAX_OBSTACLES):
         advice, left = answer.clears, MAX_SENTENCES
         closer = CLOSER.search(advice)
@@ -127,9 +128,9 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
         history.append(f"again: {answer}")
         if answer.succeeded:
             return Followed("reached", given, history)
-        if answer.clears in advised:
+        if (words := NUMBERED.sub("", answer.clears)) in advised:
             return Followed("same advice", given, history)
-        advised.add(answer.clears)
+        advised.add(words)
     return Followed("too many obstacles", given, history)
 
 

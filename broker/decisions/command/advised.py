@@ -1,7 +1,9 @@
-"""Advice that was followed and has not helped is not given again: the same sentence would lead in a circle. Pure.
+"""The same advice is not given twice in a row: the same sentence would lead in a circle. Pure.
 
-Kept is what sentences without success were advised, and which sentences of that advice succeeded after them. It is
-forgotten when another sentence ends, which may have changed what the advice is about, and with the sentence's success.
+Kept is what sentences without success were advised, and which sentences of that advice were given since. What was tried
+is left out of the same advice, and so is a sentence that would be tried first and has just ended without success
+itself. The same words again name the command that got them. All this is forgotten when another sentence ends that may
+have changed what the advice is about, and with the sentence's success.
 """
 
 from __future__ import annotations
@@ -11,33 +13,49 @@ import re
 import msgspec
 
 from broker.decisions.state import Advised, Command, State
-from rtc.protocol.outcomes import OutcomeKind, Refusal
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 KEPT = 64  # sentences
 OF_VALUE = "SET"  # its figures stand in the advice as letters, or as those of before
 PART = re.compile(r"(; |, or | or (?=[A-Z]{3}))")  # steps of an advice, and alternatives of a step
+STEP, THEN = "; ", ", then "
 AGAIN = re.compile(r"\b(?:again|repeat)\b")
+#: the same sentence may be done later, although nothing is done for it
+PASSING = (RefusalReason.RESOURCE, RefusalReason.OVERLOAD, RefusalReason.STALE, RefusalReason.TIMEOUT)
 
 
 def judged(state: State, command: Command, kind: OutcomeKind, refusal: Refusal | None) -> Refusal | None:
-    """The refusal of a task that ends, without advice that was followed in vain."""
+    """The refusal of a task that ends, with advice that was not given to the same sentence just before."""
     if command.head is None or command.head.test or command.head.kind not in ("task", "data"):
         return refusal
     text = " ".join(command.text.upper().split())
     before = state.advised.pop(text, None)
+    succeeded = kind is OutcomeKind.SUCCEEDED
+    in_vain = _is_in_vain(text, kind, refusal)
     for sentence, one in list(state.advised.items()):
-        if not _names(one.clears, text):
+        if _names(one.clears, text):
+            one.in_vain &= not succeeded
+            one.tried += [text] if succeeded or in_vain else []
+        elif kind is not OutcomeKind.REFUSED or command.primitives:  # else it has changed nothing
             del state.advised[sentence]
-        elif kind is OutcomeKind.SUCCEEDED:
-            one.done.append(text)
-    if kind is OutcomeKind.SUCCEEDED or refusal is None or not refusal.clears:
+    if succeeded or refusal is None or not refusal.clears:
         return refusal
-    done = before.done if before is not None and before.clears == refusal.clears else []
-    state.advised[text] = Advised(clears=refusal.clears, done=done)
+    same = before is not None and before.clears == refusal.clears
+    tried = before.tried if before is not None and same else []
+    elsewhere = [sentence for sentence, one in state.advised.items() if one.in_vain]
+    words = _without(refusal.clears, tried, elsewhere, command.id, again=same)
+    state.advised[text] = Advised(command.id, refusal.clears, words, in_vain, tried)
     if len(state.advised) > KEPT:
         del state.advised[next(iter(state.advised))]
-    followed = before is not None and before.clears == refusal.clears and (done or _only_again(refusal.clears))
-    return _without(refusal, done, command.id) if followed else refusal
+    if before is not None and words == before.words:
+        words = f"as for {before.command}: {words}; rtc trace {command.id} shows what each step has found"
+    return msgspec.structs.replace(refusal, clears=words)
+
+
+def _is_in_vain(text: str, kind: OutcomeKind, refusal: Refusal | None) -> bool:
+    """Whether the same sentence would end so again, as long as nothing changes. Other figures may be accepted."""
+    ended = kind in (OutcomeKind.FAILED, OutcomeKind.REFUSED) and text.split()[0] != OF_VALUE
+    return ended and refusal is not None and refusal.reason not in PASSING and not _only_again(refusal.clears)
 
 
 def _names(advice: str, text: str) -> bool:
@@ -55,14 +73,21 @@ def _only_again(advice: str) -> bool:
     )
 
 
-def _without(refusal: Refusal, done: list[str], command: str) -> Refusal:
-    """The refusal without what was done; if nothing else is left, with what the trace tells."""
-    parts = PART.split(refusal.clears)
+def _without(clears: str, tried: list[str], elsewhere: list[str], command: str, *, again: bool) -> str:
+    """The advice without what was tried after it, and without a first step that was tried `elsewhere`; if nothing else
+    is left, what the trace tells. `again`: the sentence was advised the same before."""
+    parts = PART.split(clears)
+    vain: list[str] = []
     kept: list[str] = []
+    first = True
     for between, part in zip(["", *parts[1::2]], parts[::2], strict=True):
-        if AGAIN.search(part) or any(_names(part, one) for one in done):
-            continue
-        kept += [between if kept else "", part.removeprefix("or ") if not kept else part]
-    tried = " and ".join(dict.fromkeys(done)) or "the same sentence again"
-    words = "".join(kept) or f"{tried} has not cleared it: rtc trace {command} shows what each step has found"
-    return msgspec.structs.replace(refusal, clears=words)
+        first = first and between != STEP
+        named = [one for one in tried if _names(part, one)]
+        named += [one for one in elsewhere if first and _names(part.partition(THEN)[0], one)]
+        vain += named
+        if not named and not AGAIN.search(part):
+            kept += [between if kept else "", part.removeprefix("or ") if not kept else part]
+    if not vain and not (again and _only_again(clears)):
+        return clears
+    sentences = " and ".join(dict.fromkeys(vain)) or "the same sentence again"
+    return "".join(kept) or f"{sentences} has not cleared it: rtc trace {command} shows what each step has found"

@@ -1,4 +1,4 @@
-"""The same advice is not given twice in a row, once it was followed."""
+"""The same advice is not given twice in a row."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def given(s: Harness, text: str) -> str:
     return command
 
 
-def refused(s: Harness, text: str, clears: str) -> str:
+def refused(s: Harness, text: str, clears: str, reason: RefusalReason = RefusalReason.SUSPECT) -> str:
     """The advice that a sentence ends with, if a worker gives this one."""
     command = given(s, text)
     job = s.state.commands[command].job
-    why = Refusal(reason=RefusalReason.SUSPECT, message="the frame of X is suspect", clears=clears)
+    why = Refusal(reason=reason, message="the frame of X is suspect", clears=clears)
     s.handle(events.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=why)
     return str(s.outcome(command).refusal.clears)
 
@@ -46,9 +46,60 @@ def done(s: Harness, text: str) -> None:
 def test_what_was_done_in_vain_is_left_out(advice: str, left: str) -> None:
     s = Harness()
     assert refused(s, "GRASP X", advice) == advice
-    assert refused(s, "GRASP X", advice) == advice  # it was not followed
     done(s, "LOCATE X")
     assert refused(s, "GRASP X", advice) == left
+
+
+@pytest.mark.parametrize(("advice", "left"), [("LOCATE X, or SET X FRAME x y z CM", "SET X FRAME x y z CM")])
+def test_what_was_tried_without_success_is_left_out(advice: str, left: str) -> None:
+    """LOCATE X had failed, and was advised again."""
+    s = Harness()
+    refused(s, "GRASP X", advice)
+    assert refused(s, "LOCATE X", "look for it") == "look for it"
+    assert refused(s, "GRASP X", advice) == left
+
+
+def test_advice_that_was_not_followed_names_who_got_it_and_what_tells_more() -> None:
+    """The words were the same, each time."""
+    s = Harness()
+    words = [refused(s, "GRASP X", "LOCATE X") for _ in range(4)]
+    assert len(set(words)) == 4
+    assert words[0] == "LOCATE X"
+    for n, one in enumerate(words[1:], 1):
+        assert one.startswith(f"as for C-{n}: LOCATE X; ")
+        assert f"rtc trace C-{n + 1}" in one
+
+
+def test_two_sentences_do_not_advise_each_other() -> None:
+    s = Harness()
+    assert refused(s, "PLACE X ON Y", "LIFT X BY 3 CM, or RELEASE X") == "LIFT X BY 3 CM, or RELEASE X"
+    assert refused(s, "LIFT X BY 3 CM", "PLACE X ON Y; or GIVE RIGHT-ARM TO OPERATOR") == "GIVE RIGHT-ARM TO OPERATOR"
+
+
+@pytest.mark.parametrize("reason", [RefusalReason.RESOURCE, RefusalReason.OVERLOAD])
+def test_what_was_only_not_possible_at_that_time_stays(reason: RefusalReason) -> None:
+    s = Harness()
+    refused(s, "GRASP X", "LOCATE X")
+    refused(s, "LOCATE X", "wait for C-7", reason)
+    assert "LOCATE X; rtc trace" in refused(s, "GRASP X", "LOCATE X")
+
+
+def test_what_helps_after_its_own_advice_was_followed_stays() -> None:
+    """LOCATE X may see it now."""
+    s = Harness()
+    refused(s, "LOCATE X", "STOW LEFT-ARM")
+    assert refused(s, "GRASP X", "LOCATE X") != "LOCATE X"
+    s = Harness()
+    refused(s, "LOCATE X", "STOW LEFT-ARM")
+    done(s, "STOW LEFT-ARM")
+    assert refused(s, "GRASP X", "LOCATE X") == "LOCATE X"
+
+
+def test_other_figures_of_a_statement_stay() -> None:
+    s = Harness()
+    refused(s, "GRASP X", "SET X FRAME x y z CM")
+    refused(s, "SET X FRAME 900 0 0 CM", "a place in the cell")
+    assert "SET X FRAME x y z CM" in refused(s, "GRASP X", "SET X FRAME x y z CM")
 
 
 def test_where_nothing_is_left_the_trace_is_named() -> None:
