@@ -57,14 +57,23 @@ def test_a_free_path_of_a_planner_is_used_before_a_search(install, right, cell, 
         "def plan(request, goal):\n    return [goal, goal]\n",
         "def plan(request, goal):\n    return [[0.0], [1.0]]\n",
         "def plan(request, goal):\n    return None\n",
+        "def plan(request, goal):\n    return [request.start, goal + 1e300, goal]\n",
+        "def plan(request, goal):\n    return [request.start, goal] * 4000\n",
+        "def plan(request, goal):\n    request.joints[request.arm.name][:] = 0.0\n",
+        "def plan(request, goal):\n    request.joints.clear()\n",
+        "def plan(request, goal):\n    upper = request.arm.limits.upper\n    upper += 1.0\n",
+        "def plan(request, goal):\n    request.arm.base_pose[:3] += 0.1\n",
     ],
 )
 def test_a_planner_that_gives_no_way_is_passed_over(install, right, cell, setting, code, monkeypatch):  # noqa: F811
     without_samples(monkeypatch)
     install(registry.PLANNERS, "poor", "plan", code)
+    request, goal = behind_a_wall(cell, right, setting)
+    given = [*map(list, request.joints.values()), right.limits.upper.tolist(), right.base_pose.tolist()]
     with pytest.raises(Refused) as refused:
-        plan_joint_motion(*behind_a_wall(cell, right, setting))
+        plan_joint_motion(request, goal)
     assert refused.value.refusal.detail["samples"] == 0
+    assert given == [*map(list, request.joints.values()), right.limits.upper.tolist(), right.base_pose.tolist()]
 
 
 def test_a_solver_is_asked_when_ours_finds_nothing(install: Install, cell: Cell) -> None:
@@ -110,6 +119,15 @@ def test_a_timing_off_the_path_is_refused(install: Install, right: ArmModel) -> 
         time_path(right, path)
 
 
+@pytest.mark.parametrize("expression", ["own.time_s * 1e-300", "own.time_s * 0.2"])
+def test_a_timing_whose_velocities_hide_its_speed_is_refused(install: Install, right: ArmModel, expression) -> None:
+    """Its velocities are those of a slower motion: it leaps from knot to knot."""
+    path = paths.joint_line(right.middle, right.middle + 0.4)
+    install(registry.TIMING, "hasty", "time", SLOW.format(expression=f"replace(own, time_s={expression})"))
+    with pytest.raises((Refused, PluginError), match="timing hasty"):
+        time_path(right, path, SpeedLimits())
+
+
 GRASPS = """
 def grasps(thing, cell):
     if thing.name != "MACS-OLD":
@@ -124,6 +142,31 @@ def test_a_grasp_planner_adds_grasp_points_to_the_cell(install: Install) -> None
     (thing,) = (one for one in cell.objects if one.name == "MACS-OLD")
     assert thing.grasp_points[-1].name == "TOP"
     assert msgspec.json.decode(cell.encode(), type=Cell).objects == cell.objects  # every process receives it
+
+
+@pytest.mark.parametrize(
+    "grasps",
+    [
+        "[{'name': 'TOP', 'frame': {'xyz': [0.0, float('nan'), 0.2]}, 'width_m': 0.03}]",
+        "[{'name': 'TOP', 'frame': {}, 'width_m': float('inf')}]",
+        "[{'name': f'TOP-{n}', 'frame': {}, 'width_m': 0.03} for n in range(200)]",
+        "({} for _ in range(3))",
+    ],
+)
+def test_grasp_points_with_figures_that_are_none_or_without_end_are_refused(install: Install, grasps: str) -> None:
+    install(registry.GRASP_PLANNERS, "ODD", "grasps", f"def grasps(thing, cell):\n    return {grasps}\n")
+    with pytest.raises(ProgramError, match="grasp planner ODD"):
+        Cell.load("swapout")
+
+
+def test_a_grasp_planner_computes_with_numpy_on_a_cell_of_its_own(install: Install) -> None:
+    code = "import numpy as np\ndef grasps(thing, cell):\n    thing.grasp_points.clear(); cell.objects.clear()\n"
+    point = "[{'name': 'TOP', 'frame': {'xyz': np.array([0.0, 0.1, 0.2])}, 'width_m': np.float64(0.03)}]"
+    before = Cell.load("swapout").objects
+    install(registry.GRASP_PLANNERS, "ODD", "grasps", f"{code}    return {point}\n")
+    after = Cell.load("swapout").objects
+    assert [one.grasp_points[:-1] for one in after] == [one.grasp_points for one in before]
+    assert after[0].grasp_points[-1].frame.xyz == (0.0, 0.1, 0.2)
 
 
 @pytest.mark.parametrize("name", ["HANDLE-A", ""])

@@ -10,6 +10,7 @@ The types of its parts are in `rtc.model.cells.parts`. This module knows no kine
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -42,6 +43,7 @@ from rtc.protocol.outcomes import ProgramError
 from rtc.protocol.subsystems import ARMS, Subsystem, owner, resolved
 from rtc.spatial import geometry, hinges
 
+MOST_ADDED = 100  # grasp points of an object that one package adds
 CELLS = Path(__file__).parent  # the cells of the project: cells/NAME/cell.yaml
 
 
@@ -224,10 +226,25 @@ def _with_added_grasps(thing: Object, cell: Cell) -> Object:
     for name, plan in registry.installed(registry.GRASP_PLANNERS).items():
         try:
             with registry.guarded(registry.GRASP_PLANNERS, name):
-                points += msgspec.convert(msgspec.to_builtins(plan(thing, cell)), list[GraspPoint])
+                points += _grasp_points(plan(copy.deepcopy(thing), copy.deepcopy(cell)))
         except PluginError as error:
             raise ProgramError(f"{error}, for {thing.name}") from None
     return msgspec.structs.replace(thing, grasp_points=points)
+
+
+def _grasp_points(found: Any) -> list[GraspPoint]:
+    """What a grasp planner has returned. Raises ValueError and others; JSON has neither NaN nor infinities."""
+    text = msgspec.json.encode(found, enc_hook=_of_numpy)
+    points = msgspec.json.decode(text, type=list[GraspPoint])
+    if len(points) > MOST_ADDED:
+        raise ValueError(f"{len(points)} grasp points of one object; {MOST_ADDED} are allowed")
+    return points
+
+
+def _of_numpy(part: Any) -> Any:
+    if hasattr(part, "tolist"):
+        return part.tolist()
+    raise TypeError(f"a grasp point cannot contain a {type(part).__name__}")
 
 
 def _wrong_subsystems(cell: Cell) -> Iterator[tuple[str, str]]:

@@ -94,6 +94,9 @@ class ArmModel:
             acceleration=np.asarray(acceleration_rad_s2 or [5.0] * model.nq, dtype=float),
             effort=model.effortLimit.copy(),
         )
+        # Code of packages is given this model, and every later sentence uses it.
+        for values in (self.base_pose, *vars(self.limits).values()):
+            values.setflags(write=False)
         self._lower, self._upper = self.limits.lower.tolist(), self.limits.upper.tolist()
         self._by_margin: dict[float, tuple[Array, Array]] = {}  # see `bounds`
         self._speeds = self.limits.velocity.tolist()

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from rtc.plugins import registry
@@ -18,8 +19,8 @@ from rtc.spatial.geometry import Array
 from workers.planning.motion.path import Path
 from workers.planning.motion.request import FreeWay, PlanningRequest
 
-MOST_CORNERS = 10_000  # way-points of one planner
-END_RAD = 1e-6  # tolerance of the first and last way-point
+MOST_CORNERS, MOST_RAD = 1_000, 300.0  # way-points of one planner, and the way of the joint that turns most
+END_RAD = 1e-6  # tolerance of the first and last way-point, and beyond a joint limit
 
 Judge = Callable[[PlanningRequest, list[Array]], Path | None]  # the rounded way, if it is free
 
@@ -40,7 +41,7 @@ def _corners(name: str, plan: Any, request: PlanningRequest, goal: Array) -> tup
     """The way-points of one planner, or why they are none."""
     try:
         with registry.guarded(registry.PLANNERS, name):
-            found = plan(request, goal.copy())
+            found = plan(_copied(request), goal.copy())
             if found is None:
                 return [], "found no way"
             points = np.asarray(found, dtype=float)
@@ -52,4 +53,14 @@ def _corners(name: str, plan: Any, request: PlanningRequest, goal: Array) -> tup
         return [], f"way-points of shape {points.shape}; expected are {wanted}"
     if np.abs(points[0] - request.start).max() > END_RAD or np.abs(points[-1] - goal).max() > END_RAD:
         return [], "its way does not lead from the start to the goal"
+    if (beyond := -request.arm.limit_margin_rad(points)) > END_RAD:
+        return [], f"its way leads {beyond:.3g} rad beyond a joint limit"
+    if (turned := float(np.abs(np.diff(points, axis=0)).max(axis=1).sum())) > MOST_RAD:
+        return [], f"its way is {turned:.3g} rad long; {MOST_RAD:g} are allowed"
     return [request.start, *points[1:-1], goal], ""
+
+
+def _copied(request: PlanningRequest) -> PlanningRequest:
+    """With joint values of its own: what a planner changes in them is not where the arm stands."""
+    joints = {arm: np.array(values, dtype=float) for arm, values in request.joints.items()}
+    return msgspec.structs.replace(request, joints=joints)

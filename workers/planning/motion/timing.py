@@ -41,7 +41,8 @@ CORNER_GRID = 4  # grid points between the edges of two rounded corners
 GRID_STEP = 1e-7  # minimum distance of two grid points, as a share of the path's length
 STILL = 1e-8  # a joint that turns less than this along the path has no speed limit
 ON_PATH = 2000  # points of the path with which a timing of an installed package is compared
-ADDED_KNOTS = 10_000  # that it may have
+ADDED_KNOTS, BETWEEN_KNOTS = 10_000, 4  # that it may have; intervals of a piece in which its speed is looked at
+LEAST_S = 1e-6  # between its knots
 END_RAD = 1e-6  # tolerance of its ends, also rad/s and rad/s^2
 TOLERANCE = 1.03  # of the tcp's speed limit on a curve
 BETWEEN = 0.98  # of the tcp's speed limit at the points of the grid; the rest is a reserve between them
@@ -143,9 +144,10 @@ def _added(arm: ArmModel, path: Path, pace: SpeedLimits, load: Load | None) -> T
         off = max(float(np.abs(fine - q).max(axis=1).min()) for q in (*timed.positions, *_midway(timed)))
         ends = np.abs(timed.positions[[0, -1]] - path.knots[[0, -1]]).max()
         rests = max(np.abs(timed.velocities[[0, -1]]).max(), np.abs(timed.accelerations[[0, -1]]).max())
-        speed_m_s = float(arm.tcp_speeds(timed.positions, timed.velocities).max())
+        speed_m_s = _fastest_m_s(arm, timed)
         step_rad = float(np.abs(np.diff(fine, axis=0)).max())
-        if off > step_rad or max(ends, rests) > END_RAD or speed_m_s > pace.speed_m_s + 1e-6:
+        right = off <= step_rad and max(ends, rests) <= END_RAD and speed_m_s <= pace.speed_m_s + 1e-6
+        if not right:  # false for nan too
             words = f"{off:.3g} rad off the path, ends {ends:.3g} rad off, tcp speed {speed_m_s:.3g} m/s"
             message = f"the timing {name} is not one of this path: {words}"
             raise Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"uninstall {name}"))
@@ -164,9 +166,21 @@ def _converted(answer: Any, dof: int) -> Timed | None:
     knots = time_s.size
     if not 2 <= knots <= ADDED_KNOTS or time_s.ndim != 1 or any(row.shape != (knots, dof) for row in rows):
         raise ValueError(f"expected are 2 to {ADDED_KNOTS} knots of {dof} joints")
-    if not all(np.isfinite(part).all() for part in (time_s, *rows)) or time_s[0] != 0.0 or np.diff(time_s).min() <= 0.0:
+    if (
+        not all(np.isfinite(part).all() for part in (time_s, *rows))
+        or time_s[0] != 0.0
+        or np.diff(time_s).min() < LEAST_S
+    ):
         raise ValueError("expected are finite figures, at times that begin with 0 and rise")
     return Timed(answer.space, time_s, *rows)
+
+
+def _fastest_m_s(arm: ArmModel, timed: Timed) -> float:
+    """Greatest speed of the tcp at the knots and between them: velocities and times need not fit each other."""
+    knots = len(timed.time_s)
+    index = np.arange(BETWEEN_KNOTS * (knots - 1) + 1) / BETWEEN_KNOTS
+    found = timed.at(np.interp(index, np.arange(knots), timed.time_s))
+    return float(arm.tcp_speeds(found[:, 0], found[:, 1]).max())
 
 
 def _midway(timed: Timed) -> Array:
