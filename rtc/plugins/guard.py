@@ -101,12 +101,20 @@ def guarded(name: str, file: str = "", limit_s: float = LIMIT_S) -> Iterator[Non
 
 def in_words(error: BaseException) -> str:
     """Kind and text of an exception of others: one printable line of bounded length."""
+    kind = _printable(lambda: type(error).__name__) or "an exception without a name"
+    text = _printable(lambda: str(error))
+    return f"{kind}: {text}" if text else kind
+
+
+def _printable(text: Callable[[], str]) -> str:
+    """Its printable characters, at most WORDS_OF_ERROR; '' if it fails: it is code of others, too."""
     try:
-        text = str(error)[:WORDS_OF_ERROR]
-    except Exception:  # its __str__ is code of others, too
-        text = ""
-    text = "".join(character if character.isprintable() else " " for character in text)
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+        found = str.__str__(text())[:WORDS_OF_ERROR]
+        return "".join(character if character.isprintable() else " " for character in found)
+    except BaseException as error:
+        if _is_of_user(error):
+            raise
+        return ""
 
 
 def _in_file(file: str, error: BaseException | None = None) -> str:

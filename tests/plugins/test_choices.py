@@ -30,7 +30,9 @@ def test_an_evaluator_ranks_the_ways_to_do_a_command(install: Install, bench, po
     assert bench.elaborate("GRASP MACS-NEW WITH RIGHT-ARM").context.grasp_point == point
 
 
-@pytest.mark.parametrize(("chosen", "expected"), [(3, [3]), (9, [2]), (None, [2])])
+@pytest.mark.parametrize(
+    ("chosen", "expected"), [(3, [3]), (9, [2]), (None, [2]), ("__import__('numpy').int64(3)", [3]), ("3.0", [2])]
+)
 def test_a_named_trimmer_chooses_among_the_trims_of_the_step(install: Install, bench, chosen, expected) -> None:  # noqa: F811
     """Trim 9 is not of this step, so the stack is asked next."""
     install(registry.TRIMMERS, "picks", "choose", f"def choose(data, entries):\n    return {chosen}\n")

@@ -22,6 +22,21 @@ class Mute(Exception):
         raise ValueError("not even that")
 
 
+class MuteToTheEnd(Exception):
+    def __str__(self) -> str:
+        raise SystemExit
+
+
+def nameless() -> Exception:
+    """Its class has no name. Made where it is used: pytest asks each class of a module for its names."""
+
+    class Nameless(type):
+        def __getattribute__(cls, name: str):
+            raise SystemExit
+
+    return Nameless("Odd", (Exception,), {})()
+
+
 @pytest.mark.parametrize(
     ("error", "words"),
     [
@@ -30,6 +45,8 @@ class Mute(Exception):
         (GeneratorExit(), "GeneratorExit"),
         (RecursionError("deep"), "RecursionError: deep"),
         (Mute(), "Mute"),
+        (MuteToTheEnd(), "MuteToTheEnd"),
+        (nameless(), "an exception without a name"),
         (RuntimeError("\x1b[31m" + "x" * 100_000), "RuntimeError:  [31mxx"),
     ],
 )

@@ -7,6 +7,7 @@ offer: they fit the failure, and this step has not used them.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 
 from rtc.plugins import registry
@@ -89,7 +90,7 @@ def _of_package(name: str, task: AnalyzeTask, offers: Offers) -> list[int]:
         return []
     with registry.guarded(registry.TRIMMERS, name):
         entry = registry.installed(registry.TRIMMERS)[name](task.data, list(offers))
-        return [int(entry)] if isinstance(entry, int) else []
+        return [] if entry is None else [operator.index(entry)]
 
 
 BUILT_IN: dict[str, Callable[[AnalyzeTask, Failure, Offers], list[int]]] = {

@@ -139,9 +139,10 @@ def _plain(value: Any, left: list[int], deeper: int) -> Any:
         _counted(value, len(value) + 1, left)
         value.encode()  # a text that is no Unicode cannot be sent
         return value
-    if hasattr(kind, "tolist") and hasattr(kind, "size"):  # of numpy
-        _counted(value, int(value.size), left)
-        return _plain(value.tolist(), [MOST_PARTS], deeper)
+    if hasattr(kind, "tolist") and hasattr(kind, "size") and deeper:  # of numpy
+        if int(value.size) > left[0]:  # before they are made
+            _counted(value, int(value.size), left)
+        return _plain(value.tolist(), left, deeper - 1)
     if isinstance(value, numbers.Integral):
         if not -MOST_INTEGER <= int(value) < MOST_INTEGER:
             raise ValueError("a whole number has more than 64 bits")
