@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 import zmq.asyncio
 
 from rtc.client import client as threaded
-from rtc.client.halt import HaltResult
+from rtc.client.halt import HaltResult, OnRest
 from rtc.client.handle import CommandHandle as ThreadedHandle
 from rtc.client.rehearsing import following, rehearsals
 from rtc.client.subscription import subscribed
@@ -189,9 +189,10 @@ class Client:
 
     # --- stopping, looking -------------------------------------------------------------------------------
 
-    async def halt(self, scope: str = "ALL", timeout_s: float = 2.0) -> HaltResult:
-        """Stop motion now, as `rtc.Client.halt`. A halt that has been called is sent, also if the wait is cancelled."""
-        return await asyncio.to_thread(self._client.halt, scope, timeout_s)
+    async def halt(self, scope: str = "ALL", timeout_s: float = 2.0, on_rest: OnRest | None = None) -> HaltResult:
+        """Stop motion now, as `rtc.Client.halt`. A halt that has been called is sent, also if the wait is cancelled.
+        `on_rest` is called in another thread."""
+        return await asyncio.to_thread(self._client.halt, scope, timeout_s, on_rest)
 
     def halt_ready(self) -> bool:
         """True once the halt sockets of broker and MCM are both connected."""

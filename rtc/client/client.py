@@ -32,7 +32,7 @@ import zmq
 
 from rtc.client.connection import LAST_WORDS_MS, BrokerConnection
 from rtc.client.context import ClientContext
-from rtc.client.halt import HaltLine, HaltResult
+from rtc.client.halt import HaltLine, HaltResult, OnRest
 from rtc.client.hand_controller import HandController
 from rtc.client.handle import CommandHandle, OnChange
 from rtc.client.heartbeat import HeartbeatSender
@@ -313,14 +313,16 @@ class Client:
 
     # --- stopping -------------------------------------------------------------------------------------
 
-    def halt(self, scope: str = "ALL", timeout_s: float | None = None) -> HaltResult:
+    def halt(self, scope: str = "ALL", timeout_s: float | None = None, on_rest: OnRest | None = None) -> HaltResult:
         """Stop motion now: ALL, an arm, or a command C-n. The order goes to broker and MCM at once, past all queues.
 
         Returns when rest is confirmed (`confirmed`) or `timeout_s` has passed: None is 2 s, and over tcp the round trip
-        in addition. Any thread may call it. Raises ClusterError if neither broker nor MCM could be reached.
+        in addition. `on_rest` is called at once with a subsystem that has come to rest while others have not, and the
+        names of these. Any thread may call it. Raises ClusterError if neither broker nor MCM could be reached.
         """
         round_trip_s = self.round_trip_s
-        return self._halt_line.halt(scope, REST_S + round_trip_s if timeout_s is None else timeout_s, round_trip_s)
+        limit_s = REST_S + round_trip_s if timeout_s is None else timeout_s
+        return self._halt_line.halt(scope, limit_s, round_trip_s, on_rest)
 
     def halt_ready(self) -> bool:
         """True once the halt sockets of broker and MCM are both connected."""

@@ -91,6 +91,10 @@ def local_settings(run_dir: Path | str) -> Settings:
         return Settings(run_dir=where)
 
 
+#: called with a subsystem that has confirmed rest while a halt of all waits for others, and the names of these
+OnRest = Callable[[SubsystemHalt, list[str]], None]
+
+
 class HaltLine:
     """Sends halts to one cluster. Thread-safe: calls from several threads run one after the other."""
 
@@ -99,12 +103,8 @@ class HaltLine:
         context: zmq.Context[zmq.Socket[bytes]],
         endpoints: Endpoints,
         first: FirstOrder | None = None,
-        on_rest: Callable[[SubsystemHalt, list[str]], None] | None = None,
     ) -> None:
-        """`first`: an order that has left this process already; `finish` waits for its answers on its sockets.
-        `on_rest` is called with a subsystem that has confirmed rest while a halt of all waits for others, and the names
-        of these."""
-        self._on_rest = on_rest
+        """`first`: an order that has left this process already; `finish` waits for its answers on its sockets."""
         self._context, self._endpoints, self._first = context, endpoints, first
         self._far = endpoints.far
         self._connect_s, self._unknown_s = (FAR_CONNECT_S, FAR_UNKNOWN_S) if self._far else (CONNECT_S, UNKNOWN_S)
@@ -132,7 +132,13 @@ class HaltLine:
         socket.connect(address)
         return socket
 
-    def halt(self, scope: str = "ALL", timeout_s: float = 2.0, round_trip_s: float = 0.0) -> HaltResult:
+    def halt(
+        self,
+        scope: str = "ALL",
+        timeout_s: float = 2.0,
+        round_trip_s: float = 0.0,
+        on_rest: OnRest | None = None,
+    ) -> HaltResult:
         """Send the order and wait for rest, at most `timeout_s` (s) and at most MAX_S. `round_trip_s`: of the link.
 
         `scope`: ALL, a performer or a command C-n. Raises ClusterError if neither broker nor MCM could be reached.
@@ -154,10 +160,10 @@ class HaltLine:
                 )
                 raise ClusterError(f"halt not sent: {who}; use the emergency stop")
             return self._await_rest(
-                order, sent_to, called_at_s + timeout_s, called_at_s + self._unknown_s + round_trip_s
+                order, sent_to, called_at_s + timeout_s, called_at_s + self._unknown_s + round_trip_s, on_rest
             )
 
-    def finish(self, timeout_s: float = 2.0) -> HaltResult:
+    def finish(self, timeout_s: float = 2.0, on_rest: OnRest | None = None) -> HaltResult:
         """Wait for the answers to the order that had left before, as `halt` does. The limit begins now: on a busy
         machine the imports between the order and this call take seconds."""
         first = self._first
@@ -165,7 +171,7 @@ class HaltLine:
         order = m.HaltOrder(halt=first.halt, scope=first.scope, called_at_s=first.called_at_s)
         sent_to = [name for name, socket in self._sockets.items() if isinstance(socket, Dealer)]
         now_s = time.monotonic()
-        return self._await_rest(order, sent_to, now_s + min(MAX_S, timeout_s), now_s + self._unknown_s)
+        return self._await_rest(order, sent_to, now_s + min(MAX_S, timeout_s), now_s + self._unknown_s, on_rest)
 
     def ready(self, timeout_s: float | None = None) -> bool:
         """Wait until both sockets are connected; False after `timeout_s`."""
@@ -198,7 +204,14 @@ class HaltLine:
                 return sent_to
         return []
 
-    def _await_rest(self, order: m.HaltOrder, sent_to: list[str], limit_s: float, unknown_by_s: float) -> HaltResult:
+    def _await_rest(
+        self,
+        order: m.HaltOrder,
+        sent_to: list[str],
+        limit_s: float,
+        unknown_by_s: float,
+        on_rest: OnRest | None,
+    ) -> HaltResult:
         """Receive until rest is confirmed and both copies are answered, or until no one is left who will confirm it.
 
         The broker must have the order, so that no queued command starts. A copy under way would stop the caller's next
@@ -229,7 +242,8 @@ class HaltLine:
                     # A subsystem declines what is not one of its arms; the broker knows those of all.
                     if name == "halt" and not _is_obeyed(answer.refusal) and not _reached(subsystems.values()):
                         limit_s = 0.0
-            self._state_rest(order, subsystems, stated)
+            if on_rest is not None and order.scope == EVERYTHING:
+                self._state_rest(on_rest, subsystems, stated)
             if any(map(_is_obeyed, refusals.values())) and all(name in refusals for name in sent_to):
                 break
         declined = next((one.message for one in refusals.values() if not _is_obeyed(one)), "")
@@ -240,16 +254,14 @@ class HaltLine:
         silent = [] if order.scope != EVERYTHING else [name for name in self._confirming if name not in subsystems]
         return _result(order, sent_to, list(subsystems.values()), declined, doubt, silent)
 
-    def _state_rest(self, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt], stated: set[str]) -> None:
+    def _state_rest(self, on_rest: OnRest, subsystems: dict[str, SubsystemHalt], stated: set[str]) -> None:
         """State which arms' subsystems are at rest while others are not. `stated`: those that were stated already."""
-        if self._on_rest is None or order.scope != EVERYTHING:
-            return
         at_rest = [name for name in self._confirming if name in subsystems and subsystems[name].at_rest]
         awaited = [name for name in self._confirming if name not in at_rest]
         for name in at_rest if awaited else []:
             if name not in stated:
                 stated.add(name)
-                self._on_rest(subsystems[name], awaited)
+                on_rest(subsystems[name], awaited)
 
     def _complete(self, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> bool:
         """Whether rest is confirmed: by one subsystem, and for a halt of all by each that has arms."""
@@ -354,6 +366,8 @@ def _result(
         silent = absent if subsystems else []
         words = [f"{', '.join(moves)} has not come to rest in time"] if moves else []
         words += [f"{', '.join(silent)} has not answered"] if silent else []
+        rest = [sub.name for sub in subsystems if sub.at_rest]
+        words += [f"{', '.join(rest)} rests"] if words and rest else []
         message = declined or "; ".join(words) or doubt or "no subsystem answered in time"
     return HaltResult(
         halt=order.halt,

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
+from typing import Any
 
 import pytest
 import zmq
 
 from rtc.apps.cli.halt_words import as_text, confirmed, in_words
+from rtc.apps.console.halts import Halts
+from rtc.client.client import Client
 from rtc.client.halt import HaltLine, SubsystemHalt
 from rtc.protocol import messages as m
 from rtc.protocol.subsystems import Subsystem
@@ -41,38 +45,92 @@ def answers(socket: zmq.Socket[bytes], name: str, ended: threading.Event) -> Non
             socket.send_multipart([peer, *frames(answer)])
 
 
+class TwoMcms:
+    """Subsystems of arms of which the first answers at once, and the second from `answer` on."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], settings: Settings) -> None:
+        self._sockets = [
+            open_socket(context, zmq.ROUTER, settings.endpoint("estop", name), bind=True) for name in NAMES
+        ]
+        self._ended, self._threads = threading.Event(), list[threading.Thread]()
+        self.answer(0)
+
+    def answer(self, n: int = 1) -> None:
+        self._threads.append(threading.Thread(target=answers, args=(self._sockets[n], NAMES[n], self._ended)))
+        self._threads[-1].start()
+
+    def end(self) -> None:
+        self._ended.set()
+        for thread in self._threads:
+            thread.join()
+        for socket in self._sockets:
+            socket.close()
+
+
 @pytest.mark.parametrize("answered", [True, False])
 def test_what_has_come_to_rest_is_stated_while_the_line_waits_for_others(settings, answered) -> None:
     """The line waited its 2 s in silence, and then stated that a subsystem which never answered has not come to rest.
     `answered`: the other one answers once it is known that the first is at rest."""
     stated: list[str] = []
-    ended, threads = threading.Event(), []
     with zmq.Context() as context:
-        sockets = [open_socket(context, zmq.ROUTER, settings.endpoint("estop", name), bind=True) for name in NAMES]
-
-        def begin(n: int) -> None:
-            threads.append(threading.Thread(target=answers, args=(sockets[n], NAMES[n], ended)))
-            threads[-1].start()
+        mcms = TwoMcms(context, settings)
 
         def note(found: SubsystemHalt, awaited: list[str]) -> None:
             stated.append(as_text([confirmed(found, awaited)], False))
             assert awaited == ["MCM-2"]
             if answered:
-                begin(1)
+                mcms.answer()
 
-        line = HaltLine(context, settings, on_rest=note)
-        begin(0)
+        line = HaltLine(context, settings)
         try:
-            result = line.halt(timeout_s=60.0 if answered else WAIT_S)
+            result = line.halt(timeout_s=60.0 if answered else WAIT_S, on_rest=note)
         finally:
-            ended.set()
-            for thread in threads:
-                thread.join()
             line.close()
-            for socket in sockets:
-                socket.close()
+            mcms.end()
     [words] = stated
     assert "MCM: rest confirmed" in words
     assert result.confirmed is answered
-    assert answered or result.message == "MCM-2 has not answered"
+    assert answered or result.message == "MCM-2 has not answered; MCM rests"
     assert answered or "NOT CONFIRMED" in as_text(in_words(result), False)
+
+
+def test_a_program_learns_at_once_what_rests(settings) -> None:
+    """Programs, the interpreter and the page waited in silence, where `rtc halt` stated what rests."""
+    settings.save()
+    stated: list[list[str]] = []
+    with zmq.Context() as context:
+        mcms = TwoMcms(context, settings)
+
+        def note(found: SubsystemHalt, awaited: list[str]) -> None:
+            stated.append([found.name, *awaited])
+            mcms.answer()
+
+        try:
+            with Client(settings.run_dir, need_broker=False) as rtc:
+                assert rtc.halt(timeout_s=60.0, on_rest=note).confirmed
+        finally:
+            mcms.end()
+    assert stated == [["MCM", "MCM-2"]]
+
+
+def test_a_page_learns_at_once_what_rests(settings) -> None:
+    stated: list[dict[str, Any]] = []
+    with zmq.Context() as context:
+        mcms = TwoMcms(context, settings)
+
+        def note(rests: dict[str, Any]) -> None:
+            stated.append(rests)
+            mcms.answer()
+
+        async def order() -> dict[str, Any]:
+            halts = Halts(settings, [f"ARM-{n}" for n in range(len(NAMES))])
+            try:
+                return await halts.order("ALL", note)
+            finally:
+                halts.close()
+
+        try:
+            assert asyncio.run(order())["confirmed"]
+        finally:
+            mcms.end()
+    assert [(one["name"], one["awaited"]) for one in stated] == [("MCM", ["MCM-2"])]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 import zmq
@@ -21,6 +21,9 @@ from rtc.client.liveness import is_listening, not_running
 from rtc.protocol.outcomes import NoCluster
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.settings import default_run_dir
+
+if TYPE_CHECKING:
+    from rtc.client.client import Client  # its import is slow, and `rtc halt` does not need it
 
 
 def halt(
@@ -39,7 +42,7 @@ def halt(
     Example:  rtc halt RIGHT-ARM
     """
     with _halt_line(run_dir or default_run_dir(), key) as line:
-        result = line.halt(scope, timeout_s=timeout)
+        result = line.halt(scope, timeout_s=timeout, on_rest=_show)
     code = 0 if result.confirmed else NOT_CONFIRMED
     if json:
         with exits_with(code):
@@ -70,11 +73,18 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
     else:
         endpoints = KeyFile.load(key)
     with zmq.Context() as context:
-        line = HaltLine(context, endpoints, on_rest=_show)
+        line = HaltLine(context, endpoints)
         try:
             yield line
         finally:
             line.close()
+
+
+def halt_by(rtc: Client, scope: str, out: Console = console) -> HaltResult:
+    """Halt as a client, and print the result; on stderr at once what rests while others are awaited."""
+    result = rtc.halt(scope, on_rest=_show)
+    print_halt(result, out)
+    return result
 
 
 def _show(found: SubsystemHalt, awaited: list[str]) -> None:

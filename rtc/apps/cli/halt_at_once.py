@@ -61,9 +61,9 @@ def _finish(first: FirstOrder, timeout_s: float, as_json: bool, run_dir: str) ->
 
     attach()
     with zmq.Context() as context:
-        line = HaltLine(context, local_settings(run_dir), first, _show)
+        line = HaltLine(context, local_settings(run_dir), first)
         try:
-            result = line.finish(timeout_s)
+            result = line.finish(timeout_s, _show)
         finally:
             line.close()
     try:

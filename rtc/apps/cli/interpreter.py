@@ -21,7 +21,7 @@ from rich.text import Text
 from rtc.apps.cli import log, names, trace, world
 from rtc.apps.cli.background import Background
 from rtc.apps.cli.cluster import show_status
-from rtc.apps.cli.halt import print_halt
+from rtc.apps.cli.halt import halt_by
 from rtc.apps.cli.language import in_one_line
 from rtc.apps.cli.live_state import ASK_S, LiveState, in_words
 from rtc.apps.cli.offers import CellNames
@@ -181,7 +181,7 @@ class Shell:
         text = self._labels.sent_as(line.text)
         command = ""
         if scope := halt_scope(text):
-            print_halt(self._rtc.halt(scope))
+            halt_by(self._rtc, scope)
         elif text.endswith("&"):
             text = text[:-1].strip()
             self._echo(text)

@@ -16,7 +16,7 @@ from typing import Annotated, Literal, cast
 
 import typer
 
-from rtc.apps.cli.halt import print_halt
+from rtc.apps.cli.halt import halt_by
 from rtc.apps.cli.output import RunDir, With, cli_error, console
 from rtc.client.client import Client
 from rtc.client.hand_controller import PERIOD_S, HandController
@@ -105,7 +105,7 @@ def _by_keys(hand: HandController, rtc: Client, speed: float, frame: Literal["to
                 typed = os.read(keyboard, 1024)
                 keys = _keys(typed)
                 if HALT in keys:
-                    print_halt(rtc.halt(hand.arm))
+                    halt_by(rtc, hand.arm)
                 if not typed or END in keys:  # also a terminal that is gone
                     break
                 key, at_s = keys[-1:], time.monotonic()  # the latest: what was typed before it is over

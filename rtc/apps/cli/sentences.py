@@ -14,7 +14,7 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli import sentence_files
-from rtc.apps.cli.halt import print_halt
+from rtc.apps.cli.halt import halt_by, print_halt
 from rtc.apps.cli.long_steps import LongSteps
 from rtc.apps.cli.output import (
     LEFT_RUNNING,
@@ -35,7 +35,6 @@ from rtc.apps.cli.sentence_files import Labels, Line
 from rtc.apps.cli.sentence_program import SentenceProgram
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.client.client import Client, Source, as_text
-from rtc.client.halt import HaltResult
 from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
@@ -173,8 +172,7 @@ def _one(rtc: Client, program: SentenceProgram, n: int) -> tuple[OutcomeKind, di
     line, board = program.lines[n], program.board
     if scope := halt_scope(text := program.text(n)):
         program.name(n, "")
-        halted = rtc.halt(scope)
-        print_halt(halted, errors if board.quiet else console)
+        halted = halt_by(rtc, scope, errors if board.quiet else console)
         kind = OutcomeKind.SUCCEEDED if halted.confirmed else OutcomeKind.HALT_NOT_CONFIRMED
         return kind, {"text": text, **_label(line), "kind": kind.value, "halt": msgspec.to_builtins(halted)}
     (ended,) = program.run([n])
@@ -188,8 +186,7 @@ def hand_in(rtc: Client, lines: list[Line], json: bool, if_tested: str) -> tuple
     for line in lines:
         text = labels.sent_as(line.text)
         if scope := halt_scope(text):
-            halted: HaltResult = rtc.halt(scope)
-            print_halt(halted)
+            halted = halt_by(rtc, scope)
             labels.numbers[line.label] = ""
             results.append({"text": text, **_label(line), "kind": "halted", "halt": msgspec.to_builtins(halted)})
             continue
@@ -232,7 +229,7 @@ def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
             raise LeftRunning
         if answer == "h":
             for scope in board.running or ["ALL"]:
-                print_halt(rtc.halt(scope), errors)
+                halt_by(rtc, scope, errors)
         board.resume()
 
     def ended(number: int, _: object) -> None:
@@ -259,7 +256,7 @@ def _long_steps(rtc: Client, board: Board) -> LongSteps | None:
         return None
     steps = LongSteps(
         lambda words: errors.print(Text(words, style="bold yellow")),
-        lambda command: print_halt(rtc.halt(command), errors),
+        lambda command: print_halt(rtc.halt(command), errors),  # one command: nothing else is awaited
         sys.stdin.fileno(),
     )
     board.on_long = steps.take

@@ -28,7 +28,7 @@ from uvicorn.server import ServerState
 
 from rtc.apps.console.access import Access, body, objects
 from rtc.apps.console.admission import Admission
-from rtc.apps.console.halts import Halts
+from rtc.apps.console.halts import Halts, OnNews
 from rtc.apps.console.paced import PacedHaltSocket, configured, taker
 from rtc.protocol import messages as m
 from rtc.runtime import process
@@ -90,10 +90,10 @@ class HaltDoor:
 def app(access: Access, halts: Halts) -> Starlette:
     """POST /halt and the socket /halt, for pages that are admitted."""
 
-    async def order(scope: str) -> dict[str, Any]:
+    async def order(scope: str, on_news: OnNews | None = None) -> dict[str, Any]:
         if refused := access.refuses("halt", m.HaltOrder):
             return {"error": refused.message}
-        return await halts.order(scope)
+        return await halts.order(scope, on_news)
 
     async def post(request: Request) -> Response:
         given = await body(request)
@@ -105,8 +105,14 @@ def app(access: Access, halts: Halts) -> Starlette:
         orders: set[asyncio.Task[None]] = set()
 
         async def obey(asked: dict[str, Any]) -> None:
-            result = await order(str(asked.get("scope", "ALL")))
-            await answer(page, {"id": asked.get("id"), "result": result})
+            number, news = asked.get("id"), list[asyncio.Task[None]]()
+
+            def report(rests: dict[str, Any]) -> None:
+                news.append(asyncio.create_task(answer(page, {"id": number, "rests": rests})))
+
+            result = await order(str(asked.get("scope", "ALL")), report)
+            await asyncio.gather(*news)
+            await answer(page, {"id": number, "result": result})
 
         await page.accept()
         async for asked in objects(page):

@@ -54,6 +54,11 @@ export async function halt(scope = 'ALL') {
   emit('halted', { scope, result, tookS });
 }
 
+// A part of what was halted is at rest, and the rest is awaited.
+function showRests({ name, rest_s: restS, awaited }) {
+  show('sent', 'HALT ALL sent', `${name}: rest confirmed after ${seconds(restS)}; waiting for ${awaited.join(', ')}`);
+}
+
 function showResult({ scope, result, tookS }) {
   const of = scope.toUpperCase() === 'ALL' ? '' : `: ${scope}`;
   if (result.error) return show('bad', `HALT NOT SENT${of}`, `${result.error}. Use the emergency stop.`, true);
@@ -107,6 +112,7 @@ export function armHalt() {
   for (const name of ['focusin', 'focusout', 'input']) document.addEventListener(name, () => setTimeout(label));
   for (const name of ['line', 'links']) on(name, label);
   on('halted', showResult);
+  on('rests', showRests);
   on('moving', forgetAtStart);
   setInterval(showAge, 500);
   show('', 'ready', '');

@@ -128,6 +128,7 @@ class Halt extends Link {
   take(data) {
     const message = JSON.parse(data);
     if ('pong' in message) { this.wayMs = performance.now() - message.pong; return; }
+    if (message.rests) { if (this.open.has(message.id)) emit('rests', message.rests); return; }
     const done = this.open.get(message.id);
     this.open.delete(message.id);
     if (done) done(message.result);
