@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 
@@ -23,6 +24,7 @@ settings.register_profile("random", deadline=None, suppress_health_check=[Health
 settings.register_profile("repeatable", settings.get_profile("random"), derandomize=True)
 settings.load_profile("repeatable")
 time_limit.install()  # code of packages has the limits that it has in a cluster
+gc.disable()  # until all tests are collected: what is imported and collected lives to the end
 
 
 def pytest_report_header() -> str:
@@ -32,6 +34,12 @@ def pytest_report_header() -> str:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The tests with a limit of their own, the longest, come first: none is left for one process at the end."""
     items.sort(key=lambda item: item.get_closest_marker("timeout") is None)
+
+
+def pytest_collection_finish() -> None:
+    """As the processes of a cluster do it: a collection of garbage looks at nothing that tests have not made."""
+    gc.enable()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pybullet_data
@@ -23,28 +24,32 @@ ARMS = {
 @pytest.fixture(scope="session")
 def first_cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """The file of the first cell of an arm, as `rtc cell new` writes it."""
-    made: dict[str, Path] = {}
 
+    @cache
     def file_of(arm: str) -> Path:
-        if arm not in made:
-            urdf, tip = ARMS[arm]
-            made[arm] = written(draft(urdf, arm, tip), tmp_path_factory.mktemp(arm.lower()))
-        return made[arm]
+        urdf, tip = ARMS[arm]
+        return written(draft(urdf, arm, tip), tmp_path_factory.mktemp(arm.lower()))
 
     return file_of
 
 
 @pytest.fixture(scope="session")
-def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Cell]:
-    """The first cell of one of the small arms, which is named UNIT there."""
+def small_file(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The file of the first cell of one of the small arms, which is named UNIT there."""
 
-    def cell_of(kind: str) -> Cell:
+    @cache
+    def file_of(kind: str) -> Path:
         folder = tmp_path_factory.mktemp(kind.lower())
         urdf = folder / "arm.urdf"
         urdf.write_text(small_arms.urdf("arm", getattr(small_arms, kind)))
-        return Cell.load(written(draft(urdf, "UNIT"), folder))
+        return written(draft(urdf, "UNIT"), folder)
 
-    return cell_of
+    return file_of
+
+
+@pytest.fixture(scope="session")
+def small_cell(small_file: Callable[[str], Path]) -> Callable[[str], Cell]:
+    return lambda kind: Cell.load(small_file(kind))
 
 
 def written(found: Draft, folder: Path) -> Path:

@@ -85,15 +85,10 @@ def test_a_mounted_hand_has_colours_of_its_own(first_cell):
 
 
 @pytest.mark.parametrize("kind", ["SIX", "FIVE", "SCARA", "PORTAL", "RIGHT", "BEHIND"])
-def test_an_arm_gets_pads_that_it_reaches_from_above(tmp_path, kind):
+def test_an_arm_gets_pads_that_it_reaches_from_above(small_file, kind):
     """Also one with fewer than six joints: in the attitude that its hand has there. And one whose front is not the x
     axis of its base."""
-    file = tmp_path / "arm.urdf"
-    file.write_text(small_arms.urdf("arm", getattr(small_arms, kind)))
-    found = draft(file, "UNIT")
-    for name, text in {**found.files, "cell.yaml": found.yaml}.items():
-        (tmp_path / name).write_text(text)
-    findings, cell = review(tmp_path / "cell.yaml")
+    findings, cell = review(small_file(kind))
     assert findings == []
     assert [seat.name for seat in cell.seats] == ["PAD-1", "PAD-2"]
 
