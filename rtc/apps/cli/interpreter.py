@@ -20,7 +20,6 @@ from rich.text import Text
 
 from rtc.apps.cli import log, names, trace, world
 from rtc.apps.cli.background import Background
-from rtc.apps.cli.cluster import show_status
 from rtc.apps.cli.halt import halt_by
 from rtc.apps.cli.language import in_one_line
 from rtc.apps.cli.live_state import ASK_S, LiveState, in_words
@@ -29,6 +28,7 @@ from rtc.apps.cli.output import console, errors
 from rtc.apps.cli.progress import Board, print_result
 from rtc.apps.cli.sentence_files import LABEL, Labels, Line, line_of, unknown_label
 from rtc.apps.cli.sentences import HALTED, LeftRunning, Signalled, asked_on_interrupt, gone_away, show_silence
+from rtc.apps.cli.status import show_status
 from rtc.apps.cli.teach import with_taught
 from rtc.client.client import Client
 from rtc.language.completion import Names, complete

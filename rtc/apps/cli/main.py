@@ -25,7 +25,7 @@ from rtc.runtime import time_limit
 COMMANDS = {
     "up": "cluster",
     "down": "cluster",
-    "status": "cluster",
+    "status": "status",
     "doctor": "doctor",
     "do": "sentences",
     "test": "rehearsal",

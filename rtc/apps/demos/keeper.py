@@ -1,6 +1,6 @@
 """Keeper of a demo's cluster: starts it, and ends it when the demo ends, however that happens. A process of its own.
 
-    python -m rtc.apps.demos.keeper RUN_DIR [options of rtc up]
+    python -m rtc.apps.demos.keeper RUN_DIR SETTINGS     # settings of the cluster, as JSON
 
 It writes one line when the cluster is up, or has failed to come up, and waits for the end of its standard input. The
 system closes that when the demo ends, even by SIGKILL. It has a session of its own, so that neither Ctrl-C nor a closed
@@ -19,9 +19,9 @@ READY_S, DOWN_S = 700.0, 300.0  # longer than the limits of `rtc up` and `rtc do
 
 
 def main() -> int:
-    run_dir, *options = sys.argv[1:]
+    run_dir, settings = sys.argv[1:]
     signal.signal(signal.SIGTERM, lambda *_: None)  # not SIG_IGN, which the processes of the cluster would inherit
-    missing = _rtc("up", run_dir, READY_S, "-d", *options)
+    missing = _deploy(READY_S, "up", "-d", "--", settings)
     try:
         print(json.dumps(missing), flush=True)
         if not missing:
@@ -29,7 +29,7 @@ def main() -> int:
     except OSError:  # the demo has ended already
         pass
     try:
-        left = _rtc("down", run_dir, DOWN_S)
+        left = _deploy(DOWN_S, "down", "--", run_dir)
     finally:
         shutil.rmtree(run_dir, ignore_errors=True)
     if left and not missing:
@@ -37,9 +37,9 @@ def main() -> int:
     return 1 if missing or left else 0
 
 
-def _rtc(what: str, run_dir: str, limit_s: float, *options: str) -> str:
-    """Run `rtc WHAT`; why it failed, or empty."""
-    command = [sys.executable, "-P", "-m", "rtc.apps.cli.entry", what, "--run-dir", run_dir, *options]
+def _deploy(limit_s: float, what: str, *given: str) -> str:
+    """Do what `rtc WHAT` becomes; why it failed, or empty."""
+    command = [sys.executable, "-P", "-m", "deploy", what, *given]
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=limit_s)
     except subprocess.TimeoutExpired:

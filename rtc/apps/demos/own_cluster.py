@@ -14,19 +14,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
+
 from rtc.protocol.outcomes import ClusterError
+from rtc.runtime.settings import Mcm, Settings
+
+DEFAULT = Settings(run_dir="")  # the defaults of `rtc up`
 
 
 @contextmanager
 def own_cluster(
     *,
     cell: str = "swapout",
-    mcm: str = "bullet",
+    mcm: Mcm = "bullet",
     speed: str = "1",
     dim: int = 2,
     listen: str = "",
     least: int | None = None,
-    most: int | None = None,
+    most: int = DEFAULT.most_workers,
     more: str = "",
 ) -> Iterator[Path]:
     """The run directory of a new cluster. Raises ClusterError, with its last output, if it does not start.
@@ -37,15 +42,20 @@ def own_cluster(
     """
     run_dir = Path(tempfile.mkdtemp(prefix="rtc-"))
     before = signal.signal(signal.SIGTERM, _interrupt)
-    options = ["--cell", cell, "--mcm", mcm, "--speed", speed, "--dim", str(dim), "--listen", listen]
-    if least is not None:
-        options += ["--least", str(least)]
-    if most is not None:
-        options += ["--most", str(most)]
-    if more:
-        options += ["--more", more]
+    settings = Settings(
+        run_dir=str(run_dir),
+        cell=cell,
+        mcm=mcm,
+        speed=0.0 if speed == "max" else float(speed),
+        dim=dim,
+        listen=listen,
+        least_workers=least,
+        most_workers=most,
+        more=more,
+    )
+    given = msgspec.json.encode(settings).decode()
     keeper = subprocess.Popen(
-        [sys.executable, "-P", "-m", "rtc.apps.demos.keeper", str(run_dir), *options],
+        [sys.executable, "-P", "-m", "rtc.apps.demos.keeper", str(run_dir), given],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -13,8 +13,8 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
-from rtc.apps.cli.cluster import as_supervised, show_status
 from rtc.apps.cli.output import EXIT, Screen, emit_json, exit_code, quoted, refusal_lines, seconds
+from rtc.apps.cli.status import as_supervised, show_status
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 

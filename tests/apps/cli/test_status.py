@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rtc.apps.cli.cluster import collision_checks_in_words, folded, programs_in_words
+from rtc.apps.cli.status import collision_checks_in_words, folded, programs_in_words
 
 
 def row(name: str, state: str = "ready", restarts: int = 0) -> dict[str, Any]:
