@@ -1,20 +1,23 @@
 """What no facts from outside may say, whichever way they come: SET of one, or all of a file. Pure.
 
-The facts are judged together, as the world would be after them: seats that do not exist, two objects in one seat, an
+The facts are judged together, as the world would be after them: attributes of another kind of part, postures that an
+arm does not have, seats that do not exist, two objects in one seat, an
 object that is not where its seat is, a body inside an arm, an angle beyond its stops, a spread that says nothing.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from rtc.model.cells import taught
 from rtc.protocol.messages import Limits, Validity, WorldChange
-from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused, refuse_if
 from rtc.spatial import geometry, hinges
 from rtc.world.facts import TRUSTED
-from rtc.world.model import BOLT_STATES, location
+from rtc.world.model import ATTRIBUTES, BOLT_STATES, location
 from workers.planning import scenes
 from workers.planning.world_query import WorldQuery
 
@@ -25,6 +28,10 @@ HINGE_OFF_M = 0.05  # maximum error of a hinge's place on its body in the cell f
 HINGE_OFF_RAD = 0.1  # maximum error of its axis, and of an angle at a stop
 INSIDE_M = 0.005  # an object that is deeper in a link of an arm than this is not there; less is an error of its pose
 WHOLE_TURN = 1e-6  # tolerance of the turns of a bolt
+#: attributes with a meaning
+OF_OBJECT, OF_HINGE, OF_BOLT = ("frame", "seat", "held_by", "grasp", "mass"), ("angle",), ("turns",)
+OF_USER = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")  # an attribute without one
+OF_PLACE = re.compile(r"[A-Z][A-Z0-9]*(-[A-Z0-9]+)*")
 
 
 def refuse(changes: Sequence[WorldChange], query: WorldQuery, values: Values) -> None:
@@ -57,6 +64,52 @@ def _names(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery,
         if kind and change.value and not change.keep_value and change.value not in names:
             there = ", ".join(sorted(names))
             yield change.key, f"{change.key} is {change.value!s:.40}, and there is no such {kind}; there are {there}"
+
+
+def _attributes(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
+    """An attribute with a meaning says something about one kind of part, and nothing about others."""
+    seats = {seat.name for seat in query.cell.seats}
+    things = {thing.name: thing for thing in query.cell.objects}
+    for change in changes:
+        place, _, attribute = change.key.rpartition(".")
+        thing = things.get(place)
+        if attribute.startswith(taught.POSTURE) or place not in (*seats, *things):
+            continue
+        if not OF_USER.fullmatch(attribute):
+            yield change.key, f"{attribute!r:.40} is not the name of an attribute"
+        of_thing = {
+            *OF_OBJECT,
+            *(OF_HINGE if thing and thing.hinge else ()),
+            *(OF_BOLT if thing and thing.thread else ()),
+        }
+        fitting = {"frame"} if thing is None else of_thing
+        if attribute in ATTRIBUTES and attribute not in fitting and change.value is not None:
+            kind = "a seat" if thing is None else "this object"
+            yield change.key, f"{place} has no {attribute}: of {kind} there are {', '.join(sorted(fitting))}"
+
+
+def _postures(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
+    arms = {arm.name: len(arm.joints) for arm in query.cell.arms}
+    margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
+    for change in changes:
+        place, _, attribute = change.key.rpartition(".")
+        if not attribute.startswith(taught.POSTURE):
+            continue
+        arm, posture = taught.arm_of(attribute), change.value
+        if arm not in arms:
+            yield change.key, f"{change.key} is of {arm}, and there is no such arm; there are {', '.join(arms)}"
+        elif what := taught.taken(query.cell, place) or ("" if OF_PLACE.fullmatch(place) else "not a name"):
+            yield change.key, f"{place!s:.40} is {what}; a taught place needs a name of its own"
+        elif change.key != taught.key_of(place, arm):
+            yield change.key, f"the key of this posture is {taught.key_of(place, arm)}"
+        elif posture is not None and not _is_posture(posture, arms[arm]):
+            yield change.key, f"{change.key} must be {arms[arm]} numbers (rad; m of a joint that slides)"
+        elif posture is not None:
+            refuse_if(query.model.arms[arm].why_not_within(posture, margin_rad))
+
+
+def _is_posture(value: Any, joints: int) -> bool:
+    return isinstance(value, list) and len(value) == joints and all(isinstance(one, int | float) for one in value)
 
 
 def _figures(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
@@ -115,7 +168,7 @@ def _arms(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, 
                 yield f"{hit.body_b.split()[0]}.frame", f"{hit.body_b} would be {depth_mm:.0f} mm inside {hit.body_a}"
 
 
-CHECKS = (_spreads, _names, _figures, _seats, _arms)
+CHECKS = (_attributes, _postures, _spreads, _names, _figures, _seats, _arms)
 
 
 def off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:

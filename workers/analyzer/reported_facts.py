@@ -12,9 +12,8 @@ from typing import Any
 
 import msgspec
 
-from rtc.model.cells import taught
 from rtc.protocol.messages import Validity, WorldChange
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.world.model import LOOSE, initial_facts, location, problem
 from rtc.world.spread import even
@@ -41,8 +40,6 @@ def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) ->
         wrong = problem(change) or PLAUSIBLE.get(attribute, _anything)(key, value, values)
         if wrong:
             raise _refused(wrong, key, "repeat it with the correct value and unit")
-        if value and (arm := taught.arm_of(attribute)):
-            refuse_if(_beyond_limits(arm, value, query))
         changes.append(change)
         changes += FOLLOWS[attribute](thing, value, query, values) if attribute in FOLLOWS else []
     impossible.refuse(changes, query, values)
@@ -67,11 +64,6 @@ def _near(key: str, value: Any, values: Values) -> str:
 
 def _heavy(key: str, value: Any, values: Values) -> str:
     return "" if 0 < value <= HEAVIEST_KG else f"{key} must be more than 0 kg, and at most {HEAVIEST_KG:g} kg"
-
-
-def _beyond_limits(arm: str, joints: list[float], query: WorldQuery) -> Refusal | None:
-    margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
-    return query.model.arms[arm].why_not_within(joints, margin_rad)
 
 
 PLAUSIBLE: dict[str, Callable[[str, Any, Values], str]] = {"frame": _near, "mass": _heavy}
@@ -216,11 +208,9 @@ def _saved(facts: Mapping[str, Mapping[str, Any]], query: WorldQuery, values: Va
         thing, _, attribute = key.rpartition(".")
         was_held = bool(facts.get(f"{thing}.held_by", {}).get("value"))
         if wrong := problem(change) or (
-            change.value and PLAUSIBLE.get(attribute, _anything)(key, change.value, values)
+            change.value is not None and PLAUSIBLE.get(attribute, _anything)(key, change.value, values)
         ):
             raise _refused(str(wrong), key, "correct it in the file, or leave it out")
-        if change.value and (arm := taught.arm_of(attribute)):
-            refuse_if(_beyond_limits(arm, change.value, query))
         if change.validity is Validity.CHANGING or (was_held and attribute in ("frame", "seat")):
             change = msgspec.structs.replace(change, validity=Validity.SUSPECT)
         if attribute in HELD:

@@ -10,6 +10,7 @@ import yaml
 
 from rtc.language.hands import ARM_OF_WORD
 from rtc.language.parse import default_grammar
+from rtc.language.stands_for import stands_for_something
 from rtc.model.cells.yaml_reader import nodes
 
 #: pattern of a type -> what it means, for people
@@ -18,15 +19,6 @@ PATTERNS = {
     "^[-+]?[0-9]+(\\\\.[0-9]+)? m$": "a number and its unit is expected, such as 0.5 m",
     "^[0-9]+(\\\\.[0-9]+)? m/s2$": "a number and its unit is expected, such as 1 m/s2",
 }
-
-OF_COMMAND = re.compile(r"C-\d+$", re.ASCII)
-#: words with a meaning of their own that are not reserved: commands, values of SET, units
-STANDS_FOR = frozenset(
-    {
-        *("ALL", "LAST", "HERE", "NONE", "UNKNOWN", "INITIAL", "SAVED", "WORLD", "OPERATOR"),
-        *("N", "NM", "KG", "G", "M", "CM", "MM", "DEG", "RAD", "SEC", "S", "MIN"),
-    }
-)
 
 Row = tuple[str, str, str, str]  # place, problem, severity, expected
 
@@ -41,7 +33,7 @@ def misnamed(arm: str) -> str:
 
 def _is_taken(name: str) -> bool:
     """Whether it stands for something else at a place where a sentence may have it."""
-    return name in default_grammar().vocabulary.reserved or name in STANDS_FOR or OF_COMMAND.match(name) is not None
+    return name in default_grammar().vocabulary.reserved or stands_for_something(name)
 
 
 def no_name(word: str) -> str:

@@ -15,6 +15,7 @@ from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_j
 from rtc.apps.cli.progress import print_result
 from rtc.apps.cli.world import COLOUR, JointUnits, app, at_version, joint_units, refuse_live, stated
 from rtc.client.client import Client
+from rtc.protocol import wire
 from rtc.protocol.messages import Fact, SavedFact, SavedWorld, SimTruthReply, Validity, View
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.spatial import geometry
@@ -141,8 +142,10 @@ def _state(rtc: Client, name: str, now: View) -> Facts:
 def load(file: Path) -> SavedWorld:
     """Raises typer.Exit with the reason printed."""
     try:
-        return msgspec.json.decode(file.read_bytes(), type=SavedWorld)
-    except (OSError, msgspec.MsgspecError) as error:
+        saved = msgspec.json.decode(file.read_bytes(), type=SavedWorld)
+        wire.encode(saved)  # its numbers may be too large for a message
+        return saved
+    except (OSError, ValueError, OverflowError) as error:
         raise cli_error(f"{file} is no file of `rtc world save`: {error}", 2) from None
 
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from rtc.language.stands_for import stands_for_something
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Place
 from rtc.spatial.axis_names import AXES
@@ -60,6 +61,8 @@ def taken(cell: Cell, name: str) -> str:
     """What has this name already, so that no place can be taught under it; empty if nothing has."""
     if name in (WORLD, *AXES):
         return "an axis" if name in AXES else "the whole world"
+    if stands_for_something(name):
+        return "a word of the command language"
     kinds: Mapping[str, Iterable[Any]] = {
         "an arm": cell.arms,
         "a seat": cell.seats,

@@ -72,3 +72,11 @@ def test_a_file_is_read_as_it_was_written_and_no_other_is_read(tmp_path) -> None
     file.write_text("{}")
     with pytest.raises(typer.Exit):
         load(file)
+
+
+@pytest.mark.parametrize("value", [b"1" + 30 * b"0", b'"\xd6"'])
+def test_a_file_with_a_value_that_no_message_can_have_is_refused(tmp_path, value: bytes) -> None:
+    file = tmp_path / "facts.json"
+    file.write_bytes(b'{"cell": "c", "facts": {"A.mass": {"value": ' + value + b"}}}")
+    with pytest.raises(typer.Exit):
+        load(file)

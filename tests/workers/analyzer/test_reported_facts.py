@@ -120,6 +120,22 @@ def in_seat(query, seat):
     return query.seated_pose(seat).tolist()
 
 
+OF_ANOTHER_KIND = {
+    "RACK-1.seat": "RACK-1",
+    "RACK-1.mass": 5.0,
+    "MACS-NEW.joints": [1.0],
+    "MACS-NEW.holding": "MACS-OLD",
+    "MACS-NEW.angle": 1.0,
+    "MACS-NEW.turns": 3.0,
+    "MACS-NEW.a b\n": 1.0,
+}
+TAUGHT, STANDING = "P1.posture_of_right_arm", [0.0, 1.9, -2.7, 0.0, 0.8, 0.0]
+NO_PLACES = [
+    *(f"{place}.posture_of_right_arm" for place in ("MM", "C-1", "LAST", "RACK-1", "CLEAR-POINT-1", "p1", "P 1")),
+    *("P1.posture_of_middle_arm", "P1.posture_of_RIGHT-ARM", "MACS-NEW.posture_of_right_arm"),
+]
+
+
 @pytest.mark.parametrize(
     ("make", "where"),
     [
@@ -144,6 +160,10 @@ def in_seat(query, seat):
             "MACS-NEW.frame",
         ),
         (lambda q: {"MACS-NEW.mass": {"value": 1e308}}, "MACS-NEW.mass"),
+        (lambda q: {"MACS-NEW.mass": {"value": 0}}, "MACS-NEW.mass"),
+        *((lambda q, key=key, value=value: {key: {"value": value}}, key) for key, value in OF_ANOTHER_KIND.items()),
+        *((lambda q, key=key: {key: {"value": STANDING}}, key) for key in NO_PLACES),
+        *((lambda q, value=value: {TAUGHT: {"value": value}}, TAUGHT) for value in ([0.0], [], "home", True)),
         (lambda q: {"MACS-NEW.colour": {"value": "x" * 100_000}}, "MACS-NEW.colour"),
     ],
 )
