@@ -20,8 +20,9 @@ from rtc.subsystems.motion.arm import SpindleCommand
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.faults import Injections
+from tests.workers.test_bolts_by_sentence import TURNS, with_short_bolts
 
-CELL = Cell.load("servicing")
+CELL = with_short_bolts(Cell.load("servicing"))
 ARM, BOLT, DRIVER = "RIGHT-ARM", "BOLT-1", "POWER-DRIVER"
 THREAD, SPINDLE = CELL.object(BOLT).thread, CELL.object(DRIVER).spindle
 TURN = 2.0 * math.pi
@@ -85,13 +86,13 @@ def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
 
     start = station.tcp
     held = geometry.relative(start, world.pose(DRIVER))
-    report = turn(station, -8.0)
+    report = turn(station, -TURNS)
     assert report.reason is StopReason.GOAL
-    assert report.turned_rad == pytest.approx(-8.0 * TURN, rel=1e-6)
-    assert bolts.out_turns(BOLT) == pytest.approx(8.0, abs=0.01)
+    assert report.turned_rad == pytest.approx(-TURNS * TURN, rel=1e-6)
+    assert bolts.out_turns(BOLT) == pytest.approx(TURNS, abs=0.01)
     assert station.world.truth()["tight_nm"][BOLT] == [0.0]
-    assert world.out_m(BOLT) == pytest.approx(8.0 * THREAD.pitch_m, abs=1e-4)
-    assert start[0] - station.tcp[0] == pytest.approx(8.0 * THREAD.pitch_m, abs=1e-3)  # the tool follows the thread
+    assert world.out_m(BOLT) == pytest.approx(TURNS * THREAD.pitch_m, abs=1e-4)
+    assert start[0] - station.tcp[0] == pytest.approx(TURNS * THREAD.pitch_m, abs=1e-3)  # the tool follows the thread
     assert report.peak_torque_nm == pytest.approx(THREAD.breakaway_nm, abs=0.4)
     assert geometry.distance(geometry.relative(station.tcp, world.pose(DRIVER)), held) < 0.001
 
@@ -101,13 +102,13 @@ def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
     paced = [message for message in station.tick(5) if isinstance(message, m.PauseChanged)]
     paused_at = bolts.out_turns(BOLT)
     assert [message.paused for message in paced] == [True]
-    assert paced[0].done == pytest.approx((8.0 - paused_at) / 0.5, abs=0.05)
+    assert paced[0].done == pytest.approx((TURNS - paused_at) / 0.5, abs=0.05)
     list(station.tick(300))
-    assert bolts.out_turns(BOLT) == paused_at > 7.6
+    assert bolts.out_turns(BOLT) == paused_at > TURNS - 0.4
     station.mcm.handle(m.SetPaused(primitive=name, paused=False), BROKER, 0.0)
     assert [message.paused for message in station.tick(5) if isinstance(message, m.PauseChanged)] == [False]
     assert station.end(name).turned_rad == pytest.approx(0.5 * TURN, rel=1e-6)
-    assert bolts.out_turns(BOLT) == pytest.approx(7.5, abs=0.01)
+    assert bolts.out_turns(BOLT) == pytest.approx(TURNS - 0.5, abs=0.01)
 
     arms = station.world.arms
     assert station.world.held()[ARM] == [DRIVER]
