@@ -441,6 +441,10 @@ def _soft_limits(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None
 def _assume_inertias(arm: AdaptedArm) -> None:
     """Masses by size for the moving links to which the URDF gives none: else physics takes another one than planning,
     and a motor moves nothing."""
+    for name, link in arm.robot.links.items():
+        clouds = outline(arm, name) if name != arm.robot.root else []
+        if clouds and inertias.made_plausible(link, np.vstack(clouds)):
+            arm.notes.append(f"the inertia of {name} is far too great for its size: that of a box is taken")
     made = []
     for name in (arm.robot.child[joint] for joint in (*arm.joints, *arm.fingers)):
         link = arm.robot.links[name]
@@ -465,6 +469,8 @@ def _motor(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None:
         limit.set("effort", f"{DEFAULT_EFFORT:g}")
         arm.without_effort.append(name)
     lower, upper = arm.robot.limits(name)
+    if joint.get("type") == "revolute" and max(-lower, upper) > urdf_values.MANY_TURNS:
+        arm.notes.append(f"the limits of {name} are {lower:g} and {upper:g} rad: are they in degrees?")
     if not lower < upper:
         raise ProgramError(
             f"{arm.robot.path}: joint {name}: its limits are {lower:g} and {upper:g}; "
@@ -518,9 +524,6 @@ def _meshes(arm: AdaptedArm, folder: str) -> None:
             arm.hulls[file] = hull.text
             worst_m = max(worst_m, hull.left_out_m)
             mesh.attrib = {"filename": file}
-            at = origin(collision)
-            if name != robot.root and inertias.made_plausible(link, hull.vertices @ at[:3, :3].T + at[:3, 3]):
-                arm.notes.append(f"the inertia of {name} is far too great for its size: that of a box is taken")
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
             if mesh is not None:

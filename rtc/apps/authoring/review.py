@@ -304,7 +304,7 @@ def _joint(robot: RobotFile, name: str) -> Iterator[Row]:
         low, high = narrow
         problem = f"its soft limits {low:g} and {high:g} are not kept; its limits are {lower:g} and {upper:g}"
         yield problem, f'<limit lower="{low:g}" upper="{high:g}" .../>', "warning"
-    if robot.type(name) == "revolute" and max(abs(lower), abs(upper)) > 4 * math.pi:
+    if robot.type(name) == "revolute" and max(abs(lower), abs(upper)) > urdf_values.MANY_TURNS:
         yield f"its limits are {lower:g} and {upper:g} rad: degrees?", "radians", "warning"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -56,6 +57,9 @@ class RobotFile(Urdf):
         self.root = next(link for link in self.links if link not in self.carrier)
 
     def _broken(self) -> Iterator[str]:
+        for name, count in Counter(joint.get("name") for joint in self.robot.findall("joint")).items():
+            if name and count > 1:
+                yield f"joint {name}: {count} of them have this name; expected: a name of its own for each"
         for ends, what in ((self.parent, "parent"), (self.child, "child")):
             for joint, link in ends.items():
                 if link not in self.links:
@@ -118,8 +122,12 @@ class RobotFile(Urdf):
         try:
             solid = coal.MeshLoader().load(str(file), scale)
         except (RuntimeError, ValueError) as error:
-            raise ProgramError(f"{self.path}: the mesh {file} cannot be read: {error}") from error
-        return np.array(solid.vertices())
+            why = str(error).rpartition("message: ")[2].replace("\n", " ")  # before it: lines of the library
+            raise ProgramError(f"{self.path}: the mesh {file} cannot be read: {why:.200}") from error
+        vertices = np.array(solid.vertices(), dtype=float).reshape(-1, 3)
+        if not len(vertices) or not np.isfinite(vertices).all():
+            raise ProgramError(f"{self.path}: the mesh {file} has vertices that are no finite numbers, or none")
+        return vertices
 
 
 def _why_not_xml(text: str) -> str:

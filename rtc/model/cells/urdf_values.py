@@ -15,6 +15,8 @@ from xml.etree.ElementTree import Element
 MOVING = ("revolute", "continuous", "prismatic")
 TYPES = (*MOVING, "fixed")
 AXIS_SLACK = 1e-4  # of the length of an axis: 0.7071 0.7071 0 is well, 0.707 0.707 0 is half a milliradian off
+WHOLE_RAD = 2 * math.pi + 0.01  # no attitude in 1,176 published files is beyond it
+MANY_TURNS = 4 * math.pi  # limits beyond it are probably in degrees
 LONG_M = 20.0  # a greater offset of a joint is probably in millimetres
 POSE = {"xyz": 3, "rpy": 3}
 INERTIA = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1)
@@ -42,6 +44,9 @@ SIZES: dict[str, dict[str, int]] = {
 QUANTITIES = {1: "a finite number", 3: "three finite numbers", 4: "four finite numbers"}
 
 
+Row = tuple[str, str]  # problem, expected
+
+
 class Fault(NamedTuple):
     where: str  # link NAME, joint NAME, or robot
     problem: str
@@ -61,9 +66,27 @@ def faults(robot: Element) -> Iterator[Fault]:
             elif count > 1:
                 yield Fault(f"{kind} {name}", f"{count} of them have this name", "a name of its own for each")
         for part in parts:
+            yield from (Fault(f"{kind} {part.get('name')}", *row) for row in _given_twice(part))
             own = _of_link(part) if kind == "link" else _of_joint(part, robot)
             for problem, expected in (*_of_numbers(part), *own):
                 yield Fault(f"{kind} {part.get('name')}", problem, expected)
+
+
+#: path within a link or joint -> elements of which it has one; readers of a URDF take different ones of two
+ONCE: dict[str, tuple[str, ...]] = {
+    ".": ("inertial", "parent", "child", "origin", "axis", "limit", "mimic", "dynamics", "safety_controller"),
+    "inertial": ("origin", "mass", "inertia"),
+    "collision": ("origin", "geometry"),
+    "visual": ("origin", "geometry"),
+}
+
+
+def _given_twice(part: Element) -> Iterator[Row]:
+    for path, tags in ONCE.items():
+        for element in part.findall(path):
+            for tag in tags:
+                if (count := len(element.findall(tag))) > 1:
+                    yield f"it has {count} <{tag}>", "one"
 
 
 def too_long(robot: Element) -> Fault | None:
@@ -88,13 +111,19 @@ def soft_limits(joint: Element, soft: Element) -> tuple[float, float] | None:
     return (low, high) if low < high and (low > hard[0] or high < hard[1]) else None
 
 
-Row = tuple[str, str]  # problem, expected
-
-
 def _of_numbers(part: Element) -> Iterator[Row]:
     for path, fields in NUMBERS.items():
         for element in part.findall(path):
             yield from _wrong(element, fields, NEEDED.get(path, ()))
+            yield from _of_attitude(element)
+
+
+def _of_attitude(element: Element) -> Iterator[Row]:
+    for key in ("quat_xyzw", "quat_wxyz"):
+        if element.get(key) is not None:
+            yield f'<{element.tag} {key}="{element.get(key)}"> is left out by readers of a URDF', "rpy, in rad"
+    if max(map(abs, _values(element, "rpy") or [0.0])) > WHOLE_RAD:
+        yield f'<{element.tag} rpy="{element.get("rpy")}"> is more than one turn: is it in degrees?', "rpy, in rad"
 
 
 def _of_link(link: Element) -> Iterator[Row]:
@@ -150,6 +179,10 @@ def _of_joint(joint: Element, robot: Element) -> Iterator[Row]:
         elif abs(length - 1.0) > AXIS_SLACK:
             unit = " ".join(f"{value / length:.6g}" for value in values)
             yield f'<axis xyz="{axis.get("xyz")}"> has the length {length:.6g}', f'of unit length: <axis xyz="{unit}"/>'
+    for element in joint.findall("dynamics"):
+        for key in ("damping", "friction"):
+            if (_values(element, key) or [0.0])[0] < 0.0:
+                yield f'<dynamics {key}="{element.get(key)}">', "not below 0"
     limit, mimic = joint.find("limit"), joint.find("mimic")
     if limit is not None and kind in ("revolute", "prismatic"):
         lower, upper = ((_values(limit, key) or [0.0])[0] for key in ("lower", "upper"))

@@ -13,6 +13,7 @@ from rtc.apps.authoring.robot_file import RobotFile, kinematics
 from rtc.model.cells import model_checks, urdf_values
 from rtc.model.cells.cell import CELLS, Cell
 from rtc.protocol.outcomes import ProgramError
+from tests.apps.authoring import small_arms
 from tests.apps.authoring.conftest import DATA
 
 ARM = """<robot name="a">
@@ -58,6 +59,13 @@ WRONG = [
     ("<axis", '<mimic joint="other"/><axis', "joint turn", "another joint"),
     ('<link name="base"/>', '<link name="base"/><link name="base"/>', "link base", "own"),
     ('<robot name="a">', "<robot>", "robot", "name"),
+    ("<limit ", '<limit lower="-2" upper="2" effort="9" velocity="9"/><limit ', "joint turn", "one"),
+    ("<axis ", '<axis xyz="1 0 0"/><axis ', "joint turn", "one"),
+    ('<mass value="1"/>', '<mass value="1"/><mass value="2"/>', "link tip", "one"),
+    ("<collision>", '<collision><origin/><origin xyz="0 0 1"/>', "link tip", "one"),
+    ('<origin xyz="0 0 1"', '<origin xyz="0 0 1" quat_xyzw="0 0 0 1"', "joint turn", "rpy"),
+    ('<origin xyz="0 0 1"', '<origin xyz="0 0 1" rpy="90 0 0"', "joint turn", "rad"),
+    ("<axis ", '<dynamics damping="-1"/><axis ', "joint turn", "below 0"),
 ]
 
 
@@ -141,3 +149,37 @@ def test_what_the_kinematics_cannot_read_is_a_refusal(tmp_path):
 def test_published_models_that_are_not_arms_are_refused(name, words):
     with pytest.raises(ProgramError, match=words):
         adapt(DATA / name, "hulls")
+
+
+def test_two_joints_with_one_name_are_refused_as_such(tmp_path):
+    file = tmp_path / "arm.urdf"
+    joint = ARM[ARM.index("<joint") : ARM.index("</robot>")]
+    file.write_text(ARM.replace("</robot>", f'<link name="more"/>{joint.replace("tip", "more")}</robot>'))
+    with pytest.raises(ProgramError, match="joint turn: 2 of them"):
+        RobotFile(file)
+
+
+@pytest.mark.parametrize("vertices", ["v nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n", "", "solid"])
+def test_a_mesh_without_finite_vertices_is_refused_in_one_line(vertices, tmp_path):
+    (tmp_path / "a.obj").write_text(vertices)
+    file = tmp_path / "arm.urdf"
+    file.write_text(ARM.replace('<box size="1 1 1"/>', '<mesh filename="a.obj"/>'))
+    robot = RobotFile(file)
+    with pytest.raises(ProgramError) as refused:
+        robot.vertices(robot.robot.find("link/collision/geometry/mesh"))
+    assert "\n" not in str(refused.value)
+    assert ".cpp" not in str(refused.value)
+
+
+def test_an_inertia_far_too_great_for_a_link_of_boxes_is_replaced_and_limits_in_degrees_are_noted(tmp_path):
+    file = tmp_path / "arm.urdf"
+    robot = ElementTree.fromstring(small_arms.urdf("six", small_arms.SIX, finger_kg=0.05))
+    robot.find("link[@name='link_3']/inertial/inertia").set("izz", "50")
+    robot.find("joint[@name='joint_2']/limit").attrib.update(lower="-120", upper="120")
+    file.write_text(ElementTree.tostring(robot, encoding="unicode"))
+    adapted = adapt(file, "hulls")
+    inertia = adapted.robot.links["link_3"].find("inertial/inertia")
+    assert float(inertia.get("izz")) < 1.0
+    assert any("link_3" in note for note in adapted.notes)
+    assert any("joint_2" in note and "degrees" in note for note in adapted.notes)
+    assert not any("link_1 " in note or "link_2 " in note for note in adapted.notes)
