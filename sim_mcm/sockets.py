@@ -87,7 +87,7 @@ class Sockets:
             if order is not None:
                 yield caller, order
             else:
-                words = "the estop socket accepts only HaltOrder"
+                words = "this socket accepts only a HaltOrder, with a name as its scope"
                 refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)
                 send(self._estop, m.Declined(request="", refusal=refusal), caller)
 

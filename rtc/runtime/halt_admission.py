@@ -54,10 +54,13 @@ def read_order(parts: Sequence[bytes]) -> m.HaltOrder:
 def sanitize_halt(order: m.HaltOrder) -> m.HaltOrder:
     """The order with a safe name and a valid time.
 
+    A scope in small letters is that of capitals, as in a sentence: no name has small ones.
     Names of the broker's own halts are reserved: used by a caller, they could confirm rest of performers that were
     not stopped. Such a halt gets the prefix `H-`. A `called_at_s` that is negative or not finite becomes 0 (unknown).
     So does `received_at_s`: the receiver sets it.
     """
+    if order.scope != (scope := order.scope.strip().upper()):
+        order = msgspec.structs.replace(order, scope=scope)
     if order.halt.startswith(OWN_NAMES):
         order = msgspec.structs.replace(order, halt=f"H-{order.halt}"[:NAME_CHARACTERS])
     if not 0.0 <= order.called_at_s < math.inf:

@@ -22,6 +22,12 @@ def test_an_invalid_time_is_not_passed_on(at_s: float) -> None:
     assert sanitize_halt(HaltOrder(halt="H-1", called_at_s=at_s)).called_at_s == 0.0
 
 
+@pytest.mark.parametrize("scope", ["right-arm", "Right-Arm", " RIGHT-ARM "])
+def test_a_scope_in_small_letters_is_that_of_capitals(scope: str) -> None:
+    message = {"type": "HaltOrder", "halt": "H-1", "scope": scope}
+    assert read_order([wire.PROTOCOL, wire.encode(message)]).scope == "RIGHT-ARM"
+
+
 def test_an_honest_halt_is_left_alone() -> None:
     order = HaltOrder(halt="H-1", scope="RIGHT-ARM", called_at_s=12.5)
     assert sanitize_halt(order) is order
