@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -18,6 +19,7 @@ from rtc.protocol import wire
 from rtc.protocol.messages import Telemetry, Validity
 from rtc.protocol.outcomes import ClusterError, NoCluster, OutcomeKind
 from rtc.runtime.settings import Settings
+from tests.apps.cli.in_process import call
 
 pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
@@ -28,7 +30,11 @@ NAMES = [*TEMPLATES, "broker", "world", "MCM", "S&P", *WORKERS]
 
 
 def deploy(*arguments, run_dir):
-    command = [sys.executable, "-m", "rtc.apps.cli.entry", *arguments, "--run-dir", str(run_dir)]
+    """A call of `rtc`; what starts and ends no cluster, in this process."""
+    words = [*arguments, "--run-dir", str(run_dir)]
+    if arguments[0] not in ("up", "down"):
+        return call(*words)
+    command = [sys.executable, "-m", "rtc.apps.cli.entry", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
 
 
@@ -81,36 +87,26 @@ def ready_again(run_dir, name, old_pid):
 def run_dir(tmp_path_factory):
     path = tmp_path_factory.mktemp("c", numbered=True)
     yield path
-    deploy("down", run_dir=path)
+    with contextlib.suppress(NoCluster):
+        cluster.down(path)
 
 
-def test_up_work_down_and_again(run_dir):
-    for _ in range(2):
-        started = up(run_dir)
-        assert started.returncode == 0, started.stdout + started.stderr
-        assert [line.split()[0] for line in started.stdout.splitlines()[-1:]] == ["ready"]
-        table = report(run_dir)
-        assert sorted(rows(run_dir)) == sorted(NAMES)
-        for name in ("broker", "world", "MCM"):  # forked too: what they import and build is made once
-            assert b"--template" in Path(f"/proc/{rows(run_dir)[name]['pid']}/cmdline").read_bytes()
-        pids = [table["pid"], *(row["pid"] for row in table["processes"])]
-        ended = deploy("down", run_dir=run_dir)
-        assert (ended.returncode, str(table["pid"]) in ended.stdout) == (0, True)
-        gone(pids)
-        assert list(run_dir.glob("*.sock")) == []
-        assert not (run_dir / "supervisor.json").exists()
-    assert {"world.db", "journal.db", "logs"} <= {path.name for path in (run_dir / "previous").iterdir()}
-
-
-def test_down_without_a_cluster_is_what_was_wanted(run_dir):
+def ends_in_order(run_dir):
+    table = report(run_dir)
     ended = deploy("down", run_dir=run_dir)
-    assert (ended.returncode, ended.stdout.strip()) == (0, f"no cluster is running in {run_dir}")
-    with pytest.raises(NoCluster):
-        cluster.down(run_dir / "nowhere")
+    assert (ended.returncode, str(table["pid"]) in ended.stdout) == (0, True)
+    gone([table["pid"], *(row["pid"] for row in table["processes"])])
+    assert list(run_dir.glob("*.sock")) == []
+    assert not (run_dir / "supervisor.json").exists()
 
 
-def test_a_second_cluster_in_the_directory_is_refused_and_one_elsewhere_is_independent(run_dir, tmp_path):
-    assert up(run_dir).returncode == 0
+def test_up_work_down_and_again_beside_another_one(run_dir, tmp_path):
+    started = up(run_dir)
+    assert started.returncode == 0, started.stdout + started.stderr
+    assert [line.split()[0] for line in started.stdout.splitlines()[-1:]] == ["ready"]
+    assert sorted(rows(run_dir)) == sorted(NAMES)
+    for name in ("broker", "world", "MCM"):  # forked too: what they import and build is made once
+        assert b"--template" in Path(f"/proc/{rows(run_dir)[name]['pid']}/cmdline").read_bytes()
     all_ready(run_dir)
     before = report(run_dir)
     second = up(run_dir)
@@ -124,9 +120,20 @@ def test_a_second_cluster_in_the_directory_is_refused_and_one_elsewhere_is_indep
     assert up(tmp_path, "--dim", "3").returncode == 0
     assert len(rows(tmp_path)) == len(TEMPLATES) + 4 + 8
     assert report(run_dir)["cluster"] != report(tmp_path)["cluster"]
-    deploy("down", run_dir=tmp_path)
+    ends_in_order(tmp_path)
     all_ready(run_dir)
-    assert deploy("down", run_dir=run_dir).returncode == 0
+    ends_in_order(run_dir)
+    assert up(run_dir).returncode == 0  # again in the same directory
+    assert sorted(rows(run_dir)) == sorted(NAMES)
+    assert {"world.db", "journal.db", "logs"} <= {path.name for path in (run_dir / "previous").iterdir()}
+    ends_in_order(run_dir)
+
+
+def test_down_without_a_cluster_is_what_was_wanted(run_dir):
+    ended = deploy("down", run_dir=run_dir)
+    assert (ended.returncode, ended.stdout.strip()) == (0, f"no cluster is running in {run_dir}")
+    with pytest.raises(NoCluster):
+        cluster.down(run_dir / "nowhere")
 
 
 def test_any_process_killed_comes_back_and_nothing_outlives_a_killed_supervisor(run_dir):
@@ -211,8 +218,7 @@ def test_a_new_cluster_in_the_directory_does_nothing_of_what_was_sent_to_the_old
 def cluster_of_its_own(run_dir):
     began = up(run_dir)
     assert began.returncode == 0, began.stderr
-    yield run_dir
-    deploy("down", run_dir=run_dir)
+    return run_dir
 
 
 def kill(run_dir, name):

@@ -1,4 +1,7 @@
-"""An arm that the project does not know, in a real cluster: sentences move it, and a key shows its scene."""
+"""An arm that the project does not know, in a real cluster: sentences move it, and a key shows its scene.
+
+Exact; in physics the same sentences are typed from `docs/own-arm.md`, and run in `test_unknown_arms`.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ LIMIT_S = 60.0
 def test_sentences_move_it_and_a_key_shows_it(first_cell: Callable[[str], Path], tmp_path: Path) -> None:
     file, key, picture = first_cell("PANDA"), tmp_path / "observer.key", tmp_path / "far.png"
     listen = f"tcp://127.0.0.1:{free_ports()}"
-    with own_cluster(cell=str(file), speed="max", listen=listen) as run_dir, Client(run_dir) as rtc:
+    with own_cluster(cell=str(file), mcm="kinematic", speed="max", listen=listen) as run_dir, Client(run_dir) as rtc:
         for sentence in ("GRASP CUBE WITH ARM PANDA", "LIFT CUBE BY 10 CM", "STOW ARM PANDA"):
             outcome = rtc.run(sentence, timeout_s=LIMIT_S).outcome
             assert outcome.kind is OutcomeKind.SUCCEEDED, (sentence, outcome)

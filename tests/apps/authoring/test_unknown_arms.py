@@ -27,7 +27,7 @@ def own(first_cell):
 
 
 def test_sentences_grasp_and_place(own):
-    """The iiwa with the hand and the wrist sensor that it gets. The Panda with its own hand: `test_in_cluster`."""
+    """The iiwa with the hand and the wrist sensor that it gets. The Panda: the page `docs/own-arm.md`."""
     bench = own("IIWA")
     for sentence in ("GRASP CUBE WITH ARM IIWA", "LIFT CUBE BY 10 CM", "PLACE CUBE ON PAD-2"):
         run = bench.do(sentence)
