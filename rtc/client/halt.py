@@ -22,7 +22,7 @@ import zmq
 from rtc.client.connection import BrokerConnection
 from rtc.client.context import ClientContext
 from rtc.client.first_order import RANK, Dealer, FirstOrder, NotConnected
-from rtc.language.fastpath import EVERYTHING, halt_scope
+from rtc.language.fastpath import EVERYTHING, named_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, Refusal, RefusalReason, WireError
 from rtc.protocol.wire import frames, reader
@@ -147,7 +147,7 @@ class HaltLine:
         with self._lock:
             called_at_s = time.monotonic()
             with real_time(self._rank):  # else the caller may wait behind busy processes before it has sent
-                scope = halt_scope(f"HALT {scope}") or scope.upper()
+                scope = named_scope(scope)
                 order = m.HaltOrder(halt=f"H-{uuid.uuid4().hex[:12]}", scope=scope, called_at_s=called_at_s)
                 sent_to = self._send(order, self._sockets)
             if not sent_to:

@@ -12,7 +12,7 @@ import pytest
 import zmq
 
 from rtc.client.first_order import Dealer, FirstOrder, NotConnected, order, scope_of
-from rtc.language.fastpath import halt_scope
+from rtc.language.fastpath import named_scope
 from rtc.protocol import messages as m
 from rtc.protocol.wire import frames, reader
 
@@ -26,12 +26,25 @@ def test_the_order_has_the_bytes_of_the_message(scope: str) -> None:
     assert order(sent.halt, scope, 1234.5) == frames(sent) or scope == "ALL"  # a default, which `frames` leaves out
 
 
-WORDS = ["ALL", "all", "both-arms", "LEFT-ARM", "right_end_eff", "C-7", "c_12", "GANTRY", "crawler_2", "C-", "DOOR-2"]
+WORDS = [
+    "ALL",
+    "all",
+    "both-arms",
+    "LEFT-ARM",
+    "right_end_eff",
+    "C-7",
+    "c_12",
+    "GANTRY",
+    "crawler_2",
+    "C-",
+    "DOOR-2",
+    "S&P",
+]
 
 
 @pytest.mark.parametrize("word", WORDS)
 def test_a_word_names_the_same_scope_as_in_a_sentence(word: str) -> None:
-    assert scope_of(word) == (halt_scope(f"HALT {word}") or word.upper())
+    assert scope_of(word) == named_scope(word)
 
 
 def test_the_order_arrives_at_both_sockets_and_the_answers_return(tmp_path: Path) -> None:

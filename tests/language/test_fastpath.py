@@ -37,15 +37,38 @@ def test_halts(text: str, scope: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        *("", " ", "HALTX", "HALT-", "XHALT", "HALT HALT", "HALT ALL ALL", "HALT.."),
-        *("HALT C-", "HALT C-7X", "HALT C7", "HALT DOOR-2", "HALT C-7 C-8"),
-        *("HALT ARM", "HALT ARM LEFT-ARM", "HALT ARM ALL", "HALT ARM PARK", "HALT ARM C-7"),
-        *("HALT; STOP", "HALT\nHALT", "HALT\x00", '"HALT"', "HALT" + " " * 2000, "ＨＡＬＴ"),
+        *(
+            "",
+            " ",
+            "HALTX",
+            "HALT-",
+            "XHALT",
+            "HALT C-7X",
+            "HALT C7",
+            "HALT DOOR-2",
+            '"HALT"',
+            "ＨＡＬＴ",
+            "HALT ARM C-7",
+        ),
         *("TEST HALT", "GRASP X UNLESS SLIP THEN STOP", "PAUSE", "-- HALT"),
     ],
 )
 def test_no_plain_halts(text: str) -> None:
     assert halt_scope(text) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("HALT NOW", "STOP!", "halt!!", "STOP THE ARM", "HALT RIGHT ARM", "stop right-arm now", "HALT ALL ARMS"),
+        *("HALT RIGHT-ARM AND LEFT-ARM", "HALT HALT", "HALT ALL ALL", "HALT..", "HALT C-", "HALT C-7 C-8", "STOP, IT!"),
+        *("HALT ARM", "HALT ARM LEFT-ARM", "HALT ARM ALL", "HALT ARM PARK"),
+        *("HALT; STOP", "HALT\nHALT", "HALT\x00", "HALT" + " " * 2000, "HALT " + "x" * 100_000),
+    ],
+)
+def test_what_begins_like_a_halt_and_is_no_sentence_halts_everything(text: str) -> None:
+    assert halt_scope(text) == "ALL"
+    assert not isinstance(parse(GRAMMAR, text), ParsedCommand)
 
 
 @pytest.mark.parametrize("text", [None, b"HALT", 7, ["HALT"]])
@@ -65,8 +88,10 @@ def test_a_plain_halt_is_the_same_halt_to_the_parser(words: list[str], between: 
     scope = halt_scope(text)
     parsed = parse(GRAMMAR, text)
     is_halt = isinstance(parsed, ParsedCommand) and parsed.verb == "HALT" and not parsed.test
-    if scope is not None:
-        assert is_halt
+    if scope is not None and not is_halt:
+        assert scope == "ALL"
+        assert not isinstance(parsed, ParsedCommand)
+    elif scope is not None:
         named = parsed.hand or parsed.object  # type: ignore[union-attr]
         assert scope == ("ALL" if named == "BOTH-ARMS" else named)
     elif is_halt:  # the parser knows more halts: of any named thing

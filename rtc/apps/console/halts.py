@@ -18,7 +18,7 @@ import msgspec
 
 from rtc.client.context import ClientContext
 from rtc.client.halt import HaltLine, HaltResult, OnRest, SubsystemHalt
-from rtc.language.fastpath import EVERYTHING, halt_scope
+from rtc.language.fastpath import EVERYTHING, named_scope
 from rtc.protocol.outcomes import ClusterError
 from rtc.runtime.halt_admission import PER_S
 from rtc.runtime.keys import Endpoints
@@ -59,7 +59,7 @@ class Halts:
     async def order(self, scope: str, on_news: OnNews | None = None) -> dict[str, Any]:
         """The result as JSON types; `error` if no process was reached. `took_s`: since the order was sent. `on_news`
         is called with what rests already while others do not: `name`, `rest_s`, `awaited`."""
-        scope = halt_scope(f"HALT {scope}") or scope.upper()
+        scope = named_scope(scope)
         lines = self._everything if scope == EVERYTHING else self._arm if scope in self._arms else self._other
         if scope not in lines.waiting:
             if len(lines.waiting) >= MAX_WAITING:

@@ -114,7 +114,7 @@ def test_halt_of_an_arm_waits_for_no_parser_whichever_way_it_came():
     s = Harness()
     s.executing()
     s.says("A PARSER HANGS WITH THIS")
-    s.parsed("STOP THE RIGHT ONE", kind="control", verb="HALT", hand="RIGHT-ARM")
+    s.parsed("FREEZE THE RIGHT ONE", kind="control", verb="HALT", hand="RIGHT-ARM")
     assert s.phase("C-1") == "halting"
 
 
