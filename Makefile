@@ -11,6 +11,8 @@ BIN := $(VENV)/bin
 # a worker or a cluster needs 0.4 GB.
 JOBS := $(shell n=$$(( $$(nproc) + 1 )); echo $$(( n > 4 ? 4 : n )))
 FAST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+# the files with slow tests: to collect the others too takes longer than many of these tests
+SLOW = $(shell grep -rl --include='test_*.py' 'mark\.slow' tests)
 
 .PHONY: demo console setup test test-ray fast check docs wheel coverage bench campaigns help clean
 .DEFAULT_GOAL := help
@@ -26,7 +28,7 @@ setup: $(VENV)/.ready ## set up only: the Python environment, in .venv
 
 test: $(VENV)/.ready ## set up, then run all tests
 	@echo "== tests that judge no time: several at once"; $(FAST) -m "not slow or untimed"; untimed=$$?; \
-	echo "== tests that judge times: one after the other"; $(BIN)/python -m pytest -m "slow and not untimed" && \
+	echo "== tests that judge times: one after the other"; $(BIN)/python -m pytest -m "slow and not untimed" $(SLOW) && \
 	exit $$untimed
 
 fast: $(VENV)/.ready ## the tests without processes and physics

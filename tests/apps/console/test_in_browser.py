@@ -66,7 +66,7 @@ class Gateway:
 
 @pytest.fixture(scope="module")
 def run_dir() -> Iterator[Path]:
-    with own_cluster() as path:
+    with own_cluster(mcm="kinematic") as path:
         yield path
 
 
