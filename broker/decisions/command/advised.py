@@ -13,7 +13,7 @@ import re
 import msgspec
 
 from broker.decisions.state import Advised, Command, State
-from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
+from rtc.protocol.outcomes import ALREADY, OutcomeKind, Refusal, RefusalReason
 
 KEPT = 64  # sentences
 OF_VALUE = "SET"  # its figures stand in the advice as letters, or as those of before
@@ -43,7 +43,10 @@ def judged(state: State, command: Command, kind: OutcomeKind, refusal: Refusal |
     same = before is not None and before.clears == refusal.clears
     tried = before.tried if before is not None and same else []
     elsewhere = [sentence for sentence, one in state.advised.items() if one.in_vain]
-    words = _without(refusal.clears, tried, elsewhere, command.id, again=same)
+    if ALREADY in refusal.detail and tried:  # what remained was done
+        words = f"nothing is left to do; {tried[-1]} was the last of it"
+    else:
+        words = _without(refusal.clears, tried, elsewhere, command.id, again=same)
     state.advised[text] = Advised(command.id, refusal.clears, words, in_vain, tried)
     if len(state.advised) > KEPT:
         del state.advised[next(iter(state.advised))]

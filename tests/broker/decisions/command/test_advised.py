@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from broker.decisions import events
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import ALREADY, Refusal, RefusalReason
 from tests.broker.harness import Harness, bound, go_on, record, script
 
 
@@ -18,11 +18,15 @@ def given(s: Harness, text: str) -> str:
     return command
 
 
-def refused(s: Harness, text: str, clears: str, reason: RefusalReason = RefusalReason.SUSPECT) -> str:
+def refused(
+    s: Harness, text: str, clears: str, reason: RefusalReason = RefusalReason.SUSPECT, already: str = ""
+) -> str:
     """The advice that a sentence ends with, if a worker gives this one."""
     command = given(s, text)
     job = s.state.commands[command].job
-    why = Refusal(reason=reason, message="the frame of X is suspect", clears=clears)
+    why = Refusal(
+        reason=reason, message="the frame of X is suspect", clears=clears, detail={ALREADY: already} if already else {}
+    )
     s.handle(events.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=why)
     return str(s.outcome(command).refusal.clears)
 
@@ -100,6 +104,13 @@ def test_other_figures_of_a_statement_stay() -> None:
     refused(s, "GRASP X", "SET X FRAME x y z CM")
     refused(s, "SET X FRAME 900 0 0 CM", "a place in the cell")
     assert "SET X FRAME x y z CM" in refused(s, "GRASP X", "SET X FRAME x y z CM")
+
+
+def test_after_the_rest_of_a_task_that_is_done_nothing_is_left() -> None:
+    s, advice = Harness(), "RETRACT RIGHT-ARM, if it is still at X"
+    assert refused(s, "RELEASE X", advice, already="X") == advice
+    done(s, "RETRACT RIGHT-ARM")
+    assert refused(s, "RELEASE X", advice, already="X").startswith("nothing is left to do")
 
 
 def test_where_nothing_is_left_the_trace_is_named() -> None:
