@@ -257,6 +257,7 @@ class KinematicArm:
         self._finger_speeds = [0.0, 0.0]
         self._hand = HandCommand(2 * half, spec.gripper.max_force_n, spec.gripper.speed_m_s)
         self._pressed_n = [0.0, 0.0]
+        self._stretched = False  # whether the spring of the fingers has its force: only its limit changes then
         self._parts = _hand_parts(world.cell, name)
         self._pose: Array | None = None  # of the tcp; computed on demand
         self._hand_busy = True  # its command is not yet complete
@@ -353,6 +354,7 @@ class KinematicArm:
         self._velocities = [0.0] * len(self.joints)
         self._wanted = (self.joints, self._velocities)
         self.command_hand(state.hand)
+        self._stretched = True  # it goes on gripping what it held
         self.forget_clearance()
 
     # --- simulation step --------------------------------------------------------------------------------
@@ -441,13 +443,15 @@ class KinematicArm:
         name, command = self.traits.name, self._hand
         missing = command.width_m - sum(self.fingers)
         carrying = [thing for thing, (arm, _) in self._world.carried.items() if arm == name]
-        if missing > 0.0:
-            for thing in carrying:
-                del self._world.carried[thing]
-        elif carrying:
-            self._press(command.force_n, command.force_n)
-            self._hand_busy = False
+        if carrying and missing <= 0.0:
+            self._grip(command)
+            self._hand_busy = not self._stretched
             return
+        if carrying and (less_n := min(self._pressed_n) - _force_of_a_tick(command)) > 0.0:
+            self._press(less_n, less_n)
+            return
+        for thing in carrying:
+            del self._world.carried[thing]
         met: list[set[str]] = [set(), set()]
         before = list(self.fingers)
         share = max(-0.5 * command.speed_m_s * TICK_S, min(0.5 * command.speed_m_s * TICK_S, 0.5 * missing))
@@ -460,11 +464,19 @@ class KinematicArm:
         self._hand_busy = abs(missing) > 1e-9
         between = met[0] & met[1]
         if between:
-            self._press(command.force_n, command.force_n)
+            self._grip(command)
             self._attach(min(between))
         else:
+            self._stretched = False
             aside = 0.5 * FINGER_N_M * (self.fingers[0] - self.fingers[1])
             self._press(aside if met[0] else 0.0, -aside if met[1] else 0.0)
+
+    def _grip(self, command: HandCommand) -> None:
+        """With what is between the fingers. As long as with physics, the force grows to that of the command."""
+        grown_n = min(self._pressed_n) + _force_of_a_tick(command)
+        force_n = command.force_n if self._stretched else min(command.force_n, grown_n)
+        self._stretched = force_n == command.force_n
+        self._press(force_n, force_n)
 
     def _press(self, a_n: float, b_n: float) -> None:
         self._pressed_n = [max(0.0, a_n), max(0.0, b_n)]
@@ -507,6 +519,11 @@ class KinematicArm:
             torque += np.cross(touch.point - pose[:3], touch.force)
         turn = geometry.to_matrix(pose)[:3, :3].T
         return [*(turn @ force).tolist(), *(turn @ torque).tolist()]
+
+
+def _force_of_a_tick(command: HandCommand) -> float:
+    """By how much the force of the fingers changes in a tick: their setpoint moves, and stretches their spring."""
+    return 0.5 * FINGER_N_M * command.speed_m_s * TICK_S
 
 
 def _turned_rad(before: Sequence[float], after: Sequence[float]) -> float:

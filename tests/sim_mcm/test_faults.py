@@ -184,9 +184,9 @@ def test_a_failed_hand_drops_what_it_holds_and_closes_again_when_it_is_undone(ex
             assert exact.faults.inject(f.FailedHand(arm=ARM)) == ""
 
     assert exact.do(p.HoldStill(duration_s=1.0), held, watch=watch).reason is StopReason.SLIP
-    assert exact.world.held()[ARM] == []
     close = p.HandMotion(width_m=0.0, force_n=30.0)
     assert exact.do(close, limit_s=0.5).reason is StopReason.TIMEOUT  # it does not obey
+    assert exact.world.held()[ARM] == []
     exact.faults.undo("ALL")
     assert exact.do(close).reason is StopReason.GOAL
     assert exact.world.held()[ARM] == [MODULE]

@@ -62,7 +62,7 @@ def test_fingers_close_on_the_handle_press_and_carry_it(hand_at_handle, make) ->
     report = bench.perform(make.primitive(p.HandMotion(width_m=0.0, force_n=30.0)))
     assert report.reason is StopReason.GOAL
     assert report.hand_width_m == pytest.approx(0.020, abs=0.0002)
-    assert report.hand_force_n == pytest.approx(30.0)
+    assert report.hand_force_n == pytest.approx(30.0, rel=0.06)  # a grip is complete at 95 %
     assert world.held() == {ARM: ["MACS-NEW"], "LEFT-ARM": []}
 
     before = world.truth()["poses"]["MACS-NEW"]
@@ -74,6 +74,19 @@ def test_fingers_close_on_the_handle_press_and_carry_it(hand_at_handle, make) ->
     bench.perform(make.primitive(p.HandMotion(width_m=0.08, force_n=30.0), id="C-7.3"))
     assert world.held()[ARM] == []
     assert world.truth()["poses"]["MACS-NEW"] == after
+
+
+def test_a_hand_needs_as_long_for_its_force_as_with_physics(hand_at_handle, make) -> None:
+    """6.7 ms a newton, to build it up and to take it away (docs/physics.md); each GRASP took less than foretold."""
+    lasted: dict[float, list[float]] = {}
+    for force_n in (10.0, 40.0):
+        bench, *_ = hand_at_handle()
+        motions = [p.HandMotion(width_m=width_m, force_n=force_n, speed_m_s=0.05) for width_m in (0.0, 0.08)]
+        reports = [bench.perform(make.primitive(one, id=f"C-7.{n}")) for n, one in enumerate(motions)]
+        assert [one.reason for one in reports] == [StopReason.GOAL, StopReason.GOAL]
+        lasted[force_n] = [one.duration_s for one in reports]
+    for weak_s, firm_s in zip(lasted[10.0], lasted[40.0], strict=True):
+        assert firm_s - weak_s == pytest.approx(30.0 * 0.0067, abs=0.02)
 
 
 def test_an_empty_hand_closes_all_the_way(cell, make) -> None:
