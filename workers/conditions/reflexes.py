@@ -51,6 +51,7 @@ from workers.planning import axes, suggestions
 
 JOINT = "JOINT-"  # and its number from the base, from 1: a direction of TURN
 #: conditions about what is between the fingers
+SHARE = 0.8  # of the limit, that an advised condition has
 TURNED_DEG = 0.05  # a smaller turn of a back-off is not stated
 HELD = frozenset({"SLIP", "OBJECT-LOST"})
 Overload = ForceAbove | TorqueAbove
@@ -318,7 +319,7 @@ def _refuse_out_of_reach(until: Condition, when: Predicate, state: StepState) ->
             RefusalReason.INFEASIBLE,
             f"UNTIL {until.sentence}: this motion is stopped at {in_words(most, unit)}",
             where="UNTIL",
-            clears=f"UNTIL {until.words} a value below {in_words(most, unit)}",
+            clears=f"a value below {in_words(most, unit)}: UNTIL {until.words} {in_words(SHARE * most, unit).upper()}",
             detail={"cause": "limit", "value": asked, "limit": most},
         )
 

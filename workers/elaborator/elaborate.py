@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import msgspec
 
+from rtc.language.hands import hand_in_words
 from rtc.programs import attributes, expressions
 from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
@@ -100,20 +101,30 @@ def run(
         exact_arms.refuse(script, data.rigid)
         return installed_phases.applied(compiled.program.phases, data, script)
     except Refused as refused:
-        return _advised(compiled, query, refused.refusal) if advise else refused.refusal
+        return _advised(compiled, query, data.parsed, refused.refusal) if advise else refused.refusal
 
 
-def _advised(compiled: Compiled, query: WorldQuery, refusal: Refusal) -> Refusal:
-    """The refusal, without the sentences of its advice that would be refused as well."""
+def _advised(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal) -> Refusal:
+    """The refusal, without the sentences of its advice, and the other arms, that would be refused as well."""
 
-    def feasible(parsed: ParsedCommand) -> bool:
+    def refused(parsed: ParsedCommand) -> RefusalReason | None:
         try:
             _elaborated(compiled, query, parsed, {}, advise=False)
-        except Refused as refused:
-            return refused.refusal.reason is not RefusalReason.INFEASIBLE
-        return True
+        except Refused as why:
+            return why.refusal.reason
+        return None
 
-    return tested_advice.without_infeasible(refusal, feasible)
+    def feasible(parsed: ParsedCommand) -> bool:
+        return refused(parsed) is not RefusalReason.INFEASIBLE
+
+    def other_arms() -> list[str]:
+        """If the sentence names no arm, all were candidates; if it is about the hand itself, another one is no help."""
+        arms = [arm.name for arm in query.cell.arms]
+        others = arms if asked.hand in arms and (asked.object or asked.place) else []
+        changed = {arm: msgspec.structs.replace(asked, hand=arm) for arm in others if arm != asked.hand}
+        return [hand_in_words(arm) for arm, parsed in changed.items() if refused(parsed) is None]
+
+    return tested_advice.without_infeasible(refusal, feasible, other_arms)
 
 
 def _elaborated(

@@ -46,7 +46,7 @@ def refuse_turn_of_hand(script: ScriptFile, candidate: TaskCandidate) -> None:
         RefusalReason.NO_SCRIPT,
         f"{turn.words}: TURN is the turn of the hand, which keeps its attitude on this path",
         where="TURN",
-        clears=f"{parsed.verb} {candidate.body} BY the angle at which it should stop; or leave out {turn.words}",
+        clears=f"{parsed.verb} {candidate.body} BY 30 DEG, or the angle at which it should stop, without {turn.words}",
     )
 
 
@@ -81,7 +81,7 @@ def _turn(step: ScriptStep, candidate: TaskCandidate, thing: str) -> tuple[float
 
 
 def _there(candidate: TaskCandidate, thing: str, angle: float) -> Refused:
-    at = f"{round(math.degrees(angle), 2) + 0.0:g} deg"
+    at = f"{round(math.degrees(angle), 2) + 0.0:g} DEG"
     clears = candidate.program.needs.get("hinge_there", "").replace("{at}", at).replace("{held}", thing)
     message = f"{thing} is at {at}: nothing to turn"
     return Refused.because(RefusalReason.STATE, message, clears=clears)

@@ -2,7 +2,7 @@
 
 An advice has steps, and a step has alternatives. Tested is what can be given now: the first sentence of a step, while
 no step before it has one. Left out is what has no way: what is out of reach, say. A sentence that is refused for a
-state or a doubt stays, because its own refusal leads on.
+state or a doubt stays, because its own refusal leads on. Another arm is named, or left out if none can do it.
 """
 
 from __future__ import annotations
@@ -22,26 +22,33 @@ STEP, OR = "; ", ", or "
 SENTENCE = re.compile(r"[A-Z][A-Z0-9-]+(?: (?:[A-Z][A-Z0-9-]*|-?\d[\d.]*))+")
 ANOTHER_PLACE = re.compile(r"([A-Z-]+ .+ TO) another place first \(([A-Z0-9, -]+)\)")
 
+ANOTHER_ARM = "another arm"
+
 Feasible = Callable[[ParsedCommand], bool]
+OtherArms = Callable[[], list[str]]  # that can do what is asked, in words
 
 
-def without_infeasible(refusal: Refusal, feasible: Feasible) -> Refusal:
+def without_infeasible(refusal: Refusal, feasible: Feasible, other_arms: OtherArms = list) -> Refusal:
     """The refusal with the alternatives of its advice that are feasible now. One for which the command waits is
     unchanged, and one of which only a strategy would remain that gives something up (VIA)."""
     if refusal.reason not in ABOUT or IN_THE_WAY in refusal.detail:
         return refusal
-    test = _Test(feasible)
+    test = _Test(feasible, other_arms)
     kept = [kept for step in refusal.clears.split(STEP) if (kept := test.step(step))]
-    sentences = SENTENCE.findall(STEP.join(kept))
-    if not kept or (sentences and all(" VIA " in one for one in sentences)):
+    plain, left = (_without_strategy(words) for words in (refusal.clears, STEP.join(kept)))
+    if not kept or (plain and not left and SENTENCE.search(STEP.join(kept))):
         return refusal
     kept[0] = kept[0].removeprefix("or ")
     return msgspec.structs.replace(refusal, clears=STEP.join(kept))
 
 
+def _without_strategy(words: str) -> list[str]:
+    return [one for one in SENTENCE.findall(words) if " VIA " not in one]
+
+
 class _Test:
-    def __init__(self, feasible: Feasible) -> None:
-        self._feasible = feasible
+    def __init__(self, feasible: Feasible, other_arms: OtherArms) -> None:
+        self._feasible, self._other_arms = feasible, other_arms
         self._known: dict[str, bool] = {}
         self._later = False  # a step before has a sentence, and changes what is feasible
 
@@ -62,6 +69,9 @@ class _Test:
             places = [f"{elsewhere[1]} {name}" for name in elsewhere[2].split(", ")]
             place = next((one for one in places if self._is_feasible(one)), "")
             return words.replace(elsewhere[0], f"{place} first") if place else ""
+        if ANOTHER_ARM in words:
+            arms = " or ".join(self._other_arms())
+            return words.replace(ANOTHER_ARM, f"{arms} instead") if arms else ""
         sentence = SENTENCE.search(words)
         return words if sentence is None or self._is_feasible(sentence[0]) else ""
 

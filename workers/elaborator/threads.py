@@ -10,6 +10,7 @@ from workers.elaborator import two_hands
 from workers.elaborator.task_candidate import TaskCandidate
 
 LEAST_TURNS = 0.02  # a smaller turn is none
+SHARE = 0.8  # of the greatest torque, that advised sentences use
 
 
 def refuse_beyond_thread(script: ScriptFile, candidate: TaskCandidate) -> None:
@@ -42,7 +43,7 @@ def refuse_too_much_torque(script: ScriptFile, candidate: TaskCandidate) -> None
         RefusalReason.INFEASIBLE,
         f"UNTIL {until.sentence}: {candidate.arm.name} turns {thing.name} with {limit_nm:g} N.m at most",
         where="UNTIL",
-        clears=f"UNTIL TORQUE EXCEEDS less than {limit_nm:g} NM",
+        clears=f"a value below {limit_nm:g} NM: UNTIL TORQUE EXCEEDS {SHARE * limit_nm:.2g} NM",
         detail={"cause": "torque", "value_nm": until.quantity.value, "limit_nm": limit_nm},
     )
 

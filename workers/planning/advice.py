@@ -68,6 +68,7 @@ def advise_on_collision(
         "places": ", ".join(places),
         "or_arm": "" if held or not _another_may(query, arm, goal) else ", or another arm",
         "turn": turn_in_words(query, body),
+        "angle": f"{math.degrees(query.angle(body)) if query.hinge(body) else 0.0:.0f}",
         "room": f"{_room_mm(refusal)} MM",
     }
     words = clears.get(row, "") if places else clears.get(row, "").replace(" ({places})", "")

@@ -453,7 +453,7 @@ class ArmModel:
                 f"{self.shown(joint, value)}; its {side} limit is {self.shown(joint, limit)}{kept}"
             ),
             clears=f"{self.joints[joint]} between {lowest} and {highest}: "
-            "other joint values, or another attitude, arm or grasp point",
+            "other joint values, or another attitude or grasp point, or another arm",
             detail={
                 "cause": "joint_limit",
                 "arm": self.name,
@@ -488,7 +488,7 @@ class ArmModel:
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=f"{self.name} cannot reach: {message}",
-            clears="another arm, or a nearer place" if missing else "another attitude, arm or place",
+            clears="another arm, or a nearer place" if missing else "another attitude or place, or another arm",
             detail={"cause": "reach", "arm": self.name, "which": words, "distance_m": missing, **detail},
         )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.protocol.messages import Validity
+from rtc.protocol.messages import Script, Validity
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.sentence import ParsedCommand
 from tests.workers.conftest import Bench
@@ -73,3 +73,34 @@ def _trusted(bench: Bench) -> Refusal:
     refused = trust.distrusted(WorldQuery(bench.model, bench.world), "MACS-NEW.frame", clears)
     assert refused is not None
     return refused
+
+
+@pytest.mark.parametrize(
+    ("sentence", "arm"),
+    [
+        ("APPROACH MACS-OLD WITH RIGHT-ARM", "LEFT-ARM"),
+        ("GRASP MACS-NEW WITH LEFT-ARM", "RIGHT-ARM"),
+        ("MOVE RIGHT-ARM TO RACK-2-FRONT", "LEFT-ARM"),
+        ("MOVE RIGHT-ARM TO POSITION 900 0 0 CM", ""),
+        ("OPEN RIGHT-ARM BY 900 MM", ""),
+    ],
+)
+def test_another_arm_is_named_where_it_can_do_it_and_else_not_advised(bench: Bench, sentence: str, arm: str) -> None:
+    """ "another arm" was advised at what no arm reaches, and at sentences that name none."""
+    refusal = bench.do(sentence).refusal
+    assert refusal is not None
+    assert "another arm" not in refusal.clears
+    assert ("instead" in refusal.clears) is bool(arm)
+    if arm:
+        assert f"{arm} instead" in refusal.clears
+        other = sentence.replace("RIGHT" if arm == "LEFT-ARM" else "LEFT", arm.partition("-")[0])
+        assert isinstance(bench.elaborate(other), Script)
+
+
+def test_another_arm_is_not_advised_for_what_it_does_not_hold(bench: Bench) -> None:
+    for sentence in ("GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM", "LIFT MACS-NEW BY 20 CM WITH RIGHT-ARM"):
+        assert bench.do(sentence).succeeded
+    refusal = bench.do("PLACE MACS-NEW ON RACK-2 WITH RIGHT-ARM").refusal
+    assert refusal is not None
+    assert "another arm" not in refusal.clears
+    assert "instead" not in refusal.clears

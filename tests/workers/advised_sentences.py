@@ -1,0 +1,43 @@
+"""The sentences and clauses in an advice that the grammar does not accept: a person types what is advised."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+
+from rtc.language.dictionary import verbs
+from rtc.language.parse import default_grammar, parse
+from rtc.protocol.sentence import ParsedCommand
+
+WORD = r"(?:[A-Z][A-Z0-9]*(?:-[A-Z0-9]+)*|-?\d+(?:\.\d+)?)"
+PHRASE = re.compile(rf"(?<![\w-]){WORD}(?: {WORD})+(?![\w-])")
+PLACEHOLDERS = {"x y z": "1 2 3", "roll pitch yaw": "0 0 0"}
+FORM = re.compile(r" (?:an? (?:distance|amount|time|angle|condition)|without|with)\b")  # of a sentence, not a sentence
+ANOTHER_PLACE = re.compile(r"another place first \(([A-Z0-9-]+)[^)]*\)")
+#: clause -> a sentence that may have it
+CARRIERS = {
+    "UNTIL": "LOOSEN BOLT-1",
+    "UNLESS": "MOVE RIGHT-ARM BY 5 CM ALONG UP",
+    "MAINTAIN": "MOVE RIGHT-ARM BY 5 CM ALONG UP",
+    "VIA": "LOCATE MACS-NEW",
+    "ASSUMING": "TEST STOW RIGHT-ARM",
+}
+
+
+def unparsed(advice: str) -> list[str]:
+    """The phrases in capitals that begin as a sentence or a clause, and are none."""
+    for words, figures in PLACEHOLDERS.items():
+        advice = advice.replace(words, figures)
+    advice = ANOTHER_PLACE.sub(r"\1 first", advice)
+    phrases = [found for found in PHRASE.finditer(advice) if not FORM.match(advice, found.end())]
+    return [found[0] for found in phrases if not _is_sentence(found[0])]
+
+
+@cache
+def _is_sentence(phrase: str) -> bool:
+    first = phrase.split()[0]
+    if first in CARRIERS:
+        phrase = f"{CARRIERS[first]} {phrase}"
+    elif first not in verbs():
+        return True
+    return isinstance(parse(default_grammar(), phrase), ParsedCommand)

@@ -1,0 +1,69 @@
+"""What is advised in capitals can be typed. Advice of drawn sentences is checked where `Bench` gets it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import pytest
+
+from rtc.programs import loader
+from tests.workers.advised_sentences import unparsed
+
+FILLED = {
+    **dict.fromkeys(("arm", "other", "hand", "holder"), "RIGHT-ARM"),
+    **dict.fromkeys(("object", "held", "location", "carrier"), "MACS-NEW"),
+    **dict.fromkeys(("target", "seat", "free"), "RACK-1"),
+    **dict.fromkeys(("body", "before"), "DOOR-2"),
+    **{
+        "bolt": "BOLT-1",
+        "place": "CLEAR-POINT-1",
+        "places": "CLEAR-POINT-1",
+        "camera": "RAIL-CAMERA",
+        "point": "HANDLE-A",
+    },
+    **{"angle": "30", "back": "5", "position": "1 2 3", "attitude": "0 0 0", "room": "3 MM", "at": "30 DEG"},
+    **{"away": "5 CM ALONG X", "turn": "CLOSE DOOR-2", "lift": "LIFT MACS-NEW BY 5 CM", "leave": "RETRACT RIGHT-ARM"},
+    **{"let_go": "RELEASE MACS-NEW", "sentence": "STOW RIGHT-ARM", "cameras": "RAIL-CAMERA", "attribute": "MASS"},
+    **{"example": "2 KG", "or_arm": "", "or_mass": "", "closer": "", "target_cure": "LOCATE RACK-1", "grip": "20"},
+}
+ADVICE = ("clears", "again", "pressing", "needs", "instead", "not_settable")
+
+
+def rows(document: Any, section: str = "") -> Iterator[tuple[str, str]]:
+    """The templates of the advice of a program, with their place."""
+    if isinstance(document, str):
+        yield section, document
+    for key, value in document.items() if isinstance(document, dict) else ():
+        if section or key in ADVICE or isinstance(value, dict | list):
+            yield from rows(value, f"{section}.{key}" if section else key if key in ADVICE else "")
+    for value in document if isinstance(document, list) else ():
+        yield from rows(value, section)
+
+
+@pytest.mark.parametrize("kind", ["elaborator", "binder", "analyzer"])
+def test_each_row_of_advice_is_made_of_sentences(kind: str) -> None:
+    found = list(rows(msgspec.json.decode(loader.default(kind))))
+    assert len(found) > 10
+    wrong = {}
+    for place, words in found:
+        arm = {"before": "RIGHT-ARM"} if "arm_before" in place else {}
+        for name, text in (FILLED | arm).items():
+            words = words.replace("{" + name + "}", text)
+        if bad := unparsed(words):
+            wrong[place] = bad
+    assert not wrong
+
+
+@pytest.mark.parametrize(
+    ("advice", "wrong"),
+    [
+        ("UNTIL TORQUE EXCEEDS less than 5 NM", ["UNTIL TORQUE EXCEEDS"]),
+        ("OPEN DOOR-2 BY the angle at which it should stop", ["OPEN DOOR-2 BY"]),
+        ("a value below 5 NM: UNTIL TORQUE EXCEEDS 4 NM", []),
+        ("LOCATE X, or SET X FRAME x y z CM roll pitch yaw DEG; then do it again", []),
+    ],
+)
+def test_what_is_no_sentence_is_found(advice: str, wrong: list[str]) -> None:
+    assert unparsed(advice) == wrong
