@@ -37,7 +37,6 @@ class BoardRow:
     phase: str = "waiting"
     step: str = ""  # as displayed
     of: str = ""  # as in the last note
-    node: str = ""
     started_s: float = field(default_factory=time.monotonic)
 
 
@@ -109,14 +108,13 @@ class Board:
             self.on_long(note)
         changed = (note.phase.value, note.step) != (row.phase, row.of)
         row.of = note.step
-        row.phase, row.node = note.phase.value, note.node or row.node
+        row.phase = note.phase.value
         row.step = what = note.note if note.phase in WAITS else note.step
         if note.expected_s:
             row.step += f" (about {duration(note.expected_s)})"
         if changed and note.phase not in PASSING:
-            done = f"  ({note.node}, {seconds(note.took_s)})" if note.node else ""
             about = f"  about {duration(note.expected_s)}" if note.expected_s else ""
-            self._line(f"{note.command}  {note.phase.value:<11} {what or note.note}{about}{done}".rstrip())
+            self._line(f"{note.command}  {note.phase.value:<11} {what or note.note}{about}".rstrip())
 
     def _report(self, note: m.ProgressNote) -> None:
         """A report of EVERY or WHEN: a line on the screen, or kept for the JSON result."""
@@ -148,12 +146,10 @@ class Board:
     def _table(self) -> Table | Text:
         if not self._row_of:
             return Text()
-        out = table("", "phase", "step", "last done by", "time>", "sentence")
+        out = table("", "phase", "step", "time>", "sentence")
         for row in self._row_of.values():
             age = seconds(time.monotonic() - row.started_s)
-            out.add_row(
-                row.command, row.phase, Text(row.step), row.node, age, Text(quoted(row.text), overflow="ellipsis")
-            )
+            out.add_row(row.command, row.phase, Text(row.step), age, Text(quoted(row.text), overflow="ellipsis"))
         return out
 
 

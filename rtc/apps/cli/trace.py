@@ -285,7 +285,8 @@ def link(note: m.ProgressNote) -> str:
         return f"started by {note.node}"
     done = DID.get(note.node.partition("@")[0], "reported")
     words = "; ".join(f"{stage}: {result}" for stage, result in stages(note) if result) or note.note
-    return f"{done} by {note.node} in {seconds(note.took_s)}" + (f": {words}" if words else "")
+    by = "" if "@" in note.node else f" by {note.node}"  # which worker it was, rtc trace shows
+    return f"{done}{by} in {seconds(note.took_s)}" + (f": {words}" if words else "")
 
 
 def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:

@@ -37,7 +37,7 @@ def test_a_change_is_a_line_and_no_change_is_none() -> None:
     lines = text.getvalue().splitlines()
     assert [line.split(" s  ")[-1] for line in lines] == [
         "C-7  accepted  STOW LEFT-ARM",
-        "C-7  executing   1 of 2: go  (binder@2, 0.00 ms)",
+        "C-7  executing   1 of 2: go",
         "C-7 SUCCEEDED  STOW LEFT-ARM  (2 steps, 2.00 s)",
     ]
 

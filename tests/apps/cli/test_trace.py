@@ -50,13 +50,13 @@ def failed_in_step_2() -> m.CommandRecord:
 def test_a_failure_has_every_link_of_its_last_step_and_one_line_for_the_others() -> None:
     assert chain(failed_in_step_2()) == [
         "C-7 was given by the aip: GRASP MACS-OLD",
-        "parsed by parser@0 in 1.00 ms",
-        "planned by elaborator@1 in 2.00 ms: grasp-centering of 2 candidates",
+        "parsed in 1.00 ms",
+        "planned in 2.00 ms: grasp-centering of 2 candidates",
         "script line 1 of 2: go before HANDLE-A: MCM ended: goal after 2.50 s",
         "script line 2 of 2: feel one side",
-        "    bound by binder@2 in 10 ms: 0.8 s predicted",
+        "    bound in 10 ms: 0.8 s predicted",
         "    reported by MCM in 1.00 s: monitor: ended: force_limit",
-        "    judged by analyzer@3 in 1.00 ms: evaluator: failed: a finger landed on the handle",
+        "    judged in 1.00 ms: evaluator: failed: a finger landed on the handle",
     ]
 
 
