@@ -41,7 +41,7 @@ NEIGHBORS = re.compile(r"\bAVOID-NEIGHBORS(?: BY \S+ \S+)?")
 CLAUSES = re.compile(r" MAINTAIN | (?=UNLESS|UNTIL|VIA|GUARDED|AFTER|TOGETHER-WITH|NOW)|$")
 STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE|STATE)")
 STEPS = re.compile(r"; |, then ")
-NUMBERED = re.compile(r"^as for C-\d+: |; rtc trace C-\d+ .*$|C-\d+")  # says who got the same advice before
+NUMBERED = re.compile(r"^as for C-\d+: |; rtc why C-\d+ .*$|C-\d+")  # says who got the same advice before
 ALTERNATIVES = re.compile(r", or | or (?=[A-Z]{3})")
 
 Truth = Callable[[], dict[str, Any]]  # poses of objects (`poses`) and of seats (`seats`), world frame

@@ -51,7 +51,7 @@ def judged(state: State, command: Command, kind: OutcomeKind, refusal: Refusal |
     if len(state.advised) > KEPT:
         del state.advised[next(iter(state.advised))]
     if before is not None and words == before.words:
-        words = f"as for {before.command}: {words}; rtc trace {command.id} shows what each step has found"
+        words = f"as for {before.command}: {words}; rtc why {command.id} shows what was found"
     return msgspec.structs.replace(refusal, clears=words)
 
 
@@ -78,7 +78,7 @@ def _only_again(advice: str) -> bool:
 
 def _without(clears: str, tried: list[str], elsewhere: list[str], command: str, *, again: bool) -> str:
     """The advice without what was tried after it, and without a first step that was tried `elsewhere`; if nothing else
-    is left, what the trace tells. `again`: the sentence was advised the same before."""
+    is left, where its causes are. `again`: the sentence was advised the same before."""
     parts = PART.split(clears)
     vain: list[str] = []
     kept: list[str] = []
@@ -93,4 +93,4 @@ def _without(clears: str, tried: list[str], elsewhere: list[str], command: str, 
     if not vain and not (again and _only_again(clears)):
         return clears
     sentences = " and ".join(dict.fromkeys(vain)) or "the same sentence again"
-    return "".join(kept) or f"{sentences} has not cleared it: rtc trace {command} shows what each step has found"
+    return "".join(kept) or f"{sentences} has not cleared it: rtc why {command} shows what was found"

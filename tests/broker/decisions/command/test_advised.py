@@ -71,7 +71,7 @@ def test_advice_that_was_not_followed_names_who_got_it_and_what_tells_more() -> 
     assert words[0] == "LOCATE X"
     for n, one in enumerate(words[1:], 1):
         assert one.startswith(f"as for C-{n}: LOCATE X; ")
-        assert f"rtc trace C-{n + 1}" in one
+        assert f"rtc why C-{n + 1}" in one
 
 
 def test_two_sentences_do_not_advise_each_other() -> None:
@@ -85,7 +85,7 @@ def test_what_was_only_not_possible_at_that_time_stays(reason: RefusalReason) ->
     s = Harness()
     refused(s, "GRASP X", "LOCATE X")
     refused(s, "LOCATE X", "wait for C-7", reason)
-    assert "LOCATE X; rtc trace" in refused(s, "GRASP X", "LOCATE X")
+    assert "LOCATE X; rtc why" in refused(s, "GRASP X", "LOCATE X")
 
 
 def test_what_helps_after_its_own_advice_was_followed_stays() -> None:
@@ -118,13 +118,13 @@ def test_where_nothing_is_left_the_trace_is_named() -> None:
     refused(s, "GRASP X", "LOCATE X; do it again")
     done(s, "LOCATE X")
     words = refused(s, "GRASP X", "LOCATE X; do it again")
-    assert words.startswith("LOCATE X has not cleared it: rtc trace C-3")
+    assert words.startswith("LOCATE X has not cleared it: rtc why C-3")
 
 
 def test_the_same_again_is_advised_once() -> None:
     s = Harness()
     assert refused(s, "LOCATE X", "do it again") == "do it again"
-    assert "rtc trace" in refused(s, "LOCATE X", "do it again")
+    assert "rtc why" in refused(s, "LOCATE X", "do it again")
 
 
 def test_another_sentence_in_between_may_have_changed_the_world() -> None:
