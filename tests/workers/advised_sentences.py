@@ -9,8 +9,9 @@ from rtc.language.dictionary import verbs
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.sentence import ParsedCommand
 
-WORD = r"(?:[A-Z][A-Z0-9]*(?:-[A-Z0-9]+)*|-?\d+(?:\.\d+)?)"
+WORD = r"(?:[A-Z][A-Z0-9]*(?:[-/.][A-Z0-9]+)*|-?\d+(?:\.\d+)?)"
 PHRASE = re.compile(rf"(?<![\w-]){WORD}(?: {WORD})+(?![\w-])")
+BOUNDS = ("EXCEEDS", "BELOW", "ALONG")  # after TURN: the measure, not the verb
 PLACEHOLDERS = {"x y z": "1 2 3", "roll pitch yaw": "0 0 0"}
 FORM = re.compile(r" (?:an? (?:distance|amount|time|angle|condition)|without|with)\b")  # of a sentence, not a sentence
 ANOTHER_PLACE = re.compile(r"another place first \(([A-Z0-9-]+)[^)]*\)")
@@ -38,6 +39,6 @@ def _is_sentence(phrase: str) -> bool:
     first = phrase.split()[0]
     if first in CARRIERS:
         phrase = f"{CARRIERS[first]} {phrase}"
-    elif first not in verbs():
+    elif first not in verbs() or phrase.split()[1] in BOUNDS:
         return True
     return isinstance(parse(default_grammar(), phrase), ParsedCommand)

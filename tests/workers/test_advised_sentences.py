@@ -1,4 +1,4 @@
-"""What is advised in capitals can be typed. Advice of drawn sentences is checked where `Bench` gets it."""
+"""What is advised in capitals can be typed."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ from typing import Any
 import msgspec
 import pytest
 
+from rtc.model.cells.cell import Cell
 from rtc.programs import loader
+from rtc.protocol.outcomes import Refusal
 from tests.workers.advised_sentences import unparsed
+from tests.workers.conftest import Bench, Reporter
+from workers.planning.robot_models import CellModel
 
 FILLED = {
     **dict.fromkeys(("arm", "other", "hand", "holder"), "RIGHT-ARM"),
@@ -54,6 +58,29 @@ def test_each_row_of_advice_is_made_of_sentences(kind: str) -> None:
         if bad := unparsed(words):
             wrong[place] = bad
     assert not wrong
+
+
+REFUSED = (
+    *("LIFT MACS-OLD BY 10 CM WITH RIGHT-ARM", "GRASP MACS-NEW WITH RIGHT-ARM", "APPROACH MACS-NEW WITH LEFT-ARM"),
+    *("PLACE MACS-NEW ON RACK-2 WITH RIGHT-ARM", "INSERT MACS-NEW INTO BAY-2", "EXTRACT MACS-NEW FROM BAY-2"),
+    *("MOVE RIGHT-ARM BY 90 CM ALONG X", "MOVE RIGHT-ARM TO RACK-2-FRONT", "STOW RIGHT-ARM", "OPEN RIGHT-ARM"),
+    *("CLOSE RIGHT-ARM BY 900 MM", "VERIFY MACS-NEW AT LEFT-ARM", "RELEASE MACS-NEW", "VERIFY BOLT-1 AT LOOSE"),
+    *("LOOSEN BOLT-1", "LOOSEN BOLT-2 BY 99 TURNS", "OPEN DOOR-2 BY 400 DEG", "CLOSE DOOR-2", "OPEN DOOR-2 TO 0 DEG"),
+    *("LOCATE BOLT-1", "TRACK BOLT-1 FOR 1 SEC", "PLACE POWER-DRIVER ON RACK-2 WITH RIGHT-ARM"),
+    "MOVE RIGHT-ARM BY 5 CM ALONG X UNLESS TURN EXCEEDS 200 DEG THEN STOP",
+)
+
+
+@pytest.mark.parametrize("held", ["", "GRASP POWER-DRIVER WITH RIGHT-ARM", "GRASP DOOR-2 LATCH-PULL WITH LEFT-ARM"])
+def test_what_refused_sentences_are_advised_can_be_typed(held: str) -> None:
+    """UNTIL TORQUE EXCEEDS less than 5 NM was advised, and MOVE BOTH-ARMS BY a distance."""
+    model = CellModel(Cell.load("servicing"))
+    bench = Bench(Reporter(model.cell), model)
+    assert not held or bench.do(held).succeeded
+    made = {sentence: bench.elaborate(sentence) for sentence in REFUSED}
+    advice = {sentence: one.clears for sentence, one in made.items() if isinstance(one, Refusal)}
+    assert len(advice) > len(REFUSED) // 2
+    assert not {sentence: unparsed(words) for sentence, words in advice.items() if unparsed(words)}
 
 
 @pytest.mark.parametrize(

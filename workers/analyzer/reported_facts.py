@@ -85,7 +85,7 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
     if any(seat.name == thing for seat in query.cell.seats):
         return _moved_with(thing, frame, query)
     if off := impossible.off_hinge(thing, frame, query):
-        raise _refused(off, f"{thing}.frame", f"SET {thing} ANGLE and an angle in DEG; or its hinge in the cell file")
+        raise _refused(off, f"{thing}.frame", f"SET {thing} ANGLE 0 DEG, or its angle; or its hinge in the cell file")
     if query.held_by(thing):
         return _in_hand(thing, frame, query, values)
     seat = seat_at(frame, query, values["seated_m"], values["seated_rad"])

@@ -246,7 +246,7 @@ def refuse_condition(condition: Condition, about_object: bool, joints: int, word
         raise _refused(f"{words}: a clearance is measured in all directions", [], "leave out ALONG and its axis", word)
     if condition.measure == "TURN" and condition.along is None and _figure(condition) > math.pi:
         message = f"{words}: without an axis the change of attitude is measured, which is 180 DEG at most"
-        raise _refused(message, [], "TURN ALONG an axis, such as TURN ALONG TOOL-Z EXCEEDS 2 TURNS", word)
+        raise _refused(message, [], "an axis, as in UNTIL TURN ALONG TOOL-Z EXCEEDS 2 TURNS", word)
     if condition.measure == "DISTANCE" and condition.bound == "below" and not about_object:
         message = f"{words} measures the distance to the object of the command, but this command names none"
         raise _refused(message, [], "leave it out, or use a verb that takes an object", word)

@@ -81,8 +81,8 @@ def _turn(step: ScriptStep, candidate: TaskCandidate, thing: str) -> tuple[float
 
 
 def _there(candidate: TaskCandidate, thing: str, angle: float) -> Refused:
-    at = f"{round(math.degrees(angle), 2) + 0.0:g} DEG"
-    clears = candidate.program.needs.get("hinge_there", "").replace("{at}", at).replace("{held}", thing)
+    at = f"{round(math.degrees(angle), 2) + 0.0:g} deg"
+    clears = candidate.program.needs.get("hinge_there", "").replace("{at}", at.upper()).replace("{held}", thing)
     message = f"{thing} is at {at}: nothing to turn"
     return Refused.because(RefusalReason.STATE, message, clears=clears)
 
