@@ -54,6 +54,13 @@ class Fit(NamedTuple):
         return from_matrix(self.best.matrix)
 
     @property
+    def noise(self) -> Array:
+        """The covariance without the choice between two solutions: how far poses of one body at rest scatter."""
+        if self.second is None or not self.ambiguous:
+            return self.covariance
+        return self.covariance - between(self.best, self.second)
+
+    @property
     def ambiguous(self) -> bool:
         return self.second is not None and self.second.error_px < CONFUSED * max(self.best.error_px, NOISE_PX)
 

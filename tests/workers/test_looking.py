@@ -195,6 +195,13 @@ def test_track_follows_for_its_time_and_reports(bench) -> None:
     assert frame(bench, "SATELLITE").validity is Validity.VALID
 
 
+@pytest.mark.parametrize(("reported", "every_s"), [("", 0.1), ("0.5", 0.25), ("0.1", 0.1), ("60", 0.5)])
+def test_a_followed_body_takes_two_pictures_for_each_report(bench, reported, every_s) -> None:
+    asked = f" REPORT POSE AND EVERY {reported} SEC" if reported else ""
+    (made,) = bench.do(f"TRACK SATELLITE FOR 1 SEC VIA CAMERA-3{asked}").primitives
+    assert made.trajectory.every_s == every_s
+
+
 def judged_with(bench, sentence: str, **sighting):
     """The assessment of the first step of a sentence whose sighting differs by these fields."""
     script = bench.elaborate(sentence)

@@ -33,10 +33,19 @@ def bind(task: RuledTask) -> BoundStep:
         believed=task.query.pose(body).tolist(),
         pictures=round(values["pictures"]) if follows_s is None else 1,
         duration_s=follows_s,
-        every_s=values["every_s"],
+        every_s=values["every_s"] if follows_s is None else _followed_every_s(task),
         cameras=cameras[1:],
     )
     return assemble.of_camera(task, look, cameras[0], evaluation)
+
+
+def _followed_every_s(task: RuledTask) -> float:
+    """Time between pictures of a body that is followed: two for each periodic report, within the program's bounds."""
+    values, report = task.values, task.data.context.report
+    reported_s = report.every_s if report else None
+    if reported_s is None:
+        return values["every_s"]
+    return min(max(values["every_s"], 0.5 * reported_s), values["most_every_s"])
 
 
 def _lasts_s(task: RuledTask, cameras: Sequence[str], body: str) -> float:

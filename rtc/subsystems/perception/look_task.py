@@ -6,6 +6,7 @@ picture), for how it moves, and for how long it is out of sight; the `LookClock`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -24,11 +25,11 @@ from rtc.sensing.windows import windows
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.subsystems.perception.look_clock import LookClock
-from rtc.subsystems.perception.motion import Motion
+from rtc.subsystems.perception.motion import FOLLOWED_S, RESTS_S, Motion
 
 BODY = "BODY"  # a look has one body, without a name
-# How long a look for a body at rest waits for it. What a stopped arm holds swings for some tenths of a second.
-SETTLES_S = 2.0
+# What a stopped arm holds swings for some tenths of a second, so only a motion that pictures from then on show counts.
+SETTLES_S = 1.0
 SPACING_S = 0.3  # between pictures of a body at rest, by our clock
 
 Windows = Mapping[int, Window]  # parts of a picture by the tag that is expected there
@@ -47,7 +48,7 @@ class Evaluated(NamedTuple):
 class _Side:
     """The pictures of one camera for one look."""
 
-    def __init__(self, due_s: float) -> None:
+    def __init__(self, due_s: float, kept_s: float) -> None:
         self.due_s = due_s  # time of its next picture
         self.seen: list[Seen] = []  # pictures with the body, as many as its pose needs
         self.view: View | None = None  # of the latest picture
@@ -61,7 +62,8 @@ class _Side:
         self.unseen = ""  # why the body is not in the latest picture
         self.failure = ""  # why there is not a picture
         self.predicts = False  # the latest picture shows the body
-        self.motion = Motion()  # of the body, by the pictures of this camera: their common errors do not matter
+        self.motion = Motion(kept_s)  # of the body, by the pictures of this camera: their common errors do not matter
+        self.doubt_m = math.inf  # of the latest pose in it
 
     def expose(self, at_s: float, own_s: float) -> None:
         """Note the times of a new picture."""
@@ -82,9 +84,11 @@ class _Side:
 
     @property
     def settles(self) -> bool:
-        """Whether the body moves in its pictures, and has not had the time to come to rest. Pictures that a fast
-        simulation sets far apart must agree as those at the beat of a look: a swing may lie between them."""
-        if self.lasted_s >= SETTLES_S or (velocity := self.motion.velocity()) is None:
+        """Whether the body moves in its pictures, of which some are from before it has had the time to come to rest.
+        Pictures that a fast simulation sets far apart must agree as those at the beat of a look: a swing may lie
+        between them."""
+        velocity = self.motion.velocity()
+        if velocity is None or self.motion.oldest_s >= self.first_own_s + SETTLES_S:
             return False
         sparse = max(1.0, self.motion.spacing_s / SPACING_S)
         return rest.moves([sparse * part for part in velocity])
@@ -117,7 +121,8 @@ class LookTask:
         self.fit: Fit | None = None
         self.halted = False
         self.over = False  # its end report is out
-        self._sides = {camera: _Side(now_s) for camera in primitive.performers}
+        kept_s = FOLLOWED_S if self.follows else RESTS_S
+        self._sides = {camera: _Side(now_s, kept_s) for camera in primitive.performers}
         self._report_s = now_s + (primitive.reporting.every_s or 0.0)  # beat of the exposures that are reported
         self._reported_s = now_s  # exposure of the latest picture that was reported
 
@@ -169,6 +174,7 @@ class LookTask:
         if alone is not None:
             known = found.pose if expected is None or not found.ambiguous else expected
             side.motion.take(picture.own_s, _nearer_pose(alone, known))
+            side.doubt_m = math.sqrt(float(np.trace(alone.noise[:3, :3])))
 
     def fail(self, camera: str, why: str, retry_s: float) -> None:
         """The camera gave no picture. It tries again at `retry_s`, until the time limit."""
@@ -247,9 +253,18 @@ class LookTask:
         return None if not times else min((0.0 if one is None else one for one in times), default=None)
 
     def _enough(self, side: _Side) -> bool:
-        if self.follows or len(side.seen) < self.look.pictures or side.settles:
+        if self.follows or len(side.seen) < self.look.pictures:
             return False
-        return side.motion.known or self.look.pictures == 1  # several pictures of one moment do not show a motion
+        if self.look.pictures == 1:
+            return True
+        # Several pictures of one moment do not show a motion.
+        return side.motion.known and not (side is self._judge() and side.settles)
+
+    def _judge(self) -> _Side | None:
+        """The camera whose poses are the most accurate of those that have seen the body for long enough; None: there is
+        none. One that is far away sees a body that turns by 0.3 deg/s move by 10 mm/s: pixels shift its corners."""
+        known = [side for side in self._sides.values() if side.motion.known]
+        return min(known, key=lambda side: side.doubt_m, default=None)
 
     def _gave_up(self, side: _Side, now_s: float) -> bool:
         limits = [one.when.limit_s for one in self.primitive.stop_functions if isinstance(one.when, p.UnseenAbove)]
@@ -263,9 +278,8 @@ class LookTask:
         return max((side.seen_s for side in self._sides.values() if side.seen_s is not None), default=None)
 
     def _velocity(self) -> list[float] | None:
-        """By the camera that sees the body move fastest; None: no camera has seen it for long enough."""
-        found = [one for side in self._sides.values() if (one := side.motion.velocity()) is not None]
-        return max(found, key=lambda one: float(np.linalg.norm(one[:3])), default=None)
+        judge = self._judge()
+        return None if judge is None else judge.motion.velocity()
 
     def _located(self, pictures: Sequence[Seen], expected: Array | None) -> Fit | None:
         return locate(self.tags, pictures, {} if expected is None else {BODY: expected}).get(BODY)
