@@ -14,13 +14,14 @@ import copy
 import math
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
 from rtc.language.alike import unknown
 from rtc.model.cells import extension, model_checks
 from rtc.model.cells.parts import (
+    FAR,
     Arm,
     Camera,
     Frame,
@@ -48,7 +49,7 @@ CELLS = Path(__file__).parent  # the cells of the project: cells/NAME/cell.yaml
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
-    name: str
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
     gravity_m_s2: Vec3 = (0.0, 0.0, 0.0)
     arms: list[Arm]
     seats: list[Seat] = []
@@ -273,6 +274,8 @@ def _wrong_subsystems(cell: Cell) -> Iterator[tuple[str, str]]:
 
 def problems(cell: Cell) -> Iterator[tuple[str, str]]:
     """(place, problem) for faults that the types do not exclude."""
+    if not all(abs(part) <= FAR for part in cell.gravity_m_s2):  # false for nan too
+        yield "gravity_m_s2", f"at most {FAR:g} m/s2 along an axis"
     if not cell.arms:
         yield "arms", "a cell needs an arm"
     yield from _repeated_names(cell)

@@ -31,6 +31,9 @@ JointValue = float | Metres
 JointAcceleration = Positive | MetresPerS2
 
 
+FAR = 1e3  # of a frame (m, deg) and of gravity (m/s2), as of the lengths in sentences: larger ones have another unit
+
+
 class CellPart(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
     """Base of all parts of a cell: an unknown field is an error."""
 
@@ -40,6 +43,10 @@ class Frame(CellPart, frozen=True, kw_only=True):
 
     xyz: Vec3 = (0.0, 0.0, 0.0)
     rpy_deg: Vec3 = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not all(abs(number) <= FAR for number in (*self.xyz, *self.rpy_deg)):  # false for nan too
+            raise ValueError(f"a frame has numbers up to {FAR:g} (m, deg)")
 
     @property
     def pose(self) -> geometry.Array:

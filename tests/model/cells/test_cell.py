@@ -182,6 +182,11 @@ def spoil_tag_family(cell):
         (spoil_way_out, "$.seats[2].way_out: must be of unit length"),
         (spoil_catch, "$.seats[2].detent_nm"),
         (spoil_urdf, "$.arms[1].urdf: cannot read puma999.urdf"),
+        (lambda p: p.update(name=""), "name"),
+        (lambda p: p.update(gravity_m_s2=[0.0, 0.0, -1e300]), "gravity_m_s2"),
+        (lambda p: p["seats"][0]["frame"].update(xyz=[1e300, 0.0, 0.0]), "seats[0].frame"),
+        (lambda p: p["seats"][0]["frame"].update(rpy_deg=[0.0, 1e9, 0.0]), "seats[0].frame"),
+        (lambda p: p["objects"][0]["grasp_points"][0]["frame"].update(xyz=[0.0, 0.0, 1e6]), "grasp_points[0].frame"),
     ],
 )
 def test_an_error_names_its_place(tmp_path, plain, spoil, place):
