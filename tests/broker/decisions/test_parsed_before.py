@@ -51,7 +51,9 @@ def test_what_is_refused_for_its_place_is_refused_again(s):
     s.says("STOW AFTER LAST", client="bob")
     s.answers("C-1", record(after="LAST"))
     s.says("STOW AFTER LAST", client="cid")
-    assert s.outcome("C-2").refusal == s.outcome("C-1").refusal
+    again, before = s.outcome("C-2").refusal, s.outcome("C-1").refusal
+    assert (again.reason, again.message) == (before.reason, before.message)
+    assert "C-1" in again.clears  # the same advice is not given anew
 
 
 @pytest.mark.parametrize("other", ["another program", "other words", "refused before", "a long sentence"])
