@@ -40,7 +40,7 @@ class Arm:
         self.moves.append({})
         return ""
 
-    def halt(self, scope: str) -> HaltResult:
+    def halt(self, scope: str, on_rest: object = None) -> HaltResult:
         self.halts.append(scope)
         return HaltResult(halt="H-1", scope=scope, latency_s=0.001, confirmed=True, sent_to=["halt"], subsystems=[])
 
