@@ -22,7 +22,6 @@ SENTENCES = (
     "STOW LEFT-ARM",
 )
 SETTLES_S = 0.5  # a touch is felt once the arm presses on its object
-FORCE_S_N = 0.0067  # of the binder's program: a hand with a spring builds its force up; an exact one has it at once
 
 
 @pytest.mark.physics
@@ -36,8 +35,7 @@ def test_predictions_are_what_exact_arms_report():
         query = WorldQuery(bench.model, bench.world)
         predicted = end_report(query, bound, 0.0)
         measured = perform(made, bound)
-        gains_n = 0.0 if query.hand_force(made.performer) else predicted.hand_force_n
-        pairs.append((made, predicted, measured, FORCE_S_N * gains_n))
+        pairs.append((made, predicted, measured))
         return measured
 
     arms.perform = beside  # type: ignore[method-assign]
@@ -45,11 +43,11 @@ def test_predictions_are_what_exact_arms_report():
         assert bench.do(sentence).succeeded, sentence
     of_arms = [pair for pair in pairs if isinstance(pair[0].trajectory, JointTrajectory | HandMotion)]
     assert len(of_arms) > 8
-    for made, predicted, measured, spring_s in of_arms:
+    for made, predicted, measured in of_arms:
         slack_s = 0.02 if isinstance(made.trajectory, HandMotion) else 0.005
         touches = SETTLES_S if measured.reason == "contact" else 0.0
         assert predicted.reason == measured.reason
-        assert predicted.duration_s == pytest.approx(measured.duration_s + spring_s, rel=0.05, abs=slack_s + touches)
+        assert predicted.duration_s == pytest.approx(measured.duration_s, rel=0.05, abs=slack_s + touches)
         assert predicted.tcp_pose[:3] == pytest.approx(measured.tcp_pose[:3], abs=0.005)
         assert predicted.hand_width_m == pytest.approx(measured.hand_width_m, abs=0.001)
 
