@@ -13,8 +13,9 @@ import functools
 import multiprocessing
 import os
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from pathlib import Path
 
@@ -43,10 +44,12 @@ def drawn(
     RtcError."""
     Cell.load(cell)  # a wrong name is an error here, and not in each process
     try:
-        # Linux has a niceness per thread, and its processes inherit it. Only a privileged process could take it back.
-        with ThreadPoolExecutor(1, initializer=os.nice, initargs=(NICENESS,)) as thread:
-            begun = thread.submit(_drawn_meanwhile, cell, frames).result()
-        return _drawn_after(cell, begun, report)
+        with tempfile.TemporaryDirectory() as folder:
+            # Linux has a niceness per thread, and its processes inherit it. Only a privileged process takes it back.
+            with ThreadPoolExecutor(1, initializer=os.nice, initargs=(NICENESS,)) as thread:
+                pictures = thread.submit(_draw_meanwhile, cell, frames, Path(folder)).result()
+            _draw_missing(cell, pictures, report)
+            return [sheet.loaded(file) for file in pictures]
     except BrokenExecutor:
         raise RtcError("a process that draws has ended") from None
 
@@ -56,40 +59,43 @@ def _painters() -> ProcessPoolExecutor:
     return ProcessPoolExecutor(len(os.sched_getaffinity(0)), fresh, die_with_parent, (os.getpid(),))
 
 
-def _drawn_meanwhile(cell: str, frames: Iterable[FilmFrame]) -> list[tuple[FilmFrame, sheet.Sheet | None]]:
-    """All frames, with those pictures that are there when the last frame arrives."""
+def _draw_meanwhile(cell: str, frames: Iterable[FilmFrame], folder: Path) -> dict[Path, FilmFrame]:
+    """All frames in their order, by the files of their pictures: those that are there when the last frame arrives.
+
+    A painter writes its picture and hands over no more than that it is done, in less than PIPE_BUF bytes. Were one
+    killed within a longer message, its reader would wait for the rest for ever."""
+    pictures = {}
     with _painters() as painters:
         try:
-            begun = [(frame, painters.submit(_painted, cell, frame)) for frame in frames]
-            return [(frame, picture.result() if picture.done() else None) for frame, picture in begun]
+            for n, frame in enumerate(frames):
+                file = folder / f"{n}.png"
+                pictures[file] = frame
+                painters.submit(_paint, cell, frame, file)
         finally:
             for painter in multiprocessing.active_children():  # beside busy processes they would go on for minutes
                 painter.kill()
+    return pictures
 
 
-def _drawn_after(
-    cell: str, begun: list[tuple[FilmFrame, sheet.Sheet | None]], report: Callable[[FilmProgress], None]
-) -> list[sheet.Sheet]:
-    """All pictures, with those that are not there yet."""
-    sheets = {n: picture for n, (_, picture) in enumerate(begun) if picture is not None}
-    if len(sheets) == len(begun):
-        return list(sheets.values())
-    reported_s = time.monotonic()
-    report(FilmProgress(drawn=len(sheets), frames=len(begun)))
+def _draw_missing(cell: str, pictures: Mapping[Path, FilmFrame], report: Callable[[FilmProgress], None]) -> None:
+    missing = [file for file in pictures if not file.exists()]
+    if not missing:
+        return
+    drawn, reported_s = len(pictures) - len(missing), time.monotonic()
+    report(FilmProgress(drawn=drawn, frames=len(pictures)))
     with _painters() as painters:
-        missing = {painters.submit(_painted, cell, frame): n for n, (frame, _) in enumerate(begun) if n not in sheets}
-        for picture in as_completed(missing):
-            sheets[missing[picture]] = picture.result()
+        for work in as_completed([painters.submit(_paint, cell, pictures[file], file) for file in missing]):
+            work.result()
+            drawn += 1
             if time.monotonic() >= reported_s + PROGRESS_S:
                 reported_s = time.monotonic()
-                report(FilmProgress(drawn=len(sheets), frames=len(begun)))
-    return [sheets[n] for n in range(len(begun))]
+                report(FilmProgress(drawn=drawn, frames=len(pictures)))
 
 
-def _painted(cell: str, frame: FilmFrame) -> sheet.Sheet:
+def _paint(cell: str, frame: FilmFrame, file: Path) -> None:
     studio, camera = _studio(cell)
     studio.pose(frame.scene)
-    return sheet.captioned(studio.photograph(camera, *SIZE).pixels, frame.caption)
+    sheet.save(sheet.captioned(studio.photograph(camera, *SIZE).pixels, frame.caption), file)
 
 
 @functools.cache

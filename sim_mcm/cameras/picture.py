@@ -29,6 +29,13 @@ Sheet = Image.Image  # a composed picture
 from_pixels = Image.fromarray
 
 
+def loaded(file: Path) -> Sheet:
+    """Raises OSError."""
+    with Image.open(file) as picture:
+        picture.load()
+        return picture
+
+
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 

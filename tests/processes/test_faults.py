@@ -130,19 +130,21 @@ def test_a_motion_goes_on_while_the_broker_is_dead_and_its_result_arrives(
 def test_a_command_keeps_its_programs_when_one_is_loaded_and_the_broker_restarts(
     rtc: Client, chaos: Chaos, run_dir: Path, tmp_path: Path
 ) -> None:
-    """Given a command that waits for another, a script is loaded, then the broker is killed; the command is elaborated
-    after that, with the script it began with. A later command gets the new script."""
+    """Given a command that waits for a paused one, a script is loaded, then the broker is killed; the command is
+    elaborated after that, with the script it began with. A later command gets the new script."""
     script = tmp_path / "stow.yaml"
     script.write_text((files("rtc.programs") / f"default/elaborator/scripts/{script.name}").read_text())
     script.write_text(script.read_text().replace('label: "stow', 'label: "newly stow'))
-    first = submit_and_move(rtc, f"{AWAY} MAINTAIN SPEED 10 CM/S")
+    first = submit_and_move(rtc, AWAY)
+    assert rtc.run(f"PAUSE {first}", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
     waiting = rtc.submit(f"{STOW} AFTER {first}")
     rtc.load("elaborator", script)
     try:
+        back(chaos, chaos.strike("broker"))
         with Client(run_dir) as asking:
             assert first.number in {row["command"] for row in asking.status()["commands"]}  # so the other still waits
-        back(chaos, chaos.strike("broker"))
         later = rtc.submit(f"{STOW} AFTER {waiting}")
+        assert rtc.run(f"RESUME {first}", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
         labels = {}
         for command in (waiting, later):
             assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED

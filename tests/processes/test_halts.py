@@ -84,9 +84,9 @@ class Running:
         return [os.pidfd_open(row.pid) for row in process_table.processes(self.run_dir).values() if row.pid]
 
     def moving(self) -> CommandHandle:
-        """Begin a motion that takes seconds; the command, once a joint moves."""
+        """Begin a motion that takes ten seconds; the command, once a joint moves."""
         self._way = -self._way
-        command = self.client.submit(f"MOVE RIGHT-ARM BY {9 * self._way} CM ALONG X MAINTAIN SPEED 2 CM/S")
+        command = self.client.submit(f"MOVE RIGHT-ARM BY {20 * self._way} CM ALONG X MAINTAIN SPEED 2 CM/S")
         until(lambda: self.speed() > 0.03)
         return command
 

@@ -17,6 +17,8 @@ from PIL import Image
 from rtc.drawing.scene import FilmFrame, FilmProgress, SceneView
 from sim_mcm.cameras import film
 
+WIDE_PX = 100
+
 
 def frame(cell, turned_rad: float) -> FilmFrame:
     arm = cell.arms[0]
@@ -59,14 +61,15 @@ def test_a_film_in_an_unknown_cell_ends_with_the_reason(monkeypatch, tmp_path, c
     assert "nowhere" in capsys.readouterr().err
 
 
-def niceness(fifo: str, frame: FilmFrame) -> int:
-    """In place of drawing. Below its parent's priority it writes its niceness to the FIFO, and only "first" ends."""
+def niceness(fifo: str, frame: FilmFrame, file: Path) -> None:
+    """In place of drawing: a picture as wide as the priority is low. Below its parent's priority it writes its niceness
+    to the FIFO, and only "first" ends."""
     own = os.getpriority(os.PRIO_PROCESS, 0)
     if own > os.getpriority(os.PRIO_PROCESS, os.getppid()):
         if frame.caption != "first":
             signal.pause()
         Path(fifo).write_text(str(own))
-    return own
+    Image.new("1", (WIDE_PX + own, 1)).save(file)
 
 
 def test_after_the_last_frame_no_drawing_waits_for_other_processes(tmp_path, monkeypatch) -> None:
@@ -84,9 +87,9 @@ def test_after_the_last_frame_no_drawing_waits_for_other_processes(tmp_path, mon
         yield FilmFrame(scene=SceneView(), caption="last")
 
     monkeypatch.setattr(film, "NICENESS", 1)  # the lowest one would make this test slow beside busy processes
-    monkeypatch.setattr(film, "_painted", niceness)
+    monkeypatch.setattr(film, "_paint", niceness)
     monkeypatch.setattr(film.Cell, "load", lambda name: None)
     pictures = film.drawn(str(fifo), frames(), reported.append)
     assert meanwhile == [own + 1]
-    assert pictures[-1] == own
+    assert pictures[-1].width == WIDE_PX + own
     assert reported[0] in [FilmProgress(drawn=0, frames=2), FilmProgress(drawn=1, frames=2)]
