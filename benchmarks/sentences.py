@@ -51,7 +51,7 @@ print(json.dumps(dict(per_s=run.commands_per_s, cpu_us=run.cpu_us)))
 WORKER_STAGES = {
     "parsing": ("workers/parser", "rtc/language"),
     "inverse kinematics": ("puma_ik", "numeric_ik", "ik_along", "_boxes.along", "_boxes.within", "_boxes.turned_to"),
-    "timing": ("timing.py", "toppra", "rest_to_rest", "quintic", "blended", "pace"),
+    "timing": ("timing.py", "within_torques", "toppra", "rest_to_rest", "quintic", "blended", "pace"),
     "collision": ("collision", "boxes.py", "coal", "separation", "scene_state"),
     "torques": ("torques", "rnea", "crba"),
     "path": ("motion/path.py", "spline.py", "smooth.py", "curves.py", "sampl"),

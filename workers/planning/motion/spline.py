@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg.lapack import dgtsv
 
 from rtc.spatial.geometry import Array
 
@@ -81,8 +80,22 @@ def _resting_speeds(width: Array, slope: Array) -> Array:
     """As `_speeds`, with 0 at both ends instead of the condition on the third derivative."""
     wanted = 3 * (width[1:, None] * slope[:-1] + width[:-1, None] * slope[1:])
     speeds = np.zeros((len(width) + 1, slope.shape[1]))
-    speeds[1:-1] = dgtsv(width[2:], 2 * (width[:-1] + width[1:]), width[:-2], wanted)[3]
+    below, diagonal, above = width[2:].tolist(), (2 * (width[:-1] + width[1:])).tolist(), width[:-2].tolist()
+    speeds[1:-1] = np.transpose([_solved(below, diagonal, above, column) for column in wanted.T.tolist()])
     return speeds
+
+
+def _solved(below: list[float], diagonal: list[float], above: list[float], wanted: list[float]) -> list[float]:
+    """The solution of a tridiagonal system whose diagonal is dominant. scipy has it, but takes 0.2 s to import."""
+    diagonal, found = [*diagonal], [*wanted]
+    for n, value in enumerate(below):
+        share = value / diagonal[n]
+        diagonal[n + 1] -= share * above[n]
+        found[n + 1] -= share * found[n]
+    found[-1] /= diagonal[-1]
+    for n in range(len(above) - 1, -1, -1):
+        found[n] = (found[n] - above[n] * found[n + 1]) / diagonal[n]
+    return found
 
 
 def _matrix(width: Array) -> Array:

@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-import toppra
-import toppra.algorithm
-import toppra.constraint
 
 from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
@@ -49,9 +46,6 @@ BETWEEN = 0.98  # of the tcp's speed limit at the points of the grid; the rest i
 SAMPLES = 33  # path samples at which limits are evaluated, at most for a line in joint space
 SAMPLE_RAD, LEAST_SAMPLES = 0.1, 3  # spacing of those of a line in joint space; their number for a short one
 SAMPLED = 100  # intervals of a motion at whose ends its torques are evaluated
-
-# toppra looks for further solvers on the disk for each path.
-toppra.solverwrapper.available_solvers = cache(toppra.solverwrapper.available_solvers)
 
 
 @dataclass(frozen=True)
@@ -240,7 +234,9 @@ def _time_curve(arm: ArmModel, path: Path, pace: SpeedLimits, torques: Torques |
     if torques is None:
         along_v = fastest(grid, slope, bend, most, acceleration)
     else:
-        along_v = _fastest_within(torques, path, grid, most, acceleration)
+        from workers.planning.motion.within_torques import fastest_within  # its import is long, and few need it
+
+        along_v = fastest_within(torques, path, grid, most, acceleration)
     at_s = np.concatenate(((0.0,), np.cumsum(2 * np.diff(grid) / (along_v[1:] + along_v[:-1]))))
     time_s = _knot_times(float(at_s[-1]), CURVE_RAMP_S, KNOT_M / pace.speed_m_s)
     # The change of the pace leaps at the points of the grid; that of a spline through them does not.
@@ -251,37 +247,6 @@ def _time_curve(arm: ArmModel, path: Path, pace: SpeedLimits, torques: Torques |
     # In a narrow corner the tcp may be faster than at the points of the grid.
     fastest_m_s = float(arm.tcp_speeds(q[::2], timed.velocities[::2]).max())
     return _slowed(arm, slower(timed, max(1.0, fastest_m_s / (TOLERANCE * pace.speed_m_s))))
-
-
-def _fastest_within(torques: Torques, path: Path, grid: Array, most: Array, acceleration: Array) -> Array:
-    """The pace at each point of the grid, as by `fastest`, within joint torques too."""
-    whole = path.curve if isinstance(path.curve, Blended) else toppra.SplineInterpolator(path.s, path.knots)
-    constraints = [_MostPace(most), _MostAccelerations(acceleration), torques.constraint()]
-    solver = toppra.algorithm.TOPPRA(constraints, whole, gridpoints=grid)
-    found: Array | None = solver.compute_parameterization(0.0, 0.0)[1]
-    assert found is not None, "a rest-to-rest profile always exists at a low speed"
-    return found
-
-
-class _MostPace(toppra.constraint.LinearConstraint):  # type: ignore[misc]
-    """The greatest pace at each grid point, [grid]."""
-
-    def __init__(self, most: Array) -> None:
-        super().__init__()
-        self.dof, self._most = 1, most
-
-    def compute_constraint_params(self, path: Blended, gridpoints: Array) -> tuple[Array | None, ...]:
-        """Bounds of the squared pace."""
-        return *[None] * 6, np.stack((np.zeros(len(self._most)), self._most**2), axis=1)
-
-
-class _MostAccelerations(toppra.constraint.JointAccelerationConstraint):  # type: ignore[misc]
-    """As its base, whose constructor takes most of its time to put the limits (rad/s^2) in words."""
-
-    def __init__(self, most: Array) -> None:
-        toppra.constraint.LinearConstraint.__init__(self)
-        self.dof, self.alim, self.identical = len(most), np.stack((-most, most), axis=1), True
-        self.set_discretization_type(toppra.constraint.DiscretizationType.Interpolation)
 
 
 def _grid(path: Path) -> Array:

@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
-import toppra.constraint
 
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
@@ -60,19 +59,6 @@ class Torques:
         inertial = moving - weight
         room = np.where(inertial > 0, self.limits - weight, self.limits + weight)
         return float((np.abs(inertial) / room).max())
-
-    def constraint(self) -> toppra.constraint.Constraint:
-        """The limits for toppra."""
-
-        def inverse_dynamics(q: Array, v: Array, a: Array) -> Array:
-            return self.arm.torques(q[None], v[None], a[None], self.laden)[0]
-
-        return toppra.constraint.SecondOrderConstraint.joint_torque_constraint(
-            inverse_dynamics,
-            np.stack((-self.limits, self.limits), axis=1),
-            np.zeros(len(self.limits)),
-            discretization_scheme=toppra.constraint.DiscretizationType.Interpolation,
-        )
 
     def _overload(self, weight: Array) -> Refusal:
         row, joint = np.unravel_index(int((np.abs(weight) / self.limits).argmax()), weight.shape)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import toppra
-import toppra.algorithm
 
 from rtc.model.robot import boxes, compiled
-from workers.planning.motion import timing
+from workers.planning.motion import timing, within_torques
 from workers.planning.motion.blended import lengths, widest
 from workers.planning.motion.pace import fastest
 from workers.planning.motion.path import spline_through, through
@@ -39,17 +37,14 @@ def duration_s(grid, pace):
     return float((2 * np.diff(grid) / (pace[1:] + pace[:-1])).sum())
 
 
-@pytest.fixture(scope="module")
-def by_toppra():
-    def found(path, grid, most, acceleration):
-        whole = path.curve if hasattr(path.curve, "dof") else toppra.SplineInterpolator(path.s, path.knots)
-        constraints = [timing._MostPace(most), timing._MostAccelerations(acceleration)]
-        return toppra.algorithm.TOPPRA(constraints, whole, gridpoints=grid).compute_parameterization(0.0, 0.0)[1]
-
-    return found
+def by_toppra(path, grid, most, acceleration):
+    toppra = within_torques.toppra
+    whole = path.curve if hasattr(path.curve, "dof") else toppra.SplineInterpolator(path.s, path.knots)
+    constraints = [within_torques._MostPace(most), within_torques._MostAccelerations(acceleration)]
+    return toppra.algorithm.TOPPRA(constraints, whole, gridpoints=grid).compute_parameterization(0.0, 0.0)[1]
 
 
-def test_it_is_as_fast_as_toppra(right, by_toppra):
+def test_it_is_as_fast_as_toppra(right):
     random = np.random.default_rng(1)
     for path in curves(right, seed=2):
         grid, slope, bend, most, acceleration = limits(right, path, random)
