@@ -71,7 +71,7 @@ def rehearsals(
 ) -> Generator[Asked, m.CommandEnded, None]:
     """The TEST sentences of `rehearse`, one after the other; each is sent the end of the one before it."""
     digest = ""
-    for n, text in enumerate(texts):
+    for n, text in enumerate([texts] if isinstance(texts, str) else texts):  # a str is a sequence of letters, too
         asked = f"TEST {text.strip().removesuffix('.')}" + (f" {ALL_FAULTS}" if faults else "")
         ended = yield Asked(asked, digest, labels[n] if labels else "")
         if ended.outcome.kind is not OutcomeKind.SUCCEEDED:

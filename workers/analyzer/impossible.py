@@ -1,8 +1,8 @@
 """What no facts from outside may say, whichever way they come: SET of one, or all of a file. Pure.
 
 The facts are judged together, as the world would be after them: attributes of another kind of part, postures that an
-arm does not have, seats that do not exist, two objects in one seat, an
-object that is not where its seat is, a body inside an arm, an angle beyond its stops, a spread that says nothing.
+arm does not have, seats that do not exist, two objects in one seat, an object that is not where its seat is, an object
+inside an arm or another object, an angle beyond its stops, a spread that says nothing.
 """
 
 from __future__ import annotations
@@ -12,7 +12,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import msgspec
+
 from rtc.model.cells import taught
+from rtc.model.robot.collision_scene import Held
 from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused, refuse_if
 from rtc.spatial import geometry, hinges
@@ -153,8 +156,7 @@ def _seats(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery,
 def _arms(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
     """Objects inside of arms. An object in a hand is judged by its grasp, and the fingers may be around one that is
     believed some millimetres off."""
-    placed = {location(c.key) for c in changes if c.key.endswith(".frame") and c.validity is Validity.VALID}
-    placed = {thing.name for thing in query.cell.objects if thing.name in placed and not after.held_by(thing.name)}
+    placed = _placed(changes, after)
     if not placed:
         return
     joints = {arm.name: after.joints(arm.name) for arm in query.cell.arms}
@@ -168,7 +170,32 @@ def _arms(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, 
                 yield f"{hit.body_b.split()[0]}.frame", f"{hit.body_b} would be {depth_mm:.0f} mm inside {hit.body_a}"
 
 
-CHECKS = (_attributes, _postures, _spreads, _names, _figures, _seats, _arms)
+def _bodies(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
+    """Movable objects inside of each other, deeper than both may be off: two of them at one place.
+
+    The check asks for pairs with a moving body, so the object is asked about as if an arm held it there."""
+    arm = query.cell.arms[0].name
+    joints, tcp = {one.name: after.joints(one.name) for one in query.cell.arms}, after.tcp(arm)
+    movable = {thing.name for thing in query.cell.objects if not (thing.fixed or thing.hinge or thing.thread)}
+    for thing in sorted(_placed(changes, after) & movable):
+        scene = scenes.scene_of(after, arm, Limits(), unsure=False)
+        held = Held(arm, geometry.compose(geometry.inverse(tcp), after.frame(thing)))
+        scene = msgspec.structs.replace(scene, held={**scene.held, thing: held}, ignore=[])
+        for hit in query.model.collision.too_near(joints, scene):
+            pair = {body.split()[0] for body in (hit.body_a, hit.body_b)}
+            off_m = 2.0 * sum(max(after.spread(f"{name}.frame")[:3]) for name in pair)
+            if thing in pair <= movable and len(pair) == 2 and hit.distance_m < -INSIDE_M - off_m:
+                (other,) = pair - {thing}
+                yield f"{thing}.frame", f"{thing} would be {-hit.distance_m * 1000:.0f} mm inside {other}"
+
+
+def _placed(changes: Sequence[WorldChange], after: WorldQuery) -> set[str]:
+    """Objects that get a valid frame and are in no hand."""
+    stated = {location(c.key) for c in changes if c.key.endswith(".frame") and c.validity is Validity.VALID}
+    return {thing.name for thing in after.cell.objects if thing.name in stated and not after.held_by(thing.name)}
+
+
+CHECKS = (_attributes, _postures, _spreads, _names, _figures, _seats, _arms, _bodies)
 
 
 def off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:

@@ -100,7 +100,7 @@ def test_what_sits_in_a_seat_goes_with_it(query):
 
 
 def test_what_is_turned_in_a_seat_does_not_sit_in_it(query):
-    askew = geometry.from_rpy([0.80, -0.80, 0.60], [0.0, 0.0, 0.9]).tolist()
+    askew = geometry.from_rpy([0.80, -0.80, 0.60], [0.0, 0.0, math.pi]).tolist()
 
     changes = {c.key: c.value for c in changes_from({"MACS-NEW.frame": askew}, query, VALUES)}
 
@@ -118,6 +118,12 @@ def test_facts_that_are_not_reported_change_nothing(query):
 
 def in_seat(query, seat):
     return query.seated_pose(seat).tolist()
+
+
+def free_beside(query, seat, off_m):
+    """MACS-NEW in no seat, so far (m, along x) from a seat that holds another object."""
+    place = geometry.compose([off_m, 0.0, 0.0, *UPRIGHT], query.seat_frame(seat))
+    return {"MACS-NEW.frame": {"value": place.tolist()}, "MACS-NEW.seat": {"value": ""}}
 
 
 OF_ANOTHER_KIND = {
@@ -159,6 +165,8 @@ NO_PLACES = [
             },
             "MACS-NEW.frame",
         ),
+        (lambda q: free_beside(q, "RACK-2", 0.0), "MACS-NEW.frame"),
+        (lambda q: free_beside(q, "RACK-2", 0.1), "MACS-NEW.frame"),
         (lambda q: {"MACS-NEW.mass": {"value": 1e308}}, "MACS-NEW.mass"),
         (lambda q: {"MACS-NEW.mass": {"value": 0}}, "MACS-NEW.mass"),
         *((lambda q, key=key, value=value: {key: {"value": value}}, key) for key, value in OF_ANOTHER_KIND.items()),
