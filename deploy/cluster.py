@@ -27,7 +27,7 @@ from typing import Any, NoReturn
 import msgspec
 import zmq
 
-from deploy import hypercube
+from deploy import common_imports, hypercube
 from deploy.child import Spec
 from deploy.directory import Directory, claim_path
 from deploy.more_workers import MoreCommand
@@ -35,14 +35,15 @@ from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Hooks, Supervisor
 from rtc.client.halt import HaltLine
 from rtc.protocol.messages import REHEARSER
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
-from rtc.protocol.subsystems import ARMS, Subsystem
+from rtc.protocol.subsystems import ARMS, CAMERAS, Subsystem
 from rtc.runtime import fork_server, handover, process, process_table
 from rtc.runtime.settings import ENDPOINTS, LAST_WORDS, LOCK, Settings, prepare_run_dir, shell_command
 from rtc.world import lease
 
 LOGS = "logs"
 TEMPLATE = "template"  # process name of the fork server of workers; NAME-template: that of the process NAME
-STANDBY = "twin-template"  # standby fork server: a start takes seconds, so each of the two is forked from the other
+STANDBY = "twin-template"  # the fork server of TEMPLATE, which is so back in milliseconds
+FROM_COMMON: dict[str, Any] = {"fork_server": common_imports.NAME, "awaits_fork_server": True}
 PREVIOUS = "previous"
 RUNS_KEPT = 3  # in previous, previous-2, previous-3
 MAX_DOWN_S = 120.0  # for a supervisor to end all, on a busy machine
@@ -54,11 +55,11 @@ RANK, NICENESS = 1, -10
 
 def specs(settings: Settings, fd: int = -1) -> list[Spec]:
     """The processes of a cluster. `fd`: the handover file that each inherits (rtc.runtime.handover)."""
-    first: dict[str, Any] = {"is_fork_server": True, "order": fork_server.STANDBY, "fork_server": STANDBY}
-    standby = first | {"fork_server": TEMPLATE, "later": True, "awaits_fork_server": True}
+    standby = {"fork_server": STANDBY, "order": fork_server.STANDBY, "awaits_fork_server": True}
     made = [
-        _spec(TEMPLATE, "workers", settings, "--template", **first),
-        _spec(STANDBY, "workers", settings, "--template", **standby),
+        _spec(common_imports.NAME, "deploy.common_imports", settings, is_fork_server=True),
+        _spec(STANDBY, "workers", settings, "--template", is_fork_server=True, **FROM_COMMON),
+        _spec(TEMPLATE, "workers", settings, "--template", is_fork_server=True, **standby),
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *chain.from_iterable(_subsystem(one, settings) for one in settings.subsystems if one.module),
@@ -75,8 +76,13 @@ def _recorder(settings: Settings) -> Spec:
 
 
 def _hand(spec: Spec, fd: int) -> Spec:
-    """The spec with the handover file inherited; unchanged for a negative `fd`."""
-    return spec if fd < 0 else replace(spec, command=(*spec.command, handover.OPTION, str(fd)), fds=(fd,))
+    """The spec with the handover file inherited, if there is one, and the order for the fork server with the common
+    imports."""
+    if fd >= 0:
+        spec = replace(spec, command=(*spec.command, handover.OPTION, str(fd)), fds=(fd,))
+    if spec.fork_server == common_imports.NAME:
+        spec = replace(spec, order=common_imports.order_of(spec.name, spec.command))
+    return spec
 
 
 def _first_workers(settings: Settings) -> list[int]:
@@ -110,10 +116,11 @@ def new_worker(settings: Settings, address: int, fd: int) -> Spec | None:
 
 
 def _subsystem(one: Subsystem, settings: Settings) -> list[Spec]:
-    """The simulation of arms has a fork server."""
+    """The simulation of arms has a fork server. A user's module starts by its command, and ends as Python ends."""
     if one.module == ARMS.module:
         return _with_template(one.name, one.module, settings, "--name", one.name)
-    return [_spec(one.name, one.module, settings, "--name", one.name, beats=True)]
+    common = FROM_COMMON if one.module == CAMERAS.module else {}
+    return [_spec(one.name, one.module, settings, "--name", one.name, beats=True, **common)]
 
 
 def _with_template(name: str, module: str, settings: Settings, *more: str) -> list[Spec]:
@@ -121,7 +128,7 @@ def _with_template(name: str, module: str, settings: Settings, *more: str) -> li
     its_template = f"{name}-{TEMPLATE}"
     forked: dict[str, Any] = {"fork_server": its_template, "order": b"start", "awaits_fork_server": True}
     return [
-        _spec(its_template, module, settings, *more, "--template", is_fork_server=True),
+        _spec(its_template, module, settings, *more, "--template", is_fork_server=True, **FROM_COMMON),
         _spec(name, module, settings, *more, beats=True, **forked),
     ]
 

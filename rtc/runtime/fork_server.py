@@ -9,7 +9,7 @@ Protocol: stdin is a Unix SEQPACKET socket. An order is the bytes for `become`, 
 stderr and optionally stdin of the new process. The answer is its pid. A double fork makes the process a child of the
 supervisor, which must be a subreaper. The child then waits for one byte in the pipe, which shows that the supervisor
 knows its pid and watches it. If the pipe closes before that byte (supervisor timed out or died), the child exits.
-The order STANDBY forks another fork server: two fork servers that fork each other need not be built again.
+The order STANDBY forks another fork server, with all that this one has built.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 LIMIT_S = 90.0
 WORKERS = ["parser@0", "elaborator@1", "binder@2", "analyzer@3"]
-TEMPLATES = ["template", "twin-template", "broker-template", "world-template", "MCM-template"]
+TEMPLATES = ["common-template", "template", "twin-template", "broker-template", "world-template", "MCM-template"]
 NAMES = [*TEMPLATES, "broker", "world", "MCM", "S&P", *WORKERS]
 
 
@@ -105,8 +105,15 @@ def test_up_work_down_and_again_beside_another_one(run_dir, tmp_path):
     assert started.returncode == 0, started.stdout + started.stderr
     assert [line.split()[0] for line in started.stdout.splitlines()[-1:]] == ["ready"]
     assert sorted(rows(run_dir)) == sorted(NAMES)
-    for name in ("broker", "world", "MCM"):  # forked too: what they import and build is made once
-        assert b"--template" in Path(f"/proc/{rows(run_dir)[name]['pid']}/cmdline").read_bytes()
+    for name, row in rows(run_dir).items():  # all are forked: what they import and build is made once
+        of_it = Path(f"/proc/{row['pid']}")
+        assert b"deploy.common_imports" in (of_it / "cmdline").read_bytes()
+        shown = (of_it / "comm").read_text().strip()
+        if name in TEMPLATES:
+            assert shown.endswith("template")
+            assert len(list((of_it / "task").iterdir())) == 1  # a fork would leave other threads behind
+        else:
+            assert shown == name
     all_ready(run_dir)
     before = report(run_dir)
     second = up(run_dir)
