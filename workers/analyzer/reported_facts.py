@@ -14,6 +14,7 @@ import msgspec
 
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.primitive.limits import HEAVIEST_KG
 from rtc.spatial import geometry
 from rtc.world.model import LOOSE, initial_facts, location, problem
 from rtc.world.spread import even
@@ -23,8 +24,6 @@ from workers.planning.world_query import WorldQuery
 
 Changes = list[WorldChange]
 Values = Mapping[str, float]
-
-HEAVIEST_KG = 10_000.0
 
 
 def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes:

@@ -5,22 +5,39 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from rtc.protocol.messages import Script, Step
+from rtc.protocol.messages import Script, ScriptContext, Step
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.planning import segments
 
 SKIP = "skip"  # of a trim: its steps stand in for the refused one
 PHYSICS = "arms with physics do (rtc up --mcm bullet)"
+BY_SPRING = frozenset({"move", "hold", "turn"})  # steps that a stiffness of the sentence makes compliant
+BY_MOTOR = BY_SPRING | {"grip", "hand", "operate"}  # steps that a reflex of the sentence can stop
 
 
 def refuse(script: Script, rigid: Collection[str]) -> None:
     """Refuse a script with a step that its arm cannot perform, and that no trim replaces. `rigid`: the exact arms."""
     for n, step in enumerate(script.steps, 1):
         arm = step.arm or script.context.arm
-        lacks = _lacks(step) if arm in rigid else ""
+        if arm not in rigid:
+            continue
+        if asked := _asked(script.context, step):  # of each step that could stand in, too
+            message = f"{arm} is exact and cannot comply; {PHYSICS}: {asked} asks for it"
+            raise Refused.because(
+                RefusalReason.INFEASIBLE, message, where=asked, clears=f"leave out {asked}; or {PHYSICS}"
+            )
+        lacks = _lacks(step)
         if lacks and not _is_replaced(script, step):
             message = f"{arm} is exact and {lacks}; {PHYSICS}: step {n} needs it ({step.label})"
             raise Refused.because(RefusalReason.INFEASIBLE, message, where=f"step {n}", clears=PHYSICS)
+
+
+def _asked(context: ScriptContext, step: Step) -> str:
+    """The words of the sentence that make the arm comply in this step; empty if none do."""
+    if context.limits.stiffness_n_m is not None and step.do in BY_SPRING:
+        return "MAINTAIN STIFFNESS"
+    comply = any(reflex.action == "comply" for reflex in context.reflexes)
+    return "THEN COMPLY" if comply and step.do in BY_MOTOR else ""
 
 
 def _lacks(step: Step) -> str:

@@ -41,6 +41,7 @@ from rtc.plugins import registry
 from rtc.plugins.guard import PluginError
 from rtc.protocol.digest import digest
 from rtc.protocol.outcomes import ProgramError
+from rtc.protocol.primitive.limits import HEAVIEST_KG, MAX_INERTIA_KG_M2
 from rtc.protocol.subsystems import ARMS, Subsystem, owner, resolved
 from rtc.spatial import geometry, hinges
 
@@ -302,6 +303,8 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
             yield f"objects[{n}].seat", f"{thing.seat} already holds {taken[thing.seat]}"
         if not thing.shapes:
             yield f"objects[{n}].shapes", "an object needs at least one shape"
+        if not thing.fixed and thing.hinge is None:
+            yield from ((f"objects[{n}].{field}", problem) for field, problem in _wrong_load(thing))
         if thing.thread is not None and not thing.fixed:
             yield f"objects[{n}].thread", "an object with a thread must be fixed: it only turns"
         if thing.hinge is not None:
@@ -329,6 +332,13 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
         yield "maintain.pose_during_motion", unknown("attitude", name, cell.attitudes)
     yield from _blind_cameras(cell, arms)
     yield from _loose_tags(cell)
+
+
+def _wrong_load(thing: Object) -> Iterator[tuple[str, str]]:
+    if thing.mass_kg > HEAVIEST_KG:
+        yield "mass_kg", f"a load has at most {HEAVIEST_KG:g} kg"
+    if max(thing.inertia_kg_m2 or [0.0]) > MAX_INERTIA_KG_M2:
+        yield "inertia_kg_m2", f"a load has at most {MAX_INERTIA_KG_M2:g} kg m2 about each axis"
 
 
 def _wrong_hinge(thing: Object, hinge: Hinge) -> Iterator[tuple[str, str]]:

@@ -184,6 +184,8 @@ def spoil_tag_family(cell):
         (spoil_urdf, "$.arms[1].urdf: cannot read puma999.urdf"),
         (lambda p: p.update(name=""), "name"),
         (lambda p: p.update(gravity_m_s2=[0.0, 0.0, -1e300]), "gravity_m_s2"),
+        (lambda p: p["objects"][0].update(mass_kg=2000.0), "$.objects[0].mass_kg"),
+        (lambda p: p["objects"][0].update(inertia_kg_m2=[1.0, 1.0, 1e6]), "$.objects[0].inertia_kg_m2"),
         (lambda p: p["seats"][0]["frame"].update(xyz=[1e300, 0.0, 0.0]), "seats[0].frame"),
         (lambda p: p["seats"][0]["frame"].update(rpy_deg=[0.0, 1e9, 0.0]), "seats[0].frame"),
         (lambda p: p["objects"][0]["grasp_points"][0]["frame"].update(xyz=[0.0, 0.0, 1e6]), "grasp_points[0].frame"),

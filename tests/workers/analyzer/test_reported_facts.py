@@ -34,6 +34,7 @@ def query(bench) -> WorldQuery:
         {"MACS-NEW.mass": 0.0},
         {"MACS-NEW.mass": -2.0},
         {"MACS-NEW.mass": math.nan},
+        {"MACS-NEW.mass": 1001.0},  # no load of a hand can be so
         {"MACS-NEW.frame": [3.0, 3.0, 3.0, *UPRIGHT]},
         {"MACS-NEW.frame": [math.inf, 0.0, 0.0, *UPRIGHT]},
         {"MACS-NEW.frame": [0.8, 0.0, 0.6]},

@@ -41,6 +41,27 @@ def test_what_must_give_way_is_refused_by_exact_arms_alone(model, before, senten
     assert "rtc up --mcm bullet" in refusal.clears
 
 
+@pytest.mark.parametrize(
+    ("sentence", "words"),
+    [
+        ("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN STIFFNESS 400 N/M", "MAINTAIN STIFFNESS"),
+        ("STOW RIGHT-ARM MAINTAIN STIFFNESS 400 N/M", "MAINTAIN STIFFNESS"),
+        ("HOLD RIGHT-ARM FOR 1 SEC MAINTAIN STIFFNESS 800 N/M", "MAINTAIN STIFFNESS"),
+        ("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A UNLESS FORCE EXCEEDS 20 N THEN COMPLY", "THEN COMPLY"),
+        ("OPEN RIGHT-END-EFF UNLESS FORCE EXCEEDS 20 N THEN COMPLY", "THEN COMPLY"),
+    ],
+)
+def test_what_the_sentence_asks_to_give_way_is_refused_before_anything_moves(sentence, words) -> None:
+    bench = Bench(Reporter(MODEL.cell))
+    assert isinstance(bench.elaborate(sentence), Script)
+    bench.rigid = ARMS
+    refusal = bench.elaborate(sentence)
+    assert isinstance(refusal, Refusal)
+    assert refusal.where == words
+    assert f"leave out {words}" in refusal.clears
+    assert isinstance(bench.elaborate(sentence.split(" MAINTAIN ")[0].split(" UNLESS ")[0]), Script)
+
+
 @pytest.mark.physics
 def test_what_exact_arms_can_do_is_accepted_and_done() -> None:
     bench = Bench(Kinematic())
