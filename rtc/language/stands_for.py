@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 
 OF_COMMAND = re.compile(r"C-\d+$", re.ASCII)
-#: commands, values of SET, units
+#: commands, values of SET, what SHOW shows, units
 STANDS_FOR = frozenset(
     {
-        *("ALL", "LAST", "HERE", "NONE", "UNKNOWN", "INITIAL", "SAVED", "WORLD", "OPERATOR"),
+        *("ALL", "LAST", "HERE", "NONE", "UNKNOWN", "INITIAL", "SAVED", "WORLD", "OPERATOR", "RESOURCES"),
         *("N", "NM", "KG", "G", "M", "CM", "MM", "DEG", "RAD", "SEC", "S", "MIN"),
     }
 )

@@ -18,6 +18,7 @@ from rtc.model.cells import taught
 from rtc.model.robot.collision_scene import Held
 from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused, refuse_if
+from rtc.protocol.primitive.limits import HEAVIEST_KG
 from rtc.spatial import geometry, hinges
 from rtc.world.facts import TRUSTED
 from rtc.world.model import ATTRIBUTES, BOLT_STATES, location
@@ -121,6 +122,8 @@ def _figures(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuer
         thing, attribute = things.get(location(change.key)), change.key.rpartition(".")[2]
         if thing is None or change.value is None or change.keep_value:
             continue
+        if not thing.fixed and attribute == "mass" and change.value > HEAVIEST_KG:
+            yield change.key, f"{change.key} would be {change.value:g} kg; a load has at most {HEAVIEST_KG:g} kg"
         if thing.hinge is not None and attribute == "angle":
             least, most = thing.hinge.range_rad
             if not least - HINGE_OFF_RAD <= change.value <= most + HINGE_OFF_RAD:

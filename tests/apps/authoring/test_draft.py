@@ -211,7 +211,7 @@ def test_a_missing_mesh_is_named(tmp_path):
         draft(file)
 
 
-@pytest.mark.parametrize("name", ["C-1", "C-007", "LAST", "N", "MM", "HERE", "ALL", "WORLD", "UNKNOWN"])
+@pytest.mark.parametrize("name", ["C-1", "C-007", "LAST", "N", "MM", "HERE", "ALL", "WORLD", "UNKNOWN", "RESOURCES"])
 def test_a_word_with_a_meaning_of_its_own_is_no_name(name: str) -> None:
     rows = list(words_and_keys.faults({"objects": [{"name": name}, {"name": f"{name}-BOX"}]}))
     assert [(where, severity) for where, _, severity, _ in rows] == [("objects[0].name", "error")]

@@ -49,6 +49,12 @@ def test_what_cannot_be_is_refused(query, facts):
     assert refusal.where in facts
 
 
+def test_what_no_hand_can_hold_may_weigh_tons(query):
+    changes = changes_from({"SATELLITE.mass": 20_000.0}, query, VALUES)
+
+    assert [(change.key, change.value) for change in changes] == [("SATELLITE.mass", 20_000.0)]
+
+
 def test_two_things_are_not_in_one_seat(query):
     refusal = refusal_of(changes_from, {"MACS-NEW.frame": [0.8, 0.8, 0.6, *UPRIGHT]}, query, VALUES)
 
