@@ -277,7 +277,7 @@ def test_full_stick_towards_an_obstacle_ends_before_it_and_he_may_go_back(laden:
         rtc.know_joints({ARM: sim.arms[ARM].joints})
     it = Operator(rtc)
     cuts: set[str] = set()
-    for messages in (350, 150):  # in the second grant the obstacle is near at the start
+    for messages in (200, 75):  # it stands after 150; in the second grant the obstacle is near at the start
         rtc.give("GIVE RIGHT-ARM TO OPERATOR")
         it.wait("move")
         nearest_m = math.inf

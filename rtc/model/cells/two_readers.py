@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import lru_cache
 from typing import NamedTuple
 
 import msgspec
@@ -37,7 +38,12 @@ class Answer(msgspec.Struct, frozen=True):
 
 def differences(urdf: str, hulls: dict[str, str], shapes: bool) -> list[Difference]:
     """All values that pinocchio and Bullet read differently. Raises RtcError if there is no answer."""
-    line = msgspec.json.encode(Question(urdf, hulls, shapes)) + b"\n"
+    return _answer(msgspec.json.encode(Question(urdf, hulls, shapes)) + b"\n").differences
+
+
+@lru_cache(maxsize=16)
+def _answer(line: bytes) -> Answer:
+    """Of a question, encoded. A new cell is asked about when it is drafted and when it is reviewed."""
     try:
         ended = subprocess.run(COMMAND, input=line, capture_output=True, timeout=LIMIT_S, check=False)
     except subprocess.TimeoutExpired:
@@ -46,4 +52,4 @@ def differences(urdf: str, hulls: dict[str, str], shapes: bool) -> list[Differen
     if not answers:
         last = ended.stderr.decode(errors="replace").strip().splitlines()
         raise RtcError(f"{' '.join(COMMAND[3:])} has ended: {last[-1] if last else 'is pybullet installed?'}")
-    return msgspec.json.decode(answers[-1], type=Answer).differences
+    return msgspec.json.decode(answers[-1], type=Answer)
