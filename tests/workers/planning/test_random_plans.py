@@ -37,4 +37,4 @@ def test_the_judge_finds_a_line_through_a_body():
 def test_the_judge_finds_two_arms_that_meet(monkeypatch):
     """Nothing makes the later motion wait."""
     monkeypatch.setattr("workers.planning.motion.beside.start_conditions", lambda *given, **how: [])
-    assert judged(MODEL.cell, runs=400, level=0).counts["pairs that meet"] > 0
+    assert any(judged(MODEL.cell, runs, level=0).counts["pairs that meet"] for runs in (50, 400))
