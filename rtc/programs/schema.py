@@ -170,6 +170,7 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True, dict=True):
     acts_on: dict[str, ActsOn] = {}  # MAINTAIN slot -> the steps it acts on; without an entry, all steps
     ranges: dict[str, tuple[float, float]] = {}  # MAINTAIN slot -> least and greatest value, SI
     not_yet: dict[str, str] = {}  # field of the command -> reason for its refusal
+    frees: list[str] = []  # sentences that free an arm, the first choice first; {arm}, {held} by it, {place}
     repairs: list[str] = []  # sentences that a TEST tries before a refused one; see workers/rehearsal/repairs.py
     instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
     cannot: dict[str, str] = {}  # verb that no script can perform -> the reason

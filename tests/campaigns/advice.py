@@ -4,7 +4,8 @@ An advice has steps (`; ` or `, then ` between them), and a step has alternative
 `SET X FRAME x y z` and `SET X STATE LOOSE or TIGHT` state the truth. `do it again` is the sentence on which the advice
 was given; a sentence with its verb and object, such as that for the rest of an amount, takes its place. A smaller
 distance of AVOID-NEIGHBORS is put into that sentence, and no other advice is followed. A sentence of which nothing is
-left is not given again: what is advised then frees the arm.
+left is not given again: what is advised then frees the arm. Nor is one given again after a sentence that is advised
+`instead` of it.
 """
 
 from __future__ import annotations
@@ -77,9 +78,10 @@ def _is_done(message: str, why: Refusal | None) -> bool:
 
 
 class Followed(NamedTuple):
-    """`no sentence`: the advice has none. `same advice`: it was given before, so it does not lead out."""
+    """`instead`: what was advised instead is done. `no sentence`: the advice has none. `same advice`: it was given
+    before, so it does not lead out."""
 
-    end: Literal["reached", "no sentence", "same advice", "too many obstacles"]
+    end: Literal["reached", "instead", "no sentence", "same advice", "too many obstacles"]
     given: list[str]
     history: list[str]
 
@@ -116,6 +118,8 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
                 history.append(f"{sentence}: {done}")
                 if done.succeeded and _takes_its_place(sentence, aim):
                     return Followed("reached", given, history)
+                if done.succeeded and _is_instead(sentence, advice, truth):
+                    return Followed("instead", given, history)
                 if done.succeeded:
                     break
         if answer.done:
@@ -132,6 +136,12 @@ def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth)
             return Followed("same advice", given, history)
         advised.add(words)
     return Followed("too many obstacles", given, history)
+
+
+def _is_instead(sentence: str, advice: str, truth: Truth) -> bool:
+    """Whether the advice has this sentence in the place of the aim: it is not given again then."""
+    options = (one for part in STEPS.split(advice) for one in ALTERNATIVES.split(part.removeprefix("or ")))
+    return any(re.search(r"\binstead\b", one) and _sentence(one, truth) == sentence for one in options)
 
 
 def _takes_its_place(sentence: str, aim: str) -> bool:

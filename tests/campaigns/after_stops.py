@@ -3,9 +3,12 @@
 A sentence is halted in a drawn motion, at a drawn share of its path: carries with one arm and with both, level ways,
 lifts, doors beside a displaced satellite. What a hand holds then lies up to 2 mm and 1 degree off, as after a swing.
 The advice is followed literally (`tests.campaigns.advice`). A run is done if the sentence, or what is left of it,
-succeeds; its arm is free if an advised motion of it succeeds. More than four sentences, the same advice twice, or
-advice without a sentence is stuck. No physics: the arm follows its trajectory (`Reporter`), which takes seconds per
-run where `tests.campaigns.stops` takes minutes; what touches and slips is tried there.
+succeeds; its arm is free if an advised motion of it succeeds. In half of the runs another sentence is given after the
+stop, often one that cannot be done: what is advised instead of it must be done then. In a quarter of these the cell has
+no cameras, and in a third the stop is a touch or an overload, after which the pose in the hand is badly known. More
+than four sentences, the same advice twice, or advice without a sentence is stuck. No physics: the arm follows its
+trajectory (`Reporter`), which takes seconds per run where `tests.campaigns.stops` takes minutes; what touches and slips
+is tried there.
 
     python -m tests.campaigns.after_stops [--runs 300] [--from 0] [--only 17]
 """
@@ -87,13 +90,49 @@ STARTS: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
         ("CLOSE DOOR-2 BY {deg} DEG WITH LEFT-ARM", "OPEN DOOR-2 BY 20 DEG WITH LEFT-ARM", "CLOSE DOOR-2"),
     ),
 }
+STOPS = (*[StopReason.HALT] * 4, StopReason.CONTACT, StopReason.FORCE_LIMIT)
+FORCE = {"trip_wrench": [5.0, 3.0, -30.0, 0.1, 0.2, 0.0], "measured": 31.0, "limit": 30.0}  # of a touch
+_TO = (
+    "{place}",
+    "{place} STRAIGHT-LINE",
+    "{place}" + LEVEL,
+    "{place} WITH BOTH-ARMS",
+    "{place} WITH BOTH-ARMS" + LEVEL,
+)
+#: sentences after the stop, by the cell: with seats that are taken, places out of reach, and ways that are too far
+LATER = {
+    "swapout": (
+        *(f"CARRY {{module}} TO {to}" for to in _TO),
+        *("CARRY {module} TO {seat} WITH {arm}", "PLACE {module} ON {seat} WITH {arm}", "INSERT {module} INTO {seat}"),
+        *("ALIGN {module} TO {seat}", "HANDOFF {module} FROM {arm} TO {other}", "EXTRACT {module} FROM {rack}"),
+        *("LIFT {module} BY {far} CM WITH {arm}", "MOVE {arm} BY {far} CM ALONG {axis}", "RETRACT {arm} BY 60 CM"),
+        *(
+            "MOVE {arm} TO {place}",
+            "MOVE {arm} TO {place} STRAIGHT-LINE" + LEVEL,
+            "MOVE BOTH-ARMS BY {cm} CM ALONG {axis}",
+        ),
+        *("GRASP {module} WITH {other}", "GRASP {neighbour} WITH {arm}", "RELEASE {module}", "OPEN {arm}"),
+        *("STOW {arm}", "STOW {other}", "RETRACT {arm}", "VERIFY {module} AT {rack}", "LOCATE {module}"),
+    ),
+    "servicing": (
+        *(
+            "OPEN DOOR-2 BY {deg} DEG WITH LEFT-ARM",
+            "OPEN DOOR-2 BY 300 DEG",
+            "CLOSE DOOR-2 BY {deg} DEG",
+            "CLOSE DOOR-2",
+        ),
+        *("RELEASE DOOR-2", "STOW LEFT-ARM", "RETRACT LEFT-ARM", "MOVE LEFT-ARM TO {place}", "LOCATE BOLT-1"),
+        *("PUSH DOOR-2 BY 5 CM", "PULL DOOR-2 BY 5 CM", "MOVE LEFT-ARM BY {far} CM ALONG {axis}"),
+    ),
+}
 
 
 class Halting(Reporter):
-    """Halts one motion of an arm on its way."""
+    """Stops one motion of an arm on its way."""
 
     motions = 0  # that are left until the one that is halted; 0: none
     share = 1.0
+    stop = StopReason.HALT
 
     def perform(self, made: Primitive, bound: BoundStep) -> EndReport:
         if isinstance(made.trajectory, JointTrajectory):
@@ -113,8 +152,9 @@ class Halting(Reporter):
             in_hand = geometry.relative(before, self.poses[held])
             self.poses[held] = geometry.compose(MODEL.arms[arm].fk(self.joints[arm]), in_hand)
         if made.partner is not None:
-            partner = self._report(made, made.partner.performer, StopReason.HALT, bound)
-        return msgspec.structs.replace(self._report(made, arm, StopReason.HALT, bound), partner=partner)
+            partner = self._report(made, made.partner.performer, self.stop, bound)
+        force = FORCE if self.stop is not StopReason.HALT else {}
+        return msgspec.structs.replace(self._report(made, arm, self.stop, bound), partner=partner, **force)
 
 
 class Drawn(NamedTuple):
@@ -123,18 +163,23 @@ class Drawn(NamedTuple):
     sentence: str
     motion: int  # that is halted, from 1
     share: float  # of its path
+    later: str = ""  # the sentence that is given then; empty: the same again
+    stop: StopReason = StopReason.HALT
+    cameras: bool = True
 
 
 class Ran(NamedTuple):
     drawn: Drawn
-    end: Literal["done", "free", "stuck"]
+    end: Literal["done", "instead", "free", "stuck"]
     why: str  # of a run that is stuck
     given: int  # sentences
     story: list[str]
 
 
 @cache
-def _model(cell: str) -> CellModel:
+def _model(cell: str, cameras: bool = True) -> CellModel:
+    if not cameras:
+        return CellModel(msgspec.structs.replace(_model(cell).cell, cameras=[]))
     return MODEL if cell == "swapout" else CellModel(Cell.load(cell))
 
 
@@ -151,9 +196,9 @@ def _known(start: str, arm: str) -> tuple[World, dict[str, Any]]:
     return bench.world, {key: getattr(reporter, key) for key in ("poses", "joints", "widths", "forces")}
 
 
-def _at(start: str, arm: str) -> Bench:
+def _at(start: str, arm: str, cameras: bool) -> Bench:
     world, truth = _known(start, arm)
-    model = _model(STARTS[start][0])
+    model = _model(STARTS[start][0], cameras)
     bench = Bench(Halting(model.cell), model)
     bench.world = world
     for key, value in copy.deepcopy(truth).items():
@@ -174,12 +219,30 @@ def draw(random: np.random.Generator) -> Drawn:
     figures = {"cm": f"{sign * random.uniform(4, 20):.1f}", "deg": f"{random.uniform(15, 75):.0f}"}
     sentence = str(random.choice(STARTS[start][2]))
     axis = str(random.choice(["X", "Y", "Z", "UP"]))
-    return Drawn(
+    drawn = Drawn(
         start,
         arm,
         sentence.format(**_names(arm), **figures, axis=axis),
         motion=int(random.choice([1, 1, 1, 2, 2, 3, 4, 5, 6])),
         share=float(random.uniform(0.05, 0.95)),
+    )
+    return drawn if random.random() < 0.5 else _with_another(drawn, figures, axis, random)
+
+
+def _with_another(drawn: Drawn, figures: dict[str, str], axis: str, random: np.random.Generator) -> Drawn:
+    """With another sentence after the stop."""
+    name = STARTS[drawn.start][0]
+    cell, names = _model(name).cell, _names(drawn.arm)
+    words = {
+        "place": str(random.choice([place.name for place in cell.places])),
+        "seat": str(random.choice([seat.name for seat in cell.seats])),
+        "neighbour": ARMS[names["other"]][0],
+        "far": str(random.choice([-300, -100, -60, 60, 100, 300])),
+    }
+    return drawn._replace(
+        later=str(random.choice(LATER[name])).format(**names, **figures, **words, axis=axis),
+        stop=StopReason(random.choice(STOPS)),
+        cameras=bool(random.random() < 0.75),
     )
 
 
@@ -194,13 +257,13 @@ def run(n: int) -> Ran:
 
 def halt_and_follow(drawn: Drawn, random: np.random.Generator) -> Ran | None:
     """None: nothing has been halted."""
-    bench = _at(drawn.start, drawn.arm)
+    bench = _at(drawn.start, drawn.arm, drawn.cameras)
     reporter = bench.subsystem
     if "door" in drawn.start:
         _displace(reporter, random)
-    reporter.motions, reporter.share = drawn.motion, drawn.share
+    reporter.motions, reporter.share, reporter.stop = drawn.motion, drawn.share, drawn.stop
     halted = bench.do(drawn.sentence)
-    if halted.reasons[-1:] != [StopReason.HALT]:
+    if halted.succeeded or drawn.stop not in halted.reasons:
         return None
     reporter.motions = 0
     _swing(bench, random)
@@ -218,19 +281,24 @@ def halt_and_follow(drawn: Drawn, random: np.random.Generator) -> Ran | None:
         seats = {seat.name: seat.frame.pose for seat in bench.model.cell.seats}
         return {"poses": reporter.poses, "seats": seats}
 
-    first = Answer.of(halted)
+    aim, first = drawn.later or drawn.sentence, Answer.of(halted)
     story = [f"halted: {first}"]
-    if not advice.steps(first.clears, "", truth) and not advice.AGAIN.search(first.clears) and not first.done:
-        first = say(drawn.sentence)  # nothing holds the arm
+    if drawn.later:
+        first = say(aim)
         if first.succeeded:
             return Ran(drawn, "done", "", 1, story)
-    followed = advice.follow(say, drawn.sentence, first, truth)
+        given.clear()
+    elif not advice.steps(first.clears, "", truth) and not advice.AGAIN.search(first.clears) and not first.done:
+        first = say(aim)  # nothing holds the arm
+        if first.succeeded:
+            return Ran(drawn, "done", "", 1, story)
+    followed = advice.follow(say, aim, first, truth)
     story += followed.history
-    if followed.end == "reached" and len(given) <= advice.MAX_SENTENCES:
-        return Ran(drawn, "done", "", len(given), story)
+    if followed.end in ("reached", "instead") and len(given) <= advice.MAX_SENTENCES:
+        return Ran(drawn, "done" if followed.end == "reached" else "instead", "", len(given), story)
     if followed.end != "same advice" and any(one in given[: advice.MAX_SENTENCES] for one in moved):
         return Ran(drawn, "free", "", len(given), story)
-    why = followed.end if followed.end != "reached" else "too many sentences"
+    why = followed.end if followed.end not in ("reached", "instead") else "too many sentences"
     return Ran(drawn, "stuck", why, len(given), story)
 
 

@@ -28,9 +28,19 @@ FILLED = {
         "point": "HANDLE-A",
     },
     **{"angle": "30", "back": "5", "position": "1 2 3", "attitude": "0 0 0", "room": "3 MM", "at": "30 DEG"},
+    **{"free_cm": "15", "far": "99"},
     **{"away": "5 CM ALONG X", "turn": "CLOSE DOOR-2", "lift": "LIFT MACS-NEW BY 5 CM", "leave": "RETRACT RIGHT-ARM"},
     **{"let_go": "RELEASE MACS-NEW", "sentence": "STOW RIGHT-ARM", "cameras": "RAIL-CAMERA", "attribute": "MASS"},
-    **{"example": "2 KG", "or_arm": "", "or_mass": "", "closer": "", "target_cure": "LOCATE RACK-1", "grip": "20"},
+    **{
+        "example": "2 KG",
+        "or_arm": "",
+        "or_mass": "",
+        "closer": "",
+        "free_cm": "15",
+        "far": "99",
+        "target_cure": "LOCATE RACK-1",
+        "grip": "20",
+    },
 }
 ADVICE = ("clears", "again", "pressing", "needs", "instead", "not_settable")
 

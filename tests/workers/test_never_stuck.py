@@ -146,7 +146,7 @@ def test_free_drift_is_a_strategy_of_one_verb(bench):
 
 def test_the_refusal_for_a_full_hand_in_the_air_names_a_free_seat(in_the_air):
     refusal = in_the_air.do("GRASP MACS-OLD WITH RIGHT-ARM").refusal
-    assert refusal.clears == "PLACE MACS-NEW ON RACK-1 or BAY-2, or LEFT-ARM instead"
+    assert refusal.clears == "PLACE MACS-NEW ON RACK-1 or BAY-2, or GRASP MACS-OLD WITH LEFT-ARM instead"
     assert in_the_air.do("PLACE MACS-NEW ON RACK-1").succeeded
 
 

@@ -14,6 +14,7 @@ from workers.analyzer import sighting, turning
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.post_conditions import distance_off_m, pressing_n, seen_as_believed, squeezed, turned_rad
 from workers.conditions import reflexes
+from workers.planning import in_seat
 
 UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
 
@@ -65,11 +66,25 @@ def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:
         "grip": figure(task.context.limits.grip_force_n or 0.0),
         "short": _short(task),
         "progress": turning.in_words(task),
+        "out_first": _out_first(task),
         "until": task.context.until.sentence if task.context.until else "the condition",
     }
     for name, text in figures.items():
         message = message.replace("{" + name + "}", text)
     return message
+
+
+def _out_first(task: AnalyzeTask) -> str:
+    """What comes before a held body can go elsewhere: a second hand lets go of it, and it leaves the slot that it is
+    still in. Empty if neither is needed."""
+    query, body = task.query, task.evaluation.body
+    arm = query.held_by(body) if body else ""
+    if not arm or query.hinge(body) is not None:
+        return ""
+    if sharing := query.sharers(arm):
+        return f"RELEASE {body} WITH {hand_in_words(sharing[0])}; "
+    seat = query.slot_at(query.frame(body))
+    return f"{in_seat.way_out_in_words(query, arm, seat)}; " if seat else ""
 
 
 def _short(task: AnalyzeTask) -> str:

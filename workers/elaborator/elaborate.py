@@ -18,7 +18,7 @@ from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.programs.splice import spliced
-from rtc.protocol.messages import ElaboratorInput, SavedWorld, Script
+from rtc.protocol.messages import ElaboratorInput, SavedWorld, Script, Validity, WorldChange
 from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
@@ -35,6 +35,7 @@ from workers.elaborator import (
     no_script,
     object_attributes,
     other_motion,
+    sentences_instead,
     set_fact,
     stages,
     strategies,
@@ -66,6 +67,7 @@ from workers.elaborator.script_steps import (
     trims_for,
     with_seats,
 )
+from workers.elaborator.sentence_of import sentence_of
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -105,26 +107,57 @@ def run(
 
 
 def _advised(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal) -> Refusal:
-    """The refusal, without the sentences of its advice, and the other arms, that would be refused as well."""
-
-    def refused(parsed: ParsedCommand) -> RefusalReason | None:
-        try:
-            _elaborated(compiled, query, parsed, {}, advise=False)
-        except Refused as why:
-            return why.refusal.reason
-        return None
-
-    def feasible(parsed: ParsedCommand) -> bool:
-        return refused(parsed) is not RefusalReason.INFEASIBLE
+    """The refusal, without the sentences of its advice, and the other arms, that would be refused as well; with one
+    that is accepted instead if none is left."""
 
     def other_arms() -> list[str]:
         """If the sentence names no arm, all were candidates; if it is about the hand itself, another one is no help."""
         arms = [arm.name for arm in query.cell.arms]
         others = arms if asked.hand in arms and (asked.object or asked.place) else []
         changed = {arm: msgspec.structs.replace(asked, hand=arm) for arm in others if arm != asked.hand}
-        return [hand_in_words(arm) for arm, parsed in changed.items() if refused(parsed) is None]
+        able = [(arm, parsed) for arm, parsed in changed.items() if why(parsed) is None]
+        return [sentence_of(parsed) or hand_in_words(arm) for arm, parsed in able]
 
-    return tested_advice.without_infeasible(refusal, feasible, other_arms)
+    why = _Why(compiled, query)
+    refusal = _of_what_remains(compiled, query, asked, refusal)
+    advised = tested_advice.without_infeasible(refusal, why, other_arms)
+    return sentences_instead.added(compiled, advised, asked, query, why)
+
+
+class _Why:
+    """The refusal of a sentence in this world; None if it is accepted. Each is computed once."""
+
+    def __init__(self, compiled: Compiled, query: WorldQuery) -> None:
+        self._compiled, self._query = compiled, query
+        self._known: dict[bytes, Refusal | None] = {}
+
+    def __call__(self, parsed: ParsedCommand) -> Refusal | None:
+        key = msgspec.json.encode(parsed)
+        if key not in self._known:
+            self._known[key] = self._refusal(parsed)
+        return self._known[key]
+
+    def _refusal(self, parsed: ParsedCommand) -> Refusal | None:
+        try:
+            _elaborated(self._compiled, self._query, parsed, {}, advise=False)
+        except Refused as why:
+            return why.refusal
+        return None
+
+
+def _of_what_remains(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal) -> Refusal:
+    """The refusal of a doubt about a pose in the hand. If the pose would be too uncertain even without the doubt, its
+    advice is that for the greater demand, which clears both: a check by the fingers makes no pose better known."""
+    key = refusal.where.rpartition(", ")[2]
+    if refusal.reason is not RefusalReason.SUSPECT or not key.endswith(".grasp") or "cause" in refusal.detail:
+        return refusal
+    sure = query.after([WorldChange(key=key, keep_value=True, validity=Validity.VALID)])
+    why = _Why(compiled, sure)
+    remains = why(asked)
+    if remains is None or remains.detail.get("cause") != "spread":
+        return refusal
+    clears = tested_advice.without_infeasible(remains, why).clears
+    return msgspec.structs.replace(refusal, clears=clears)
 
 
 def _elaborated(

@@ -10,6 +10,7 @@ from rtc.programs.schema import ScriptFile, ScriptStep
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.conditions import reflexes
 from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning.advice import SHARE_OF_RANGE
 
 SPACE = "move_circle"  # of a step that turns an object about its hinge
 SLACK_RAD = 0.1  # a compliant hand is commanded beyond the angle that it reaches
@@ -66,7 +67,7 @@ def refuse_beyond_stops(script: ScriptFile, candidate: TaskCandidate) -> None:
         before, angle = angle, angle + turn
         if not least - SLACK_RAD <= angle <= most + SLACK_RAD:
             wanted = before + math.copysign(min(abs(turn), ends), turn)  # without the lag of a compliant hand
-            raise _beyond(thing.name, thing.hinge, wanted, start)
+            raise _beyond(candidate, thing.hinge, wanted, start)
 
 
 def _turn(step: ScriptStep, candidate: TaskCandidate, thing: str) -> tuple[float, float]:
@@ -87,15 +88,19 @@ def _there(candidate: TaskCandidate, thing: str, angle: float) -> Refused:
     return Refused.because(RefusalReason.STATE, message, clears=clears)
 
 
-def _beyond(thing: str, hinge: parts.Hinge, wanted: float, now: float) -> Refused:
-    """The refusal to turn an object to `wanted` (rad), beyond a stop."""
+def _beyond(candidate: TaskCandidate, hinge: parts.Hinge, wanted: float, now: float) -> Refused:
+    """The refusal to turn the object to `wanted` (rad), beyond a stop."""
     least, most = hinge.range_rad
+    thing = candidate.body
+    row = candidate.program.needs.get("hinge_shut" if wanted < least else "hinge_far", "")
+    row = row.replace("{far}", f"{SHARE_OF_RANGE * math.degrees(most):.0f}").replace("{held}", thing)
+    angles = f"an angle from {math.degrees(least):g} to {math.degrees(most):g} deg"
     return Refused.because(
         RefusalReason.INFEASIBLE,
         (
             f"{thing} turns from {math.degrees(least):g} deg to {math.degrees(most):g} deg, "
             f"and not to {math.degrees(wanted):.4g} deg; it is at {round(math.degrees(now), 2) + 0.0:g} deg"
         ),
-        clears=f"an angle from {math.degrees(least):g} to {math.degrees(most):g} deg",
+        clears="; or ".join(filter(None, (row, angles))),
         detail={"cause": "stop", "value_rad": wanted, "least_rad": least, "most_rad": most},
     )

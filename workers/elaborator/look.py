@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.programs.extension_names import CAMERA
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
@@ -13,7 +14,7 @@ from rtc.protocol.sentence import ParsedCommand
 from rtc.sensing import absence
 from workers.elaborator import object_attributes
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
-from workers.planning import sight, suggestions
+from workers.planning import sight, suggestions, trust
 from workers.planning.world_query import WorldQuery
 
 MAX_FURTHER = 3  # maximum number of cameras beside the best one
@@ -72,7 +73,7 @@ def _cameras(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuer
     known = {camera.name: camera for camera in query.cell.cameras}
     if parsed.performer is None:
         if not (able := query.cameras(body)):
-            raise _unseen(program, body, list(known))
+            raise _unseen(program, query, body, list(known))
         return able
     if parsed.performer not in known:
         raise suggestions.unknown("camera", parsed.performer, known)
@@ -80,27 +81,34 @@ def _cameras(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuer
 
 
 def _without_tags(program: ElaboratorProgram, query: WorldQuery, body: str) -> Refused:
+    carrier = query.bodies.get(body, "")
+    row = "no_tags_on" if carrier and sight.tags(query.cell, carrier) else "no_tags"
     return Refused.because(
         RefusalReason.INFEASIBLE,
         f"{body} has no tags, by which a camera could find it",
         where=body,
         expected=sight.bodies(query.cell),
-        clears=_advice(program, "no_tags", body, []),
+        clears=_advice(program, row, body, carrier=carrier),
         detail={"cause": absence.Cause.NO_TAGS.value, "body": body},
     )
 
 
-def _unseen(program: ElaboratorProgram, body: str, known: list[str]) -> Refused:
+def _unseen(program: ElaboratorProgram, query: WorldQuery, body: str, known: list[str]) -> Refused:
     """No camera can see the body where it is believed; one that is named looks all the same."""
+    place = trust.shown_at(query, body)
+    row = "out_of_view_held" if place else "out_of_view" if known else "no_cameras"
+    words = {"cameras": ", ".join(known), "place": place, "holder": hand_in_words(query.held_by(body))}
     return Refused.because(
         RefusalReason.INFEASIBLE,
         f"no camera can see {body} where it is believed to be",
         where=body,
-        clears=_advice(program, "out_of_view" if known else "no_cameras", body, known),
+        clears=_advice(program, row, body, **words),
         detail={"cause": absence.Cause.OUT_OF_VIEW.value, "body": body},
     )
 
 
-def _advice(program: ElaboratorProgram, row: str, body: str, cameras: list[str]) -> str:
-    words = program.clears.get(row, "").replace("{location}", body)
-    return words.replace("{cameras}", ", ".join(cameras))
+def _advice(program: ElaboratorProgram, row: str, body: str, **words: str) -> str:
+    advice = program.clears.get(row, "")
+    for name, text in {"location": body, **words}.items():
+        advice = advice.replace("{" + name + "}", text)
+    return advice

@@ -1,4 +1,4 @@
-"""The sentence of a record, for advice: of sentences that move a hand to a goal, or anything by an amount. Pure.
+"""The sentence of a record, for advice: of sentences with a goal or an amount, or about an object alone. Pure.
 
 Its limits and reflexes are kept, because they protect something. REPORT and the order of commands are left out.
 """
@@ -8,7 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import msgspec
+
 from rtc.language.hands import hand_in_words
+from rtc.language.parse import default_grammar, parse
 from rtc.protocol.sentence import Constraint, Destination, ParsedCommand, Quantity, ReflexItem
 from rtc.protocol.units import in_words
 
@@ -16,11 +19,15 @@ PATHS = {"joint": "JOINT-MOTION", "straight_line": "STRAIGHT-LINE"}
 
 
 def sentence_of(parsed: ParsedCommand, amount: str = "") -> str:
-    """The sentence; empty if it is of another form. `amount`: words in the place of its own amount. A target without a
-    path is that of another form: its preposition is not in the record."""
-    goal = _goal(parsed, amount)
-    if not goal or (parsed.target and not parsed.path) or parsed.grasp_point or parsed.until or parsed.performer:
+    """The sentence; empty if it is of another form. `amount`: words in the place of its own amount."""
+    if parsed.until or parsed.performer or parsed.to_hand:
         return ""
+    if goal := _goal(parsed, amount):
+        return "" if parsed.grasp_point or parsed.target else _written(parsed, goal)
+    return next((text for goal in _names(parsed) if _means(text := _written(parsed, goal), parsed)), "")
+
+
+def _written(parsed: ParsedCommand, goal: str) -> str:
     path = PATHS[parsed.path] if parsed.path else ""
     hand = hand_in_words(parsed.hand) if parsed.hand else ""
     words = [parsed.verb, parsed.object or hand, goal, *(f"THROUGH {name}" for name in parsed.through), path]
@@ -41,7 +48,22 @@ def _goal(parsed: ParsedCommand, amount: str) -> str:
         return f"BY {amount or _quantity(by)}" + (f" ALONG {along}" if along else "")
     if parsed.place is not None:
         return _place(parsed.place)
-    return f"TO {parsed.target}" if parsed.target else ""
+    return ""
+
+
+def _names(parsed: ParsedCommand) -> list[str]:
+    """Words in which a sentence may name its target or grasp point: the preposition is not in the record."""
+    if parsed.target and parsed.grasp_point:
+        return []
+    if parsed.target:
+        return [f"{word} {parsed.target}" for word in ("TO", "ON", "INTO", "FROM", "AT")]
+    return [parsed.grasp_point, f"AT {parsed.grasp_point}"] if parsed.grasp_point else [""]
+
+
+def _means(sentence: str, parsed: ParsedCommand) -> bool:
+    """Whether the sentence has this record."""
+    asked = msgspec.structs.replace(parsed, report=None, after=None, together_with=None, now=False, test=False)
+    return parse(default_grammar(), sentence) == msgspec.structs.replace(asked, assuming=None)
 
 
 def _place(place: Destination) -> str:

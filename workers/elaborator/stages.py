@@ -7,6 +7,7 @@ let go as the steps say. So a second grasp that is not possible is refused befor
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import msgspec
@@ -21,7 +22,7 @@ from rtc.spatial import geometry
 from workers.elaborator import backtrack, preconditions
 from workers.elaborator.backtrack import Planned
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import shared_hold
+from workers.planning import in_seat, shared_hold
 from workers.planning.segments import BOTH
 from workers.planning.world_query import WorldQuery
 
@@ -68,6 +69,8 @@ def _of_stage(refusal: Refusal, candidate: TaskCandidate, arm: str) -> Refusal:
         return refusal
     rows, thing = candidate.program.needs, candidate.body
     clears = rows.get("other_grasp", "").replace("{let_go}", preconditions.let_go(rows, candidate.query, thing))
+    depth_m = max((seat.depth_m for seat in candidate.query.cell.seats), default=0.0)
+    clears = clears.replace("{free_cm}", f"{math.ceil(100.0 * (depth_m + in_seat.SPARE_M) - 0.05)}")
     clears = candidate.fill_in(clears.replace("{hand}", hand_in_words(candidate.arm.name)))
     detail = {name: value for name, value in refusal.detail.items() if name != IN_THE_WAY}
     return msgspec.structs.replace(refusal, clears=clears, detail=detail)

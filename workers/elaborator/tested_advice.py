@@ -2,11 +2,13 @@
 
 An advice has steps, and a step has alternatives. Tested is what can be given now: the first sentence of a step, while
 no step before it has one. Left out is what has no way: what is out of reach, say. A sentence that is refused for a
-state or a doubt stays, because its own refusal leads on. Another arm is named, or left out if none can do it.
+state or a doubt comes after the sentence that its own refusal advises, if that can be given. Another arm is named, or
+left out if none can do it.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable
 
@@ -18,23 +20,24 @@ from rtc.protocol.sentence import OPERATOR, ParsedCommand
 
 TESTED = 6  # maximum number of sentences of an advice that are tested
 ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.SUSPECT)
-STEP, OR = "; ", ", or "
-SENTENCE = re.compile(r"[A-Z][A-Z0-9-]+(?: (?:[A-Z][A-Z0-9-]*|-?\d[\d.]*))+")
+SEQUEL = "then "  # begins a step that goes on from the one before
+STEP, OR, THEN = "; ", ", or ", ", then "
+SENTENCE = re.compile(r"[A-Z][A-Z0-9-]+(?: (?:[A-Z][A-Z0-9-]*(?:/[A-Z]+)?|-?\d[\d.]*))+")
 ANOTHER_PLACE = re.compile(r"([A-Z-]+ .+ TO) another place first \(([A-Z0-9, -]+)\)")
 
 ANOTHER_ARM = "another arm"
 
-Feasible = Callable[[ParsedCommand], bool]
+Why = Callable[[ParsedCommand], Refusal | None]  # the refusal of a sentence in this world; None: it is accepted
 OtherArms = Callable[[], list[str]]  # that can do what is asked, in words
 
 
-def without_infeasible(refusal: Refusal, feasible: Feasible, other_arms: OtherArms = list) -> Refusal:
+def without_infeasible(refusal: Refusal, why: Why, other_arms: OtherArms = list) -> Refusal:
     """The refusal with the alternatives of its advice that are feasible now. One for which the command waits is
     unchanged, and one of which only a strategy would remain that gives something up (VIA)."""
     if refusal.reason not in ABOUT or IN_THE_WAY in refusal.detail:
         return refusal
-    test = _Test(feasible, other_arms)
-    kept = [kept for step in refusal.clears.split(STEP) if (kept := test.step(step))]
+    test = _Test(why, other_arms)
+    kept = without_sequel([test.step(step) for step in refusal.clears.split(STEP)])
     plain, left = (_without_strategy(words) for words in (refusal.clears, STEP.join(kept)))
     if not kept or (plain and not left and SENTENCE.search(STEP.join(kept))):
         return refusal
@@ -42,14 +45,23 @@ def without_infeasible(refusal: Refusal, feasible: Feasible, other_arms: OtherAr
     return msgspec.structs.replace(refusal, clears=STEP.join(kept))
 
 
+def without_sequel(steps: list[str]) -> list[str]:
+    """The steps that are left, without those that go on from one that is not."""
+    kept: list[str] = []
+    for before, step in itertools.pairwise(["-", *steps]):
+        if step and (before or not step.startswith(SEQUEL)):
+            kept.append(step)
+    return kept
+
+
 def _without_strategy(words: str) -> list[str]:
     return [one for one in SENTENCE.findall(words) if " VIA " not in one]
 
 
 class _Test:
-    def __init__(self, feasible: Feasible, other_arms: OtherArms) -> None:
-        self._feasible, self._other_arms = feasible, other_arms
-        self._known: dict[str, bool] = {}
+    def __init__(self, why: Why, other_arms: OtherArms) -> None:
+        self._why, self._other_arms = why, other_arms
+        self._known: dict[str, Refusal | None] = {}
         self._later = False  # a step before has a sentence, and changes what is feasible
 
     def step(self, words: str) -> str:
@@ -73,12 +85,36 @@ class _Test:
             arms = " or ".join(self._other_arms())
             return words.replace(ANOTHER_ARM, f"{arms} instead") if arms else ""
         sentence = SENTENCE.search(words)
-        return words if sentence is None or self._is_feasible(sentence[0]) else ""
+        refusal = self._refusal(sentence[0]) if sentence is not None else None
+        if refusal is None or sentence is None:
+            return words
+        if refusal.reason is RefusalReason.INFEASIBLE:
+            return ""
+        before = SENTENCE.search(refusal.clears) if refusal.reason in ABOUT else None
+        if before is not None and before[0] == sentence[0]:
+            return ""  # it is refused for what it should clear
+        if before is None or not self._is_accepted(before[0]):
+            return words
+        return f"{words[: sentence.start()]}{before[0]}{THEN}{words[sentence.start() :]}"
 
     def _is_feasible(self, sentence: str) -> bool:
+        refusal = self._refusal(sentence)
+        return refusal is None or refusal.reason is not RefusalReason.INFEASIBLE
+
+    def _is_accepted(self, sentence: str) -> bool:
+        """Whether it is a task that can be given now."""
+        return _task(sentence) is not None and len(self._known) < TESTED and self._refusal(sentence) is None
+
+    def _refusal(self, sentence: str) -> Refusal | None:
         if sentence not in self._known:
-            parsed = parse(default_grammar(), sentence)
-            is_task = isinstance(parsed, ParsedCommand) and parsed.kind == "task" and parsed.performer != OPERATOR
+            task = _task(sentence)
             full = len(self._known) >= TESTED
-            self._known[sentence] = not is_task or full or self._feasible(parsed)  # type: ignore[arg-type]
+            self._known[sentence] = None if task is None or full else self._why(task)
         return self._known[sentence]
+
+
+def _task(sentence: str) -> ParsedCommand | None:
+    """The record of a task of an arm or a camera; None for other words."""
+    parsed = parse(default_grammar(), sentence)
+    is_task = isinstance(parsed, ParsedCommand) and parsed.kind == "task" and parsed.performer != OPERATOR
+    return parsed if is_task else None  # type: ignore[return-value]

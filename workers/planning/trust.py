@@ -97,13 +97,13 @@ def narrows(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
     row, place = "spread", ""
     if "spread_seen" in clears and not measured and _look_helps(query, location):
         row = "spread_seen"
-    elif "spread_shown" in clears and not query.cameras(location) and (place := _shown_at(query, location)):
+    elif "spread_shown" in clears and not query.cameras(location) and (place := shown_at(query, location)):
         row = "spread_shown"
     words = clears.get(row, "sense {location} again").replace("{location}", location).replace("{place}", place)
     return words.replace("{holder}", query.held_by(location))
 
 
-def _shown_at(query: WorldQuery, held: str) -> str:
+def shown_at(query: WorldQuery, held: str) -> str:
     """The place to which its hand may bring a held object so that a camera sees it; empty if there is none."""
     arm, grasp = query.held_by(held), query.grasp(held)
     if not arm or grasp is None or query.sharers(arm) or query.seat(held):

@@ -1,0 +1,151 @@
+"""Sentences that are accepted in the place of a refused one, if its advice has none that leads on. Pure.
+
+First the same task in another form: with both arms, without what the sentence asks of the way, to another seat or
+place, or by as much as there is room for. If none is accepted, a sentence that frees the arm, of those that the program
+lists (`frees`). Each is tested on paper before it is advised.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import msgspec
+from msgspec.structs import replace
+
+from rtc.language.hands import hand_in_words
+from rtc.language.parse import default_grammar, parse
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol.sentence import BOTH_ARMS, OPERATOR, ParsedCommand, Quantity
+from workers.elaborator.script_steps import Compiled
+from workers.elaborator.sentence_of import relative_amount, sentence_of
+from workers.elaborator.tested_advice import SENTENCE, STEP, without_sequel
+from workers.planning.world_query import WorldQuery
+
+ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.NO_SCRIPT, RefusalReason.SUSPECT)
+OR_STEP = "; or "
+TRIED = 8  # maximum number of sentences of each kind that are tested
+ATTITUDE = "POSE-DURING-MOTION"  # MAINTAIN that protects nothing but what is carried
+INTO_SEAT = "seat_free"  # precondition of a script that brings an object into a seat
+SHARES = (0.9, 0.5)  # of the free part of a way
+STEPS = {"m": 0.01, "rad": math.radians(1.0)}  # an advised amount is a multiple of this
+
+Why = Callable[[ParsedCommand], Refusal | None]  # the refusal of a sentence in this world; None: it is accepted
+
+
+def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: WorldQuery, why: Why) -> Refusal:
+    """The refusal, with a sentence in the place of the `asked` one if no task that it advises is accepted now. One for
+    which the command waits is unchanged, and that of a doubt, which a measurement clears."""
+    doubt = refusal.reason is RefusalReason.SUSPECT and refusal.detail.get("cause") != "spread"
+    if asked.kind != "task" or doubt or refusal.reason not in ABOUT or IN_THE_WAY in refusal.detail:
+        return refusal
+    test = _Test(asked, why)
+    if refusal.detail.get("cause") == "collision" and (less := test.first(map(sentence_of, _by_less(asked, refusal)))):
+        return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (f"{less} instead", refusal.clears))))
+    if any(map(test.leads_on, SENTENCE.findall(refusal.clears))):
+        return refusal
+    steps = refusal.clears.split(STEP)
+    kept = STEP.join(without_sequel(["" if test.is_refused(step) else step for step in steps])).removeprefix("or ")
+    if other := test.first(filter(None, map(sentence_of, _other_forms(compiled, asked, query, refusal)))):
+        return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (f"{other} instead", kept))))
+    if refusal.reason is RefusalReason.NO_SCRIPT:
+        return refusal
+    if freeing := test.first(_freeing(compiled.program.frees, asked, query)):
+        words = f"{freeing} instead, which frees the arm"
+        return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (kept, words))))
+    return refusal
+
+
+class _Test:
+    def __init__(self, asked: ParsedCommand, why: Why) -> None:
+        self._asked, self._why = asked, why
+
+    def leads_on(self, sentence: str) -> bool:
+        """Whether it is a task of an arm or a camera that is accepted, and not the `asked` one."""
+        parsed = parse(default_grammar(), sentence)
+        if not isinstance(parsed, ParsedCommand) or parsed.kind != "task" or parsed == self._asked:
+            return False
+        return parsed.performer is None and self._why(parsed) is None
+
+    def is_refused(self, words: str) -> bool:
+        """Whether this step of an advice has nothing but sentences of arms that have no way."""
+        sentences = [parse(default_grammar(), one) for one in SENTENCE.findall(words)]
+        tasks = [one for one in sentences if isinstance(one, ParsedCommand)]
+        own = [one for one in tasks if one.kind == "task" and one.performer != OPERATOR]
+        return bool(own) and own == tasks and all(map(self._is_infeasible, own))
+
+    def _is_infeasible(self, parsed: ParsedCommand) -> bool:
+        refusal = self._why(parsed)
+        return refusal is not None and refusal.reason is RefusalReason.INFEASIBLE
+
+    def first(self, sentences: Iterator[str]) -> str:
+        """The first sentence of a few that is accepted; empty if there is none."""
+        some = itertools.islice(dict.fromkeys(sentences), TRIED)
+        return next((one for one in some if self.leads_on(one)), "")
+
+
+# --- the same task in another form -----------------------------------------------------------------------
+
+
+def _other_forms(
+    compiled: Compiled, asked: ParsedCommand, query: WorldQuery, refusal: Refusal
+) -> Iterator[ParsedCommand]:
+    arms = [arm.name for arm in query.cell.arms]
+    if asked.hand in arms and query.sharers(asked.hand):
+        yield replace(asked, hand=BOTH_ARMS)
+    if asked.hand == BOTH_ARMS and asked.object is None and not any(map(query.sharers, arms)):
+        yield from (replace(asked, hand=arm) for arm in arms)
+    free_way = [one for one in asked.constraints if one.slot != ATTITUDE]
+    if free_way != asked.constraints:
+        yield replace(asked, constraints=free_way)
+    if asked.path is not None:
+        yield replace(asked, path=None)
+        yield replace(asked, path=None, constraints=free_way)
+    yield from _by_less(asked, refusal)
+    yield from _elsewhere(compiled, asked, query)
+
+
+def _by_less(asked: ParsedCommand, refusal: Refusal) -> Iterator[ParsedCommand]:
+    by = relative_amount(asked)
+    if by is None or by.unit not in STEPS:
+        return
+    free = float(refusal.detail.get("fraction", 1.0))
+    for share in SHARES:
+        steps = int(free * share * by.value / STEPS[by.unit])
+        if steps:
+            less = Quantity(value=round(steps * STEPS[by.unit], 9), unit=by.unit)
+            place = asked.place
+            yield replace(asked, amount=less) if place is None else replace(asked, place=replace(place, by=less))
+
+
+def _elsewhere(compiled: Compiled, asked: ParsedCommand, query: WorldQuery) -> Iterator[ParsedCommand]:
+    """The sentence with another seat that is free, or another place."""
+    scripts = [compiled.scripts[row.script] for row in compiled.program.branches.get(asked.verb, [])]
+    places, target, place = [place.name for place in query.places], asked.target, asked.place
+    if target not in (None, *places) and any(INTO_SEAT in script.needs for script in scripts):
+        taken = {query.seat(thing.name) for thing in query.cell.objects}
+        free = [seat.name for seat in query.cell.seats if seat.name not in taken]
+        yield from (replace(asked, target=name) for name in free if name != target)
+    if target is not None and any({"place", "target"} <= set(script.uses) for script in scripts):
+        yield from (replace(asked, target=name) for name in places if name != target)
+    if place is not None and place.name is not None:
+        yield from (replace(asked, place=replace(place, name=name)) for name in places if name != place.name)
+
+
+# --- out of the way --------------------------------------------------------------------------------------
+
+
+def _freeing(lines: list[str], asked: ParsedCommand, query: WorldQuery) -> Iterator[str]:
+    """Sentences that free the arm of the sentence, or that which holds its object; else any arm."""
+    arms = [arm.name for arm in query.cell.arms]
+    holder = query.held_by(asked.object) if asked.object else ""
+    own = next((name for name in (asked.hand, holder) if name in arms), "")
+    for arm in [own] if own else arms:
+        for line in lines:
+            held = query.holding(arm)
+            if "{held}" in line and not held:
+                continue
+            words = line.replace("{arm}", hand_in_words(arm)).replace("{held}", held)
+            names = [place.name for place in query.places] if "{place}" in line else [""]
+            yield from (words.replace("{place}", name) for name in names)
