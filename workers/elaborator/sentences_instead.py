@@ -41,7 +41,8 @@ def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: Wor
     if asked.kind != "task" or doubt or refusal.reason not in ABOUT or IN_THE_WAY in refusal.detail:
         return refusal
     test = _Test(asked, why)
-    if refusal.detail.get("cause") == "collision" and (less := test.first(map(sentence_of, _by_less(asked, refusal)))):
+    nearer = (*_by_less(asked, refusal), *_by_any_way(asked)) if refusal.detail.get("cause") == "collision" else ()
+    if less := test.first(map(sentence_of, nearer)):
         return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (f"{less} instead", refusal.clears))))
     if any(map(test.leads_on, SENTENCE.findall(refusal.clears))):
         return refusal
@@ -96,14 +97,19 @@ def _other_forms(
         yield replace(asked, hand=BOTH_ARMS)
     if asked.hand == BOTH_ARMS and asked.object is None and not any(map(query.sharers, arms)):
         yield from (replace(asked, hand=arm) for arm in arms)
+    yield from _by_any_way(asked)
+    yield from _by_less(asked, refusal)
+    yield from _elsewhere(compiled, asked, query)
+
+
+def _by_any_way(asked: ParsedCommand) -> Iterator[ParsedCommand]:
+    """The sentence without what it asks of the way: its attitude, or its path."""
     free_way = [one for one in asked.constraints if one.slot != ATTITUDE]
     if free_way != asked.constraints:
         yield replace(asked, constraints=free_way)
     if asked.path is not None:
         yield replace(asked, path=None)
         yield replace(asked, path=None, constraints=free_way)
-    yield from _by_less(asked, refusal)
-    yield from _elsewhere(compiled, asked, query)
 
 
 def _by_less(asked: ParsedCommand, refusal: Refusal) -> Iterator[ParsedCommand]:

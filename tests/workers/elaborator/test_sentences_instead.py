@@ -71,6 +71,15 @@ def test_a_level_way_that_none_is_found_for_is_offered_without_that(bench: Bench
     assert "CARRY MACS-NEW TO RACK-1-FRONT instead" in refusal.clears
 
 
+def test_a_straight_way_that_is_blocked_is_offered_without_that() -> None:
+    """RETRACT was advised, and then again."""
+    later = f"MOVE RIGHT-ARM TO CLEAR-POINT-1 STRAIGHT-LINE{LEVEL}"
+    drawn = Drawn("lifted", "RIGHT-ARM", "INSERT MACS-NEW INTO BAY-2 WITH RIGHT-ARM", 1, 0.0857, later)
+    ran = halt_and_follow(drawn, np.random.default_rng(5))
+    assert ran is not None
+    assert ran.end in ("instead", "done"), ran.story
+
+
 def test_a_task_that_is_advised_already_gets_no_other(bench: Bench) -> None:
     assert "instead" not in str(bench.do(LIFT).refusal)  # GRASP it first
 
