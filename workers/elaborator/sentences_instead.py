@@ -143,11 +143,11 @@ def _elsewhere(compiled: Compiled, asked: ParsedCommand, query: WorldQuery) -> I
 
 
 def _freeing(lines: list[str], asked: ParsedCommand, query: WorldQuery) -> Iterator[str]:
-    """Sentences that free the arm of the sentence, or that which holds its object; else any arm."""
+    """Sentences that free the arm of the sentence, or that which holds its object; else those that hold something."""
     arms = [arm.name for arm in query.cell.arms]
     holder = query.held_by(asked.object) if asked.object else ""
     own = next((name for name in (asked.hand, holder) if name in arms), "")
-    for arm in [own] if own else arms:
+    for arm in [own] if own else filter(query.holding, arms):
         for line in lines:
             held = query.holding(arm)
             if "{held}" in line and not held:
