@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import msgspec
 from msgspec.structs import replace
@@ -20,7 +20,7 @@ from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS, OPERATOR, ParsedCommand, Quantity
 from workers.elaborator.script_steps import Compiled
 from workers.elaborator.sentence_of import relative_amount, sentence_of
-from workers.elaborator.tested_advice import SENTENCE, STEP, without_sequel
+from workers.elaborator.tested_advice import SENTENCE, STEP, Why, without_sequel
 from workers.planning.world_query import WorldQuery
 
 ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.NO_SCRIPT, RefusalReason.SUSPECT)
@@ -30,8 +30,6 @@ ATTITUDE = "POSE-DURING-MOTION"  # MAINTAIN that protects nothing but what is ca
 INTO_SEAT = "seat_free"  # precondition of a script that brings an object into a seat
 SHARES = (0.9, 0.5)  # of the free part of a way
 STEPS = {"m": 0.01, "rad": math.radians(1.0)}  # an advised amount is a multiple of this
-
-Why = Callable[[ParsedCommand], Refusal | None]  # the refusal of a sentence in this world; None: it is accepted
 
 
 def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: WorldQuery, why: Why) -> Refusal:
