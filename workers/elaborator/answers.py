@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from rtc.language import dictionary
-from rtc.model.cells import parts
+from rtc.model.cells import parts, taught
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece
-from rtc.protocol.messages import Script, ScriptContext, Step, StepWords
+from rtc.protocol.messages import Fact, Script, ScriptContext, Step, StepWords
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from rtc.spatial import geometry
 from rtc.world import spread
+from rtc.world.facts import TRUSTED
 from workers.elaborator import command_fields, strategies
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
@@ -67,10 +68,13 @@ def state(question: Question) -> str:
     shown += [_seat(question, seat) for seat in cell.seats if seat.name == name]
     if shown:
         return shown[0]
-    own = {key: fact for key, fact in query.world.facts.items() if key.rpartition(".")[0] == name}
+    own = {
+        key: fact
+        for key, fact in query.world.facts.items()
+        if key.rpartition(".")[0] == name and fact.value is not None  # None: a place that was forgotten
+    }
     if own:
-        facts = (f"{key.rpartition('.')[2]} {fact.value} ({fact.validity.value})" for key, fact in own.items())
-        return f"{name}: " + ", ".join(facts)
+        return f"{name}: " + "; ".join(_fact(question, key.rpartition(".")[2], fact) for key, fact in own.items())
     known = [part.name for group in (cell.arms, cell.objects, cell.seats) for part in group]
     raise suggestions.unknown("object, seat or arm", name, [*known, RESOURCES])
 
@@ -83,18 +87,26 @@ def _resources(question: Question) -> str:
     return f"in use: {', '.join(used) or 'nothing'}; free: {', '.join(free) or 'nothing'}"
 
 
+def _fact(question: Question, attribute: str, fact: Fact) -> str:
+    """A fact without a meaning of its own, or the posture of a taught place."""
+    arm = next((arm for arm in question.query.cell.arms if arm.name == taught.arm_of(attribute)), None)
+    says = f"{attribute} {fact.value}" if arm is None else f"{arm.name} with {_joints(arm, fact.value)}"
+    return says if fact.validity in TRUSTED else f"{says} (in doubt)"
+
+
+def _joints(arm: parts.Arm, values: Sequence[float]) -> str:
+    slides = [isinstance(value, str) for value in arm.home_deg]
+    shown = (f"{x:.3f} m" if slide else f"{math.degrees(x):.1f}" for x, slide in zip(values, slides, strict=True))
+    return f"joints {' '.join(shown)} deg"
+
+
 def _arm(question: Question, arm: parts.Arm) -> str:
     query, name = question.query, arm.name
-    slides = [isinstance(value, str) for value in arm.home_deg]
-    joints = (
-        f"{value:.3f} m" if slide else f"{math.degrees(value):.1f}"
-        for value, slide in zip(query.joints(name), slides, strict=True)
-    )
     doubt = "" if query.trusts(f"{name}.joints") else " (in doubt)"
     where = _pose(query.tcp(name))
     hand = f"{arm.end_effector} is open {1000 * query.hand_width(name):.0f} mm"
     holds = f"holds {query.holding(name)}" if query.holding(name) else "holds nothing"
-    return f"{name}: joints {' '.join(joints)} deg{doubt}; tcp {where}; {hand} and {holds}; {_use(question, name)}"
+    return f"{name}: {_joints(arm, query.joints(name))}{doubt}; tcp {where}; {hand} and {holds}; {_use(question, name)}"
 
 
 def _object(question: Question, thing: parts.Object) -> str:

@@ -255,8 +255,17 @@ def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, 
         f"{verb} is not possible with {thing.name}: it is a {thing.kind}",
         where=thing.name,
         expected=fits,
-        clears=f"{verb} one of {', '.join(fits)}" if fits else f"load a row of command_object_table for {thing.kind}",
+        clears=_other_sentence(program, verb, thing, fits),
     )
+
+
+def _other_sentence(program: ElaboratorProgram, verb: str, thing: parts.Object, fits: list[str]) -> str:
+    """What can be submitted instead: the verb of another object, another verb of this one, or neither."""
+    if fits:
+        return f"{verb} one of {', '.join(fits)}"
+    verbs = sorted(one for one, rows in program.table_rows.items() if any(_is_about(row, thing) for row in rows))
+    row = f"for {verb} of a {thing.kind} load a row of command_object_table (rtc docs scripts)"
+    return f"{' or '.join(verbs)} is possible with {thing.name}; {row}" if verbs else f"another object; {row}"
 
 
 def _table(

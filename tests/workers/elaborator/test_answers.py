@@ -49,6 +49,14 @@ def test_a_question_is_answered_in_words(bench: Bench, sentence: str, words: lis
     assert [word for word in words if word not in given] == []
 
 
+def test_a_taught_place_is_shown_in_the_units_of_an_arm(bench: Bench) -> None:
+    assert bench.do("SET P1 POSTURE-OF-RIGHT-ARM HERE").succeeded
+    joints = answer(bench, "SHOW RIGHT-ARM").partition("; tcp")[0].partition(": ")[2]
+    assert answer(bench, "SHOW P1") == f"P1: RIGHT-ARM with {joints}"
+    assert bench.do("SET P1 POSTURE-OF-RIGHT-ARM NONE").succeeded
+    assert bench.do("SHOW P1").refusal is not None
+
+
 @pytest.mark.parametrize("sentence", ["SHOW RACK-3", "DESCRIBE MACS-NEU", "SHOW C-7"])
 def test_a_question_about_nothing_names_what_there_is(bench: Bench, sentence: str) -> None:
     refusal = bench.do(sentence).refusal
