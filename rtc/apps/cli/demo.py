@@ -12,11 +12,7 @@ from rtc.apps.cli.cluster import speed_of
 from rtc.apps.cli.output import cli_error, console, exits_with
 from rtc.language.alike import unknown
 
-DEMOS = [
-    "grasp",
-    "faults",
-    "swapout",
-]  # modules of rtc.apps.demos, each with `run(console, speed, out) -> passed`
+DEMOS = ["grasp", "swapout"]  # modules of rtc.apps.demos, each with `run(console, speed, out) -> passed`
 
 
 def demo(
@@ -25,7 +21,6 @@ def demo(
     out: Annotated[Path, typer.Option(help="Directory of the pictures.")] = Path("out"),
     test: Annotated[bool, typer.Option("--test", help="swapout: all lines on paper first.")] = False,
     part: Annotated[str, typer.Option(help="swapout: a part of the task, such as insertion.")] = "",
-    inject: Annotated[str, typer.Option(help="swapout: what goes wrong, such as O7; a part of the task.")] = "",
 ) -> None:
     """Start a cluster, run a scenario with a commentary, check it against the simulator, stop everything.
 
@@ -34,22 +29,17 @@ def demo(
     Example:  rtc demo grasp
     Example:  rtc demo swapout --speed max
     Example:  rtc demo swapout --speed max --part insertion
-    Example:  rtc demo swapout --speed max --inject O7
     """
     if name not in DEMOS:
         raise cli_error(unknown("demo", name, DEMOS), 2)
     speed_of(speed)
     module = import_module(f"rtc.apps.demos.{name}")
-    known, parts = getattr(module, "INJECTED", []), getattr(module, "PARTS", {})
-    if (test or inject or part) and not known:
-        raise cli_error(f"--test, --inject and --part are for the demo swapout, not for {name}", 2)
-    if inject and (test or part):
-        raise cli_error("--inject is a part of the task already, and not tested on paper", 2)
-    if inject and inject not in known:
-        raise cli_error(unknown("injection", inject, known), 2)
+    parts = getattr(module, "PARTS", {})
+    if (test or part) and not parts:
+        raise cli_error(f"--test and --part are for the demo swapout, not for {name}", 2)
     if part and part not in parts:
         raise cli_error(unknown("part", part, sorted(parts)), 2)
-    more = {"test": test, "inject": inject, "part": part} if known else {}
+    more = {"test": test, "part": part} if parts else {}
     with exits_with(1):
         passed = module.run(console, speed, out, **more)
     if not passed:

@@ -1,13 +1,13 @@
-"""What goes wrong in `rtc demo swapout --inject`, when it does, and how the task must take it.
+"""What goes wrong in the swap-out on purpose, when it does, and how the task must take it.
 
-Each run performs the lines that lead to the event, and asserts the chain on the trace: who noticed, at which level it
-was repaired, and what was reported.
+BOLT-2 is stripped in the whole task, and the carry of both arms is halted in its part `insertion`. The check of each
+looks at the trace: who noticed, at which level it was repaired, and what was reported. The campaign `injections` has
+the others of the scenario.
 """
 
 from __future__ import annotations
 
 import math
-import random
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -19,29 +19,17 @@ from rtc.apps.demos.lines import Course, Line
 from rtc.apps.demos.narrator import Narrator
 from rtc.client.client import Client
 from rtc.client.halt import HaltResult
-from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
-from rtc.protocol.faults import BluntSeat, Displaced, MisreadHand, StrippedBolt, WeakHand
-from rtc.protocol.outcomes import OutcomeKind, StopReason
-from rtc.runtime.chaos import Chaos
-from rtc.spatial import geometry
+from rtc.protocol.faults import StrippedBolt
+from rtc.protocol.outcomes import OutcomeKind
 
 CELL, HALFWAY = "servicing", "halfway"  # before the first line; before C22
-DISPLACED_M = 0.020  # to where the first search ends without a touch, inside the straddle of the hand
-ASIDE_M = 0.002  # of a seat: more than its play
-SEATED_M = 0.004
-OBSTACLE = [0.36, 0.05, 1.25]  # of POWER-DRIVER with its rack: before the left arm on its way to its stowed posture
-REACHED_RAD = 0.01
-# More than a third of the force is lost while the right arm brings the module to where the left one takes it.
-WEAKENS_N_S = 0.8
-AROUND = "MOVE LEFT-ARM TO JOINTS {joints} DEG THROUGH CLEAR-POINT-1 MAINTAIN AVOID-NEIGHBORS BY 3 CM"
 HALT_AFTER_S = 0.3  # from the begin of the motion of both arms
 REST_S = 60.0
 AT_REST_S = 0.5  # of simulated time: two arms that carry 2 kg brake softly (decision 0114)
 OPENED = ["C3", "C5", "C7"]
 CARRIED = ["C4", "C22", "C24", "C25"]
 GOOD = (OutcomeKind.SUCCEEDED,)
-LOST = (StopReason.SLIP, StopReason.OBJECT_LOST)
 
 
 @dataclass
@@ -55,56 +43,6 @@ class Scene:
     command: str = ""  # in which it happens
     step: str = ""  # of the command, at present
     struck_at: str = ""  # the step in which a binder was killed last
-
-    def displace(self) -> None:
-        self.rtc.displace("MACS-OLD", [0.0, DISPLACED_M, 0.0, 0.0, 0.0, 0.0])
-
-    def strip(self) -> None:
-        self.rtc.inject(StrippedBolt(bolt="BOLT-2"))
-
-    def misread(self) -> None:
-        self.rtc.inject(MisreadHand(arm="RIGHT-ARM"))
-
-    def blunt(self) -> None:
-        self.rtc.inject(BluntSeat(seat="BAY-2"))
-        self.rtc.inject(Displaced(object="BAY-2", offset=[0.0, ASIDE_M, 0.0, 0.0, 0.0, 0.0]))
-
-    def obstruct(self) -> None:
-        """Elsewhere than the world database states: in the way of the left arm."""
-        home = self.rtc.truth().poses["POWER-DRIVER"][:3]
-        offset = [there - here for there, here in zip(OBSTACLE, home, strict=True)]
-        self.rtc.displace("POWER-DRIVER", [*offset, 0.0, 0.0, 0.0])
-
-    def weaken(self) -> None:
-        if not self.struck:
-            self.struck.append("RIGHT-ARM")
-            self.rtc.inject(WeakHand(arm="RIGHT-ARM", n_s=WEAKENS_N_S))
-
-    def kill_binder(self) -> None:
-        """The binder that has a job of the command; at the next step again, if that one had just finished. Once in each
-        step: a job that ends three workers is refused."""
-        if self.step == self.struck_at or self.lost():
-            return
-        for worker in self.rtc.status()["workers"]:
-            if worker["kind"] == "binder" and worker["busy_with"].partition("/")[0] == self.command:
-                hit = Chaos(self.run_dir, random.Random(7)).strike("worker", worker["name"])
-                self.struck += [hit.name] if hit else []
-                self.struck_at = self.step
-
-    def lost(self) -> list[str]:
-        """The notes of the command about workers that were lost."""
-        notes = [note.note for note in self.rtc.trace(self.command).notes]
-        return [note for note in notes for name in self.struck if note.startswith(f"{name} lost")]
-
-    def stop_mcm(self) -> None:
-        if not self.struck and (hit := Chaos(self.run_dir, random.Random(7), stop=True).strike("mcm")):
-            self.struck.append(hit.name)
-
-    def halt_all(self) -> None:
-        """A little later, from a thread of its own: `halt` has sockets of its own."""
-        if not self.struck:
-            self.struck.append("HALT ALL")
-            threading.Timer(HALT_AFTER_S, lambda: self.halt.set_result(self.rtc.halt("ALL", REST_S))).start()
 
 
 class Injection(NamedTuple):
@@ -129,82 +67,19 @@ class Injection(NamedTuple):
             self.strike(scene)
 
 
-def _notes(scene: Scene, course: Course, label: str) -> list[m.ProgressNote]:
-    return scene.rtc.trace(course.commands[label]).notes
+def strip(scene: Scene) -> None:
+    scene.rtc.inject(StrippedBolt(bolt="BOLT-2"))
 
 
-def _in_order(notes: list[str], *wanted: str) -> bool:
-    """Whether notes that contain these words follow one another."""
-    left = iter(notes)
-    return all(any(words in note for note in left) for words in wanted)
-
-
-def _seen_and_felt(narrator: Narrator, scene: Scene, course: Course) -> None:
-    notes = _notes(scene, course, "C16")
-    trims = [note.trim for note in notes if note.trim]
-    narrator.check(f"nothing was felt; entry 1 of the trimming stack, the camera; entries used: {trims}", trims == [1])
-    steps = [note.step for note in notes]
-    what = "it looked for the module, felt for it again at both sides, and closed"
-    narrator.check(what, _in_order(steps, "(GP1)", "look for MACS-OLD", "(GP1)", "(GP2)", "close on HANDLE-A"))
-
-
-def _closed_again(narrator: Narrator, scene: Scene, course: Course) -> None:
-    notes = _notes(scene, course, "C22")
-    steps, trims = [note.step for note in notes], [note.trim for note in notes if note.trim]
-    narrator.check(f"the hand read empty; entry 1 of the trimming stack, once; entries used: {trims}", trims == [1])
-    what = "it opened, went back to the start, and closed again"
-    again = ["close on HANDLE-A", "open again", "back off", "(AP)", "(NP)", "(GP)", "close on HANDLE-A"]
-    narrator.check(what, _in_order(steps, *again))
-    narrator.check("it holds the module", _holds(scene, "MACS-NEW") == "RIGHT-ARM")
-
-
-def _realigned(narrator: Narrator, scene: Scene, course: Course) -> None:
-    notes = _notes(scene, course, "C28")
-    jams, trims = [note.note for note in notes if "backed off" in note.note], [note.trim for note in notes if note.trim]
-    narrator.check(f"jams at which the MCM backed off by itself: {len(jams)}", bool(jams))
-    narrator.check(f"after each a search: entries used of the trimming stack: {trims}", len(trims) == len(jams))
-    steps = [note.step for note in notes]
-    what = "the module was moved before the bay, and inserted again"
-    narrator.check(what, _in_order(steps, "bring", "before BAY-2", "bring", "let go"))
-    truth, seat = scene.rtc.truth(), Cell.load(HALFWAY).seat("BAY-2")
-    off_m = geometry.distance(truth.poses["MACS-NEW"], geometry.compose(truth.seats["BAY-2"], seat.module_frame.pose))
-    narrator.check(f"it is {1e3 * off_m:.1f} mm from its place", off_m <= SEATED_M)
-
-
-def _went_around(narrator: Narrator, scene: Scene, course: Course) -> None:
-    notes, end = _notes(scene, course, "C26"), course.ends["C26"].outcome
-    touched = end.stop in (StopReason.FORCE_LIMIT, StopReason.COLLISION, StopReason.CONTACT)
-    narrator.check(f"the arm was stopped by a touch on its free way: {end.message}", touched)
-    narrator.check("no trim: it is for the planner", not any(note.trim for note in notes))
-    stowed = Cell.load(HALFWAY).arm("LEFT-ARM").stow_rad
-    for text in ("RETRACT LEFT-ARM", AROUND.format(joints=" ".join(f"{math.degrees(rad):g}" for rad in stowed))):
-        outcome = scene.rtc.run(text, timeout_s=1800.0).outcome
-        narrator.check(f"{text}: {outcome.kind.value} {outcome.message}", outcome.kind is OutcomeKind.SUCCEEDED)
-    joints = scene.rtc.truth().joints["LEFT-ARM"]
-    off_rad = max(abs(a - b) for a, b in zip(joints, stowed, strict=True))
-    narrator.check(f"the arm is {off_rad:.3f} rad from its stowed posture", off_rad < REACHED_RAD)
-
-
-def _gripped_again(narrator: Narrator, scene: Scene, course: Course) -> None:
-    notes = _notes(scene, course, "C25")
-    flagged = [note for note in notes if note.trim]
-    words, warned = "; ".join(note.note for note in flagged), all(note.warning for note in flagged)
-    narrator.check(f"flagged after a step that had succeeded: {words}", bool(flagged) and warned)
-    ended = [note.note for note in notes if note.node == "MCM"]
-    lost = [words for words in ended for reason in LOST if reason.value in words]
-    narrator.check(f"steps that a lost grip has ended: {len(lost)} of {len(ended)}", bool(ended) and not lost)
-    what = "the hand closed again before both arms carried the module"
-    narrator.check(what, _in_order([note.step for note in notes], "bring", "close again", "with both arms"))
-
-
-def _holds(scene: Scene, name: str) -> str:
-    """The arm that holds it, as the world database states and trusts; empty: none."""
-    facts = scene.rtc.world.view(keys=[f"{name}.held_by"]).facts
-    return next((str(fact.value) for fact in facts if fact.validity is m.Validity.VALID), "")
+def halt_all(scene: Scene) -> None:
+    """A little later, from a thread of its own: `halt` has sockets of its own."""
+    if not scene.struck:
+        scene.struck.append("HALT ALL")
+        threading.Timer(HALT_AFTER_S, lambda: scene.halt.set_result(scene.rtc.halt("ALL", REST_S))).start()
 
 
 def _slips(narrator: Narrator, scene: Scene, course: Course) -> None:
-    notes = _notes(scene, course, "C12")
+    notes = course.notes(scene.rtc, "C12")
     tried = [note.step for note in notes if note.trim]
     narrator.check(f"the trims of LOOSEN were tried: {len(tried)}", bool(tried))
     end = course.ends["C12"]
@@ -234,97 +109,21 @@ def _halted(narrator: Narrator, scene: Scene, course: Course) -> None:
         narrator.check(f"{text}: {outcome.kind.value} {outcome.message}", outcome.kind is OutcomeKind.SUCCEEDED)
 
 
-def _done_again(narrator: Narrator, scene: Scene, course: Course) -> None:
-    lost = scene.lost()
-    narrator.check(f"killed while it was at work: {'; '.join(lost) or 'nothing'}", bool(lost))
-    notes = [note for note in _notes(scene, course, "C22") if note.note not in lost]
-    bound = [note.step for note in notes if note.node.startswith("binder@")]
-    narrator.check(f"{len(bound)} steps were bound, each once", bool(bound) and len(bound) == len(set(bound)))
-
-
-def _all_ended(narrator: Narrator, scene: Scene, course: Course) -> None:
-    narrator.check(f"stopped, but not ended: {', '.join(scene.struck) or 'nothing'}", bool(scene.struck))
-    bad = [end.outcome for end in course.ends.values() if end.outcome.kind is not OutcomeKind.SUCCEEDED]
-    narrator.check(f"reported up: {'; '.join(outcome.message for outcome in bad)}", all(one.message for one in bad))
-
-
-INJECTIONS = {
-    "O1": Injection(
-        "the module is 20 mm aside, where the first search ends without a touch",
-        [*OPENED, "C9", "C16"],
-        "C16",
-        Scene.displace,
-        _seen_and_felt,
-    ),
-    "O2": Injection(
-        "the hand reads empty at its first closure, by the simple script of GRASP",
-        ["C4", "C22"],
-        "C22",
-        Scene.misread,
-        _closed_again,
-        text="GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN AVOID-NEIGHBORS BY 2 CM GUARDED VIA GRASP-SIMPLE",
-    ),
-    "O3": Injection(
-        "BAY-2 has no lips, and is 2 mm aside: the module jams while it is inserted",
-        [*CARRIED, "C26", "C28"],
-        "C28",
-        Scene.blunt,
-        _realigned,
-        cell=HALFWAY,
-    ),
-    "O4": Injection(
-        "something stands in the way of the left arm",
-        [*CARRIED, "C26"],
-        "C26",
-        Scene.obstruct,
-        _went_around,
-        ends=(OutcomeKind.FAILED,),
-        cell=HALFWAY,
-        text="STOW LEFT-ARM",  # with AVOID-NEIGHBORS the MCM stops it before the touch
-    ),
-    "O10": Injection(
-        "the grip of the right hand weakens while it carries the module",
-        CARRIED,
-        "C25",
-        Scene.weaken,
-        _gripped_again,
-        step="bring MACS-NEW",
-        cell=HALFWAY,
-    ),
-    "O5": Injection(
-        "BOLT-2 is stripped: it slips for ever",
-        [*OPENED, "C6", "C10", "C12"],
-        "C12",
-        Scene.strip,
-        _slips,
-        ends=(OutcomeKind.FAILED,),
-    ),
-    "O6": Injection(
-        "HALT ALL while both arms carry the module",
-        CARRIED,
-        "C25",
-        Scene.halt_all,
-        _halted,
-        step="with both arms",
-        ends=(OutcomeKind.HALTED,),
-        cell=HALFWAY,
-    ),
-    "O7": Injection(
-        "a binder is killed while it binds a step of C22",
-        ["C4", "C22"],
-        "C22",
-        Scene.kill_binder,
-        _done_again,
-        step="of ",
-        phase=m.Phase.BINDING,
-    ),
-    "O8": Injection(
-        "the MCM is stopped in the middle of C22",
-        ["C4", "C22"],
-        "C22",
-        Scene.stop_mcm,
-        _all_ended,
-        step="(JAP)",
-        ends=(OutcomeKind.FAILED, OutcomeKind.LOST_SUBSYSTEM),
-    ),
-}
+STRIPPED = Injection(
+    "BOLT-2 is stripped: it slips for ever",
+    [*OPENED, "C6", "C10", "C12"],
+    "C12",
+    strip,
+    _slips,
+    ends=(OutcomeKind.FAILED,),
+)
+HALTED = Injection(
+    "HALT ALL while both arms carry the module",
+    CARRIED,
+    "C25",
+    halt_all,
+    _halted,
+    step="with both arms",
+    ends=(OutcomeKind.HALTED,),
+    cell=HALFWAY,
+)

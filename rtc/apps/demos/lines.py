@@ -80,6 +80,10 @@ class Course:
     def now_s(self) -> float:
         return time.monotonic() - self.begun_s
 
+    def notes(self, rtc: Client, label: str) -> list[m.ProgressNote]:
+        """Of the command of a line, as the cluster keeps them."""
+        return rtc.trace(self.commands[label]).notes
+
     def note(self, label: str, note: m.ProgressNote) -> None:
         if note.phase is m.Phase.EXECUTING:
             at_s = note.at_s - self.begun_s

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from rtc.apps.demos import lines as planner
 from rtc.apps.demos.filming import Film, Pictures
-from rtc.apps.demos.injections import CELL, GOOD, HALFWAY, INJECTIONS, Injection, Scene
+from rtc.apps.demos.injections import CELL, GOOD, HALFWAY, HALTED, STRIPPED, Injection, Scene
 from rtc.apps.demos.lines import Course, Line
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
@@ -36,7 +36,6 @@ from rtc.spatial import geometry, hinges
 LINES = Path(__file__).with_suffix(".txt")
 SLIPS = "C12"  # its bolt slips until the operator has the driver
 TESTS = ("C1", "C2")
-ON_PAPER = "O9"
 #: C1 and C2 ask about later states: C1 when the door is open and the bolts are loose, C2 when C16 has grasped as well
 HYPOTHESIS = ("C5", "C7", "C19", "C6", "C10", "C11", "C12", "C15", "C1", "C16", "C2")
 LASTING = {"C8": "C18", "C23": "C40"}  # a line that lasts until the other one ends it
@@ -101,7 +100,7 @@ WHOLE = Part(
     "A satellite with an old module behind a door and two bolts, the new module in a rack, two arms",
     CELL,
     [f"C{n}" for n in range(1, 41) if f"C{n}" not in TESTS],
-    INJECTIONS["O5"],
+    STRIPPED,
     at_once=("C5 C6 C7 C8 C9", "C21 C22 C23 C24"),
     frame_s=3.0,
 )
@@ -110,61 +109,44 @@ PARTS = {
         "The bay is open and empty: both arms carry the new module there; it is inserted, and the door closed",
         HALFWAY,
         ["C4", "C22", "C24", "C25", "C26", "C27", "C28", "C29", "C30", "C35", "C36", "C37", "C38", "C39"],
-        INJECTIONS["O6"],
+        HALTED,
         after={"C36": "C39", "C39": "C30"},  # the right arm stands before the door, and does not take the driver
         at_once=("C35 C39",),
     ),
 }
-INJECTED = sorted([*INJECTIONS, ON_PAPER])
 
 
-def part_of(what: Injection) -> Part:
-    """The lines that lead to what goes wrong."""
-    return Part(what.about, what.cell, what.lines, what, closed=False)
-
-
-def run(
-    console: Console,
-    speed: str = "1",
-    out: Path = Path("out"),
-    *,
-    test: bool = False,
-    inject: str = "",
-    part: str = "",
-) -> bool:
+def run(console: Console, speed: str = "1", out: Path = Path("out"), *, test: bool = False, part: str = "") -> bool:
     """Run the demo; True if every check passed. Writes pictures and a film to `out`; ends all processes.
 
-    `test`: all 40 lines on paper first. `inject`: name of what goes wrong; then only the lines that lead to it. `part`:
-    name of a part."""
+    `test`: all lines on paper first. `part`: name of a part."""
     narrator = Narrator(console)
-    every = planner.read(LINES.read_text())
-    if inject == ON_PAPER:
-        with own_cluster(cell=CELL, speed=speed) as run_dir, Client(run_dir) as rtc:
-            hypotheses(narrator, rtc, every)
-        return narrator.passed()
-    performed = part_of(INJECTIONS[inject]) if inject else PARTS[part] if part else WHOLE
-    cell = Cell.load(performed.cell)
-    narrator.chapter(performed.about)
-    name = inject or part or "swapout"
-    with Renderer() as renderer, Film(out / f"{name}.gif", cell.name, performed.frame_s) as film:
+    show(narrator, part or "swapout", PARTS[part] if part else WHOLE, speed, out, test)
+    return narrator.passed()
+
+
+def show(narrator: Narrator, name: str, part: Part, speed: str, out: Path, test: bool = False) -> None:
+    """Perform a part on a cluster of its own, film it, and check it. `name`: of the film."""
+    every, cell = planner.read(LINES.read_text()), Cell.load(part.cell)
+    narrator.chapter(part.about)
+    with Renderer() as renderer, Film(out / f"{name}.gif", cell.name, part.frame_s) as film:
         pictures = Pictures(out, renderer, cell.name)
         with own_cluster(cell=cell.name, speed=speed) as run_dir, Client(run_dir) as rtc, film.shooting(run_dir):
-            tried = every if performed is WHOLE else [line for line in every if line.label in performed.lines]
+            tried = every if part is WHOLE else [line for line in every if line.label in part.lines]
             predicted = on_paper(narrator, rtc, tried) if test else {}
-            tested = hypotheses(narrator, rtc, every) if performed is WHOLE else {}
-            course = perform(narrator, Scene(run_dir, rtc), performed, every, pictures, film)
+            tested = hypotheses(narrator, rtc, every) if part is WHOLE else {}
+            course = perform(narrator, Scene(run_dir, rtc), part, every, pictures, film)
             course.ends |= tested
-            lines = [line for line in every if line.label in (*performed.lines, *tested)]
+            lines = [line for line in every if line.label in (*part.lines, *tested)]
             show_tracks(narrator, lines, course, cell)
             show_durations(narrator, lines, course, predicted)
-            if performed.closed:
+            if part.closed:
                 narrator.chapter("The criteria")
-                check(narrator, rtc, cell, performed, lines, course)
-            if performed is WHOLE:
+                check(narrator, rtc, cell, part, lines, course)
+            if part is WHOLE:
                 check_surrender(narrator, course)
         film.check(narrator)  # the longer wait, with its progress; the pictures are drawn meanwhile
         pictures.check(narrator)
-    return narrator.passed()
 
 
 def perform(narrator: Narrator, scene: Scene, part: Part, every: list[Line], pictures: Pictures, film: Film) -> Course:

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from rtc.apps.demos import faults, swapout
+from rtc.apps.demos import swapout
+from tests.campaigns import faults
 
 
 def test_an_arm_is_judged_over_several_samples_however_quickly_the_broker_is_back():
@@ -30,12 +31,3 @@ def test_the_insertion_of_the_swap_out_is_halted_taken_up_again_and_ends_with_a_
         passed = swapout.run(console, "max", tmp_path, part="insertion")
     assert passed, console.export_text()[-3000:]
     assert {file.name for file in tmp_path.iterdir()} >= {"insertion.gif", "5-inserted.png"}
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(400)
-def test_the_faults_demo_passes_all_its_checks():
-    """At real speed: it strikes in the middle of motions."""
-    with Console(record=True, width=200) as console:
-        passed = faults.run(console)
-    assert passed, console.export_text()[-3000:]

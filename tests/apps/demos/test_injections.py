@@ -9,20 +9,22 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from rtc.apps.demos import injections, lines, swapout
-from rtc.apps.demos.injections import INJECTIONS
+from rtc.apps.demos import lines, swapout
+from rtc.apps.demos.injections import CELL, HALFWAY, Scene
 from rtc.apps.demos.narrator import Narrator
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.spatial import geometry
 from rtc.world.model import World, initial_facts
+from tests.campaigns import injections
+from tests.campaigns.injections import INJECTIONS
 from tests.workers.conftest import record
 
 TEXTS = {line.label: line.text for line in lines.read(swapout.LINES.read_text())}
 
 
 def test_all_ten_of_the_scenario_exist():
-    assert {*swapout.INJECTED} == {f"O{n}" for n in range(1, 11)}
+    assert {*injections.NAMES} == {f"O{n}" for n in range(1, 11)}
 
 
 @pytest.mark.parametrize("name", INJECTIONS)
@@ -36,7 +38,7 @@ def test_its_line_is_the_last_and_its_sentence_has_the_verb_of_the_task(name):
 
 
 def test_halfway_the_door_is_open_the_bay_is_empty_and_its_bolts_fasten_nothing():
-    cell = Cell.load(injections.HALFWAY)
+    cell = Cell.load(HALFWAY)
     world = World().overlay(initial_facts(cell))
     assert world.value("DOOR-2.angle") == pytest.approx(math.radians(90.0))
     assert {thing.name: thing.seat for thing in cell.objects if thing.kind == "module"} == {
@@ -44,7 +46,7 @@ def test_halfway_the_door_is_open_the_bay_is_empty_and_its_bolts_fasten_nothing(
         "MACS-NEW": "RACK-1",
     }
     assert cell.seat("BAY-2").bolts == []
-    whole = Cell.load(injections.CELL)
+    whole = Cell.load(CELL)
     assert geometry.distance(cell.seated_pose("BAY-2"), whole.seated_pose("BAY-2")) == 0.0
 
 
@@ -60,7 +62,7 @@ def test_a_binder_is_killed_once_in_a_step_and_not_again_once_its_loss_is_known(
     monkeypatch.setattr(injections, "Chaos", lambda *_: SimpleNamespace(strike=strike))
     busy = {"kind": "binder", "name": "binder@2", "busy_with": "C-1/3"}
     rtc = SimpleNamespace(status=lambda: {"workers": [busy]}, trace=lambda _: SimpleNamespace(notes=known))
-    scene = injections.Scene(None, rtc)  # type: ignore[arg-type]
+    scene = Scene(None, rtc)  # type: ignore[arg-type]
     o7, line = INJECTIONS["O7"], lines.Line("C22", "")
     for step in ("1 of 3", "1 of 3", "2 of 3"):
         o7.notes(scene, line, m.ProgressNote(seq=1, at_s=0.0, command="C-1", phase=m.Phase.BINDING, step=step))
@@ -125,5 +127,5 @@ def checked(name: str, label: str, notes: list[m.ProgressNote], facts: dict[str,
         world=SimpleNamespace(view=lambda keys: SimpleNamespace(facts=known)),
     )
     course = lines.Course(commands={label: "C-1"})
-    INJECTIONS[name].check(narrator, injections.Scene(None, rtc), course)  # type: ignore[arg-type]
+    INJECTIONS[name].check(narrator, Scene(None, rtc), course)  # type: ignore[arg-type]
     return narrator.passed()

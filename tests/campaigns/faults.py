@@ -1,11 +1,15 @@
-"""Demo of faults: workers, broker and MCM are killed during motions, and a halt is sent under full load.
+"""Do commands continue, or tell the truth, when workers, broker and MCM are killed, and at a halt under full load?
 
-Every chapter checks that the commands continue, or that their outcomes are true. The demo uses `rtc.client.client` as
-any user does; `rtc.runtime.chaos` kills processes from outside.
+    python -m tests.campaigns.faults [--speed 1]
+
+Each chapter says what it does, and checks what follows, with times. `rtc.runtime.chaos` kills processes from outside.
+At real speed, because it strikes in the middle of motions: two minutes. `tests/processes/test_faults.py` has most of it
+as tests.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import random
 import subprocess
@@ -51,20 +55,25 @@ PROBE_S = 0.02  # processor time of a measurement of the slowdown
 TRIES = 4  # attempts to meet a worker in the milliseconds of a bind
 
 
-def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
-    """Run all chapters; True if every check passed. Ends all processes."""
-    narrator = Narrator(console)
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.campaigns.faults",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--speed", default="1", help="simulated seconds per second")
+    narrator = Narrator(Console())
     narrator.chapter(
         "A cluster: broker, world database, eight workers (two of each kind), and two arms that move exactly"
     )
-    with own_cluster(mcm="kinematic", speed=speed, dim=3) as run_dir:
+    with own_cluster(mcm="kinematic", speed=parser.parse_args().speed, dim=3) as run_dir:
         with Client(run_dir) as rtc, Client(run_dir) as asking:
             narrator.line(f"ready, run directory {run_dir}")
             _Faults(narrator, rtc, asking, Chaos(run_dir, random.Random(SEED))).run()
         pids = [row.pid for row in processes(run_dir).values() if row.pid]
     left = [pid for pid in pids if Path(f"/proc/{pid}").exists()]
     narrator.check(f"the cluster has ended, {len(left)} of its {len(pids)} processes are left", not left)
-    return narrator.passed()
+    sys.exit(0 if narrator.passed() else 1)
 
 
 class _Faults:
@@ -312,3 +321,7 @@ def _ms(seconds: float) -> str:
     return (
         f"{seconds * 1e3:.1f} ms" if seconds < 0.1 else f"{seconds * 1e3:.0f} ms" if seconds < 2 else f"{seconds:.1f} s"
     )
+
+
+if __name__ == "__main__":
+    main()
