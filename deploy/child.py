@@ -37,10 +37,8 @@ class Spec:
     node: int | None = None  # address of a worker
     is_fork_server: bool = False  # it is a fork server: its stdin is a socket for orders
     beats: bool = False  # its loop writes `alive` every second; without that it is hung
-    later: bool = False  # it starts only after the cluster is ready
-    fork_server: str = ""  # name of the fork server of this process, if any
+    fork_server: str = ""  # name of the fork server of this process, if any; it waits for that one
     order: bytes = b""  # order that makes the fork server fork it
-    awaits_fork_server: bool = False  # it waits for its fork server, because it does not start faster alone
     fds: tuple[int, ...] = ()  # file descriptors that it inherits
 
 

@@ -36,14 +36,13 @@ from rtc.client.halt import HaltLine
 from rtc.protocol.messages import REHEARSER
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.protocol.subsystems import ARMS, CAMERAS, Subsystem
-from rtc.runtime import fork_server, handover, process, process_table
+from rtc.runtime import handover, process, process_table
 from rtc.runtime.settings import ENDPOINTS, LAST_WORDS, LOCK, Settings, prepare_run_dir, shell_command
 from rtc.world import lease
 
 LOGS = "logs"
 TEMPLATE = "template"  # process name of the fork server of workers; NAME-template: that of the process NAME
-STANDBY = "twin-template"  # the fork server of TEMPLATE, which is so back in milliseconds
-FROM_COMMON: dict[str, Any] = {"fork_server": common_imports.NAME, "awaits_fork_server": True}
+FROM_COMMON = {"fork_server": common_imports.NAME}
 PREVIOUS = "previous"
 RUNS_KEPT = 3  # in previous, previous-2, previous-3
 MAX_DOWN_S = 120.0  # for a supervisor to end all, on a busy machine
@@ -55,11 +54,9 @@ RANK, NICENESS = 1, -10
 
 def specs(settings: Settings, fd: int = -1) -> list[Spec]:
     """The processes of a cluster. `fd`: the handover file that each inherits (rtc.runtime.handover)."""
-    standby = {"fork_server": STANDBY, "order": fork_server.STANDBY, "awaits_fork_server": True}
     made = [
         _spec(common_imports.NAME, "deploy.common_imports", settings, is_fork_server=True),
-        _spec(STANDBY, "workers", settings, "--template", is_fork_server=True, **FROM_COMMON),
-        _spec(TEMPLATE, "workers", settings, "--template", is_fork_server=True, **standby),
+        _spec(TEMPLATE, "workers", settings, "--template", is_fork_server=True, **FROM_COMMON),
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *chain.from_iterable(_subsystem(one, settings) for one in settings.subsystems if one.module),
@@ -98,14 +95,14 @@ def worker(settings: Settings, address: int) -> Spec:
     arguments = ("--kind", kind, "--node", str(address))
     order = msgspec.json.encode({"kind": kind, "node": address})
     name = hypercube.name_of(address)
-    about = {"node": address, "fork_server": TEMPLATE, "order": order, "awaits_fork_server": True}
+    about = {"node": address, "fork_server": TEMPLATE, "order": order}
     return _spec(name, "workers", settings, *arguments, **about)
 
 
 def new_rehearser(settings: Settings, number: int, fd: int) -> Spec:
     """The spec of a rehearser, which performs TEST sentences on paper."""
     order = msgspec.json.encode({"node": number})
-    about = {"node": number, "fork_server": TEMPLATE, "order": order, "awaits_fork_server": True}
+    about = {"node": number, "fork_server": TEMPLATE, "order": order}
     return _hand(_spec(f"{REHEARSER}@{number}", "workers", settings, "--rehearser", str(number), **about), fd)
 
 
@@ -126,7 +123,7 @@ def _subsystem(one: Subsystem, settings: Settings) -> list[Spec]:
 def _with_template(name: str, module: str, settings: Settings, *more: str) -> list[Spec]:
     """A singleton process and its fork server, of which the first one is forked too: all is imported once."""
     its_template = f"{name}-{TEMPLATE}"
-    forked: dict[str, Any] = {"fork_server": its_template, "order": b"start", "awaits_fork_server": True}
+    forked: dict[str, Any] = {"fork_server": its_template, "order": b"start"}
     return [
         _spec(its_template, module, settings, *more, "--template", is_fork_server=True, **FROM_COMMON),
         _spec(name, module, settings, *more, beats=True, **forked),

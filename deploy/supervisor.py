@@ -118,7 +118,7 @@ class Supervisor:
         adopt_orphans()  # workers are forked by their fork server
         self._start_waiting()
         report_due = Every(REPORT_WAITING_S, now_s() + REPORT_WAITING_S)
-        while waiting := [c for c in self._children.values() if c.state != ProcessState.READY and not c.spec.later]:
+        while waiting := [c for c in self._children.values() if c.state != ProcessState.READY]:
             if self._me.stopping:
                 raise ClusterError("stopped before the cluster was ready")
             if report_due.due(now_s()):
@@ -213,24 +213,17 @@ class Supervisor:
                 self._changes = True
 
     def _may_start(self, child: Child) -> bool:
-        if child.spec.later:  # one at a time, so that they use at most one core
-            others = (c for c in self._children.values() if c.spec.later and c is not child)
-            if not self._up or any(c.state == ProcessState.STARTING for c in others):
-                return False
-        return not self._awaits_fork_server(child)
-
-    def _awaits_fork_server(self, child: Child) -> bool:
-        """True while a process must wait for its fork server.
+        """False while a process must wait for its fork server.
 
         A start by its own command takes as long as that of the fork server, and many at once overload a slow machine.
         Without a working fork server, processes start one at a time.
         """
         template = self._children.get(child.spec.fork_server)
-        if template is None or not child.spec.awaits_fork_server or template.state == ProcessState.READY:
-            return False
-        if template.state not in (ProcessState.LOOPING, ProcessState.FAILED):
+        if template is None or template.state == ProcessState.READY:
             return True
-        return any(
+        if template.state not in (ProcessState.LOOPING, ProcessState.FAILED):
+            return False
+        return not any(
             c.state == ProcessState.STARTING and c.spec.fork_server == template.spec.name
             for c in self._children.values()
         )

@@ -82,8 +82,6 @@ ALLOWED: tuple[tuple[str, str, str], ...] = (
     ("gate", "tests/processes/test_gateway.py", "dropped_gate_"),
     ("gate", "tests/broker/gateway/test_refusals.py", "gate_stale"),
     # Keys of messages and of programs.
-    # Names of processes in logs and in `rtc status`.
-    ("twin", "", '"twin-template"'),
     # A parameter of the library rich.
     ("fold", "rtc/apps/cli/output.py", 'overflow="fold"'),
 )

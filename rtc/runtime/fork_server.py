@@ -9,7 +9,6 @@ Protocol: stdin is a Unix SEQPACKET socket. An order is the bytes for `become`, 
 stderr and optionally stdin of the new process. The answer is its pid. A double fork makes the process a child of the
 supervisor, which must be a subreaper. The child then waits for one byte in the pipe, which shows that the supervisor
 knows its pid and watches it. If the pipe closes before that byte (supervisor timed out or died), the child exits.
-The order STANDBY forks another fork server, with all that this one has built.
 """
 
 from __future__ import annotations
@@ -24,8 +23,6 @@ from pathlib import Path
 from typing import NoReturn
 
 from rtc.runtime import handover, process
-
-STANDBY = b"standby"  # order: fork another fork server
 
 Become = Callable[[bytes], None]
 
@@ -98,10 +95,7 @@ def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int
         os.close(begin)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
-        if order == STANDBY:
-            serve(become)
-        else:
-            become(order)
+        become(order)
         status = 0
     except BaseException:
         traceback.print_exc()

@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
 LIMIT_S = 90.0
 WORKERS = ["parser@0", "elaborator@1", "binder@2", "analyzer@3"]
-TEMPLATES = ["common-template", "template", "twin-template", "broker-template", "world-template", "MCM-template"]
+TEMPLATES = ["common-template", "template", "broker-template", "world-template", "MCM-template"]
 NAMES = [*TEMPLATES, "broker", "world", "MCM", "S&P", *WORKERS]
 
 
@@ -65,7 +65,6 @@ def gone(pids):
 
 
 def all_ready(run_dir):
-    """Wait for the standby too, which starts when the cluster is ready."""
     end = os.times().elapsed + LIMIT_S
     while {row["state"] for row in rows(run_dir).values()} != {"ready"}:
         assert os.times().elapsed < end, rows(run_dir)

@@ -31,7 +31,6 @@ from rtc.protocol.messages import (
     WorkerKind,
 )
 from rtc.protocol.outcomes import ClusterError
-from rtc.runtime.fork_server import STANDBY
 from rtc.runtime.process import Process, now_s, send
 
 pytestmark = [pytest.mark.slow, pytest.mark.untimed]
@@ -338,6 +337,8 @@ def be(order):
     print(f"{order.decode()} of {os.getppid()}", file=sys.stderr, flush=True)
     if order == b"analyzer@7":
         raise ZeroDivisionError("a bug")
+    if order == b"template":
+        serve(be)
     print("ready", flush=True)
     signal.pause()
 serve(be)
@@ -350,7 +351,6 @@ def template(**about):
 
 def forked(name, **about):
     command = (sys.executable, "-S", "-E", "-c", GOOD)
-    about = {"awaits_fork_server": True} | about
     return Spec(name, command, int(name.split("@")[1]), fork_server="template", order=name.encode(), **about)
 
 
@@ -391,23 +391,25 @@ def test_what_was_forked_too_late_never_begins_and_leaves_no_zombie(cluster, tmp
     """The supervisor has given up on it, so no supervisor would watch it: two brokers would use one journal."""
     monkeypatch.setattr("deploy.child.FORK_LIMIT_S", 0.2)
     monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
-    late = Spec("template", (sys.executable, "-c", LATE + TEMPLATE), is_fork_server=True, later=True)
-    it = cluster(forked("broker@0", awaits_fork_server=False), late).go()
+    late = Spec("template", (sys.executable, "-c", LATE + TEMPLATE), is_fork_server=True)
+    it = cluster(forked("broker@0"), late).go()
     os.kill(it.recv_table(lambda t: t["template"]["state"] == "ready")["broker@0"]["pid"], signal.SIGKILL)
     it.recv_table(lambda t: t["template"]["restarts"] == 1 and t["broker@0"]["state"] == "ready")
     stray = int((tmp_path / "template.log").read_text().split()[1])
     it.recv_table(lambda t: not alive(stray))
-    assert (tmp_path / "broker@0.log").read_text().count("broker@0 of") == 0
+    assert (tmp_path / "broker@0.log").read_text().count("broker@0 of") == 2  # before and after
 
 
 LATE = """
 import signal, sys
 from rtc.runtime import fork_server as template
-fork = template._fork_away
-def fork_and_never_say_so(child):
+fork, first = template._fork_away, iter([True])
+def fork_and_say_so_once(child):
+    if next(first, False):
+        return fork(child)
     print("forked", fork(child), file=sys.stderr, flush=True)
     signal.pause()
-template._fork_away = fork_and_never_say_so
+template._fork_away = fork_and_say_so_once
 """
 
 
@@ -422,50 +424,30 @@ def test_without_a_template_workers_start_by_themselves(cluster):
     assert b"signal.pause()" in command_line(now["new@0"]["pid"])
 
 
-def test_a_template_for_later_is_not_waited_for_and_forks_what_is_killed(cluster):
-    it = cluster(forked("broker@0", awaits_fork_server=False), template(later=True)).go()
-    first = it.recv_table(lambda t: t["template"]["state"] == "ready")["broker@0"]
-    assert b"signal.pause()" in command_line(first["pid"])  # it has started by itself
-    states = [row["state"] for table in it.saved for row in table if row["name"] == "template"]
-    assert (states[0], states[-1]) == ("pending", "ready")  # its first start is no restart
-    assert "restarting" not in states
-    os.kill(first["pid"], signal.SIGKILL)
-    again = it.recv_table(lambda t: t["broker@0"]["state"] == "ready" and t["broker@0"]["restarts"] == 1)
-    assert b"rtc.runtime.fork_server" in command_line(again["broker@0"]["pid"])
+def fork_servers():
+    """One that is forked from another; by its own command it could not start."""
+    common = replace(template(), name="common")
+    return common, replace(template(), fork_server="common", order=b"template", command=("/no/such/program",))
 
 
-def test_templates_are_forked_from_each_other_and_from_them_all_else(cluster):
-    one = replace(template(), fork_server="standby", order=STANDBY)
-    two = replace(
-        template(later=True), name="standby", fork_server="template", order=STANDBY, command=("/no/such/program",)
-    )
-    it = cluster(one, two, forked("binder@2")).go()
+def test_a_fork_server_is_forked_from_another_and_from_it_all_else(cluster):
+    it = cluster(*fork_servers(), forked("binder@2")).go()
     for n in (1, 2):
         table = it.recv_table(lambda t: all(row["state"] == "ready" for row in t.values()))
         for name in ("template", "binder@2"):
             os.kill(table[name]["pid"], signal.SIGKILL)
         back = lambda t: all(row["state"] == "ready" for row in t.values()) and t["binder@2"]["restarts"] == n  # noqa: B023, E731
         it.recv_table(back)
-        os.kill(table["standby"]["pid"], signal.SIGKILL)  # the next template must come from the new standby
-        it.recv_table(lambda t: t["standby"]["restarts"] == n and t["standby"]["state"] == "ready")  # noqa: B023
+        os.kill(table["common"]["pid"], signal.SIGKILL)  # the next fork server must come from the new one
+        it.recv_table(lambda t: t["common"]["restarts"] == n and t["common"]["state"] == "ready")  # noqa: B023
 
 
-def test_when_all_are_killed_the_workers_and_the_standby_wait_for_the_template(cluster):
+def test_when_all_are_killed_each_waits_for_its_fork_server(cluster):
     """Each could start by itself; on a slow machine they would then all start for ever."""
-    by_itself = ("/no/such/program",)
-    standby = Spec(
-        "standby",
-        by_itself,
-        is_fork_server=True,
-        later=True,
-        fork_server="template",
-        order=STANDBY,
-        awaits_fork_server=True,
-    )
     names = [f"binder@{address}" for address in (2, 6, 10)]
-    it = cluster(template(), standby, *map(forked, names)).go()
+    it = cluster(*fork_servers(), *map(forked, names)).go()
     table = it.recv_table(lambda t: all(row["state"] == "ready" for row in t.values()))
-    for name in ("template", "standby", *names):
+    for name in ("template", "common", *names):
         os.kill(table[name]["pid"], signal.SIGKILL)
     back = it.recv_table(lambda t: all((row["state"], row["restarts"]) == ("ready", 1) for row in t.values()))
     assert all(b"rtc.runtime.fork_server" in command_line(back[name]["pid"]) for name in names)
@@ -484,7 +466,7 @@ def test_what_cannot_be_run_later_is_given_up_and_the_rest_goes_on(cluster):
 def test_a_full_disk_costs_words_but_no_process(cluster, tmp_path, monkeypatch):
     monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
     full = OSError(errno.ENOSPC, "No space left on device")
-    it = cluster(spec("binder@2", GOOD, 2), template(later=True)).go()
+    it = cluster(spec("binder@2", GOOD, 2), template()).go()
     table = it.recv_table(lambda t: t["template"]["state"] == "ready")
     lines = []
 
