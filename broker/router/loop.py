@@ -121,7 +121,7 @@ class Router:
         self.egress.stream.flush_if_due(began)
 
     def _receive(self, waiting: Collection[str], now: float) -> bool:
-        """Receive from all sockets but that of halts. False: reports of subsystems may still be queued."""
+        """Receive from the sockets in `waiting` except `halt`. False: reports of subsystems may still be queued."""
         reports_read = True
         for name in waiting:
             if name == "events":

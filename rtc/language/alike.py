@@ -1,7 +1,6 @@
 """Fuzzy matching: the known words that a misspelt word may stand for, by edit distance.
 
-Knows letters only. The one matcher of the project, and its
-words for a name that is not known.
+It compares letters only. All refusals of an unknown name use it and its words.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ NEEDS = (
 )
 #: elaborator: anchors of plan lines
 ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge", "meeting", "here", "bolt", "bolt_out")
-#: directions; WAY_OUT is the exit direction of a seat: in a plan of the target, in a line from HERE
-#: of the one that the object is in (up without one)
+#: Directions. WAY_OUT is the exit direction of a seat. In a line of a plan it is that of the target; in a line from
+#: HERE it is that of the seat that the object is in, or UP if it is in none.
 AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
 WAY_OUT = "WAY-OUT"
 PLAN_AXES = (*AXES, WAY_OUT)

@@ -114,8 +114,9 @@ def _felt_nm(task: AnalyzeTask) -> float:
 def head_felt(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     """The driver was pressed on the head: the bolt is out by where the tip of its spindle is.
 
-    That says nothing new if it is believed to be there. Else it is believed to be a little farther in, so that turning
-    it out by what is left frees it; and it is in doubt, if the driver is not known well enough."""
+    Nothing changes if the bolt was believed to be there. Otherwise the new belief is FELT_TURNS farther in than felt:
+    then a turn by what is left is sure to free the bolt. The belief is suspect if the driver's own pose is not known
+    well enough."""
     query, bolt = task.query, task.context.object
     known = all(query.trusts(f"{bolt}.{name}") for name in ("turns", "state", "frame"))
     off, unsure = felt_turns(task) - query.turns(bolt), _unsure_turns(task)

@@ -50,9 +50,9 @@ from rtc.spatial.geometry import Array
 from workers.planning import axes, suggestions
 
 JOINT = "JOINT-"  # and its number from the base, from 1: a direction of TURN
-#: conditions about what is between the fingers
 SHARE = 0.8  # of the limit, that an advised condition has
 TURNED_DEG = 0.05  # a smaller turn of a back-off is not stated
+#: conditions about what is between the fingers
 HELD = frozenset({"SLIP", "OBJECT-LOST"})
 Overload = ForceAbove | TorqueAbove
 EASING = frozenset({Reflex.BACK_OFF, Reflex.COMPLY})  # reflexes that take the force away: at least as safe as STOP

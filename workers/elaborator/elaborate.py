@@ -271,8 +271,10 @@ def _most_informative(
     compiled: Compiled, refused: list[tuple[Refusal, ScriptOption]], options: list[ScriptOption], *, advise: bool
 ) -> Refusal:
     """The refusal of the lowest rank. An arm in the way that could leave is only named if a sentence for it was found
-    that clears the command; else the refusal names the obstacle that remains. From so near to a body that it may be
-    touched no way round is sought, so the other arm is not the cause then."""
+    that clears the command; else the refusal names the obstacle that remains.
+
+    An arm that starts so near to a body that it may touch it leaves on one fixed way, and no other is searched for.
+    Then the other arm is not the cause."""
     first, its = min(refused, key=lambda each: _rank(each[0]))
     if not advise or LEAVING in first.detail or first.reason is RefusalReason.SUSPECT:  # the last is waited for
         return first

@@ -122,8 +122,10 @@ class Labels:
         return not any(spelt(one.name) in self._expected - self.numbers.keys() for one in references(text))
 
     def sent_as(self, text: str) -> str:
-        """The sentence with the numbers of the cluster. A label without a command loses its hyphen, and is refused: C3
-        is never a number of the cluster."""
+        """The sentence with the cluster's numbers of commands in place of the labels of the file.
+
+        A label whose sentence did not become a command must not name another command, such as C-3 of another file.
+        So it is written without its hyphen: C3 names no command, and the sentence is refused."""
         parts, done = [], 0
         for one in references(text):
             if (label := spelt(one.name)) in self.numbers:

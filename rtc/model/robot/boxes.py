@@ -140,8 +140,13 @@ class Boxes:
 
 
 def _solid(solid: coal.CollisionGeometry) -> tuple[list[float], list[float]]:
-    """Half edges of the box around a solid and of its own box, radii of the disk and of the ball that are added to it;
-    and the corners of a hull, from the centre of the box around it."""
+    """A solid as the kernel takes it: eight numbers in m, and the corners of a hull.
+
+    - 0 to 2: half edges of its bounding box
+    - 3 to 5: half edges of its core, a box, which a disk (6: radius, in x and y) and a ball (7: radius) are swept over.
+      A sphere is a point and a ball, a capsule a line and a ball, a cylinder a line and a disk
+
+    The corners are relative to the centre of the bounding box."""
     centre = np.asarray(solid.aabb_center)
     around = (np.asarray(solid.aabb_local.max_) - centre).tolist()
     corners: list[float] = []

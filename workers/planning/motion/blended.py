@@ -54,9 +54,11 @@ class Blended:
         return values, before + turned * (after - before), bend
 
     def off_chords(self, s: Array) -> Array:
-        """As `Path.off_chords`. Beside a corner the direction turns one way only. A curve on which it turns by d is off
-        its chord by d/4 of the length at most, and by 1/8 of the length squared times its second derivative; and the
-        corner is off its lines by 3/16 of d times its radius."""
+        """As `Path.off_chords`: the smallest of three bounds.
+
+        Let L be the length of a chord, d the change of direction on it, r the radius of the corner. On a corner the
+        direction turns one way only. So the curve is off its chord by at most d L / 4, and by at most L^2 / 8 times
+        its second derivative. The corner itself is off its lines by 3/16 d r."""
         radii = np.maximum(self.radii, MIN_LENGTH)
         u = np.clip((s[:, None] - self._s[1:-1] + radii) / (2 * radii), 0.0, 1.0)
         turned = np.abs(np.diff(u * u * (3 - 2 * u), axis=0))

@@ -29,12 +29,11 @@ GAIN = 0.95  # a shortcut must be shorter than this share of the part that it re
 
 
 class Draw(NamedTuple):
-    """How samples are drawn: the share of those that keep joints of an end, the probability with which each joint is
-    kept, and the samples after which the search ends if one of the trees has not grown at all."""
+    """How samples are drawn, and when a search that finds none ends."""
 
-    mixed: float
-    keeps: float
-    stuck_after: int
+    mixed: float  # share of samples that keep some joints of an end
+    keeps: float  # probability with which such a sample keeps each joint
+    stuck_after: int  # samples after which the search ends if one tree has not grown at all
 
 
 WIDE = Draw(0.3, 0.5, 96)
