@@ -19,7 +19,7 @@ from tests import decisions_page
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("rtc", "broker", "workers", "sim_mcm", "deploy")
-CITING = {".py", ".md", ".yaml", ".lark", ".bnf", ".toml"}
+CITING = {".py", ".md", ".yaml", ".lark", ".toml"}
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
 
 

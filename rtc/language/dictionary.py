@@ -1,7 +1,7 @@
 """The command dictionary: an entry for each verb, in the form of Figure 2 of the paper, and grammar statistics.
 
-Sources: command.bnf (clauses), dictionary.yaml (meanings) and command.lark (spellings). It neither parses a sentence
-nor compiles the grammar, so look-ups are fast.
+Sources: command.lark (clauses and spellings) and dictionary.yaml (meanings). It neither parses a sentence nor compiles
+the grammar, so look-ups are fast.
 """
 
 from __future__ import annotations
@@ -18,6 +18,12 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 
 NIL = "nil"
 ARROW = "-->"
+RULE = re.compile(r"(?:([a-z_]+)|\s+\|)\s*:?((?: [A-Za-z_]+)*)\s+-> [a-z_]+")  # of command.lark: a production a line
+CLASSES = {"NAME": "<name>", "STRING": "<string>", "NUMBER": "<number>", "QUANTITY": "<quantity>"}
+TITLE = """\
+-- RTC command language, version 1.  UPPER-CASE = reserved word (terminal);  <x> = token class;  nil = empty.
+-- Lexer: case-insensitive, '_' == '-', commas and a final '.' are ignored, '--' starts a comment (as in Ada).
+"""
 RESERVED = re.compile(r"[A-Z][A-Z-]*")  # in the BNF, capitals are reserved words and <x> is a token class
 
 Production = list[str]
@@ -120,15 +126,12 @@ def print_clause(name: str, productions: Iterable[Production]) -> list[str]:
 
 @lru_cache(maxsize=1)
 def clauses() -> dict[str, list[Production]]:
-    """Clause -> its productions, each a list of symbols (empty for nil), as in command.bnf."""
+    """Clause -> its productions, each a list of symbols (empty for nil)."""
     found: dict[str, list[Production]] = {}
-    name = ""
-    for line in bnf().splitlines():
-        if ARROW not in line or line.startswith("--"):
-            continue
-        left, right = line.split(ARROW)
-        name = left.strip() or name
-        found.setdefault(name, []).append([s for s in right.split() if s != NIL])
+    for rule in filter(None, map(RULE.fullmatch, _text("command.lark").splitlines())):
+        if rule[1]:
+            productions = found[rule[1].replace("_", "-")] = []
+        productions.append([CLASSES.get(symbol, symbol.replace("_", "-")) for symbol in rule[2].split()])
     return found
 
 
@@ -148,9 +151,14 @@ def synonyms() -> dict[str, list[str]]:
     return found
 
 
-@lru_cache(maxsize=1)
 def bnf() -> str:
-    return _text("command.bnf")
+    """The grammar in Backus-Naur form, for people."""
+    rows = (
+        f"{'' if n else name:<20}{ARROW} {' '.join(symbols) or NIL}\n"
+        for name, productions in clauses().items()
+        for n, symbols in enumerate(productions)
+    )
+    return TITLE + "".join(rows)
 
 
 def _symbols() -> set[str]:

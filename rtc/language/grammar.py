@@ -36,7 +36,7 @@ class Grammar:
             raise ProgramError(f"the grammar does not compile: {error}") from error
         except RecursionError:
             raise ProgramError("the grammar does not compile: it is nested too deeply") from None
-        self.productions: list[tuple[str, tuple[str, ...]]] = []  # (clause, symbols), with the names of command.bnf
+        self.productions: list[tuple[str, tuple[str, ...]]] = []  # (clause, symbols) of `rtc grammar`
         for rule in self._lark.rules:
             meaning = rule.alias or str(rule.origin.name)
             if meaning not in MEANING:

@@ -13,6 +13,7 @@ import argparse
 import math
 import random
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
@@ -69,16 +70,22 @@ def weaken(scene: Scene) -> None:
         scene.rtc.inject(WeakHand(arm="RIGHT-ARM", n_s=WEAKENS_N_S))
 
 
-def kill_binder(scene: Scene) -> None:
-    """The binder that has a job of the command; at the next step again, if that one had just finished. Once in each
+def binder_killer() -> Callable[[Scene], None]:
+    """Of the binder that has a job of the command; at the next step again, if that one had just finished. Once in each
     step: a job that ends three workers is refused."""
-    if scene.step == scene.struck_at or lost(scene):
-        return
-    for worker in scene.rtc.status()["workers"]:
-        if worker["kind"] == "binder" and worker["busy_with"].partition("/")[0] == scene.command:
-            hit = Chaos(scene.run_dir, random.Random(7)).strike("worker", worker["name"])
-            scene.struck += [hit.name] if hit else []
-            scene.struck_at = scene.step
+    struck_at = ""  # the step in which a binder was killed last
+
+    def strike(scene: Scene) -> None:
+        nonlocal struck_at
+        if scene.step == struck_at or lost(scene):
+            return
+        for worker in scene.rtc.status()["workers"]:
+            if worker["kind"] == "binder" and worker["busy_with"].partition("/")[0] == scene.command:
+                hit = Chaos(scene.run_dir, random.Random(7)).strike("worker", worker["name"])
+                scene.struck += [hit.name] if hit else []
+                struck_at = scene.step
+
+    return strike
 
 
 def lost(scene: Scene) -> list[str]:
@@ -225,7 +232,7 @@ INJECTIONS = {
         "a binder is killed while it binds a step of C22",
         ["C4", "C22"],
         "C22",
-        kill_binder,
+        binder_killer(),
         _done_again,
         step="of ",
         phase=m.Phase.BINDING,

@@ -15,16 +15,16 @@ from rtc.protocol.sentence import ParsedCommand
 TEXT = resources.files("rtc.language").joinpath("command.lark").read_text()
 
 
-def test_the_parser_has_the_productions_of_the_bnf() -> None:
-    in_bnf = Counter(
+def test_the_parser_has_the_productions_of_the_dictionary() -> None:
+    known = Counter(
         (clause, tuple(symbol.strip("<>").upper() if "<" in symbol else symbol for symbol in production))
         for clause, productions in dictionary.clauses().items()
         for production in productions
     )
-    assert Counter(default_grammar().productions) == in_bnf
+    assert Counter(default_grammar().productions) == known
 
 
-def test_the_parser_has_the_terminals_of_the_bnf() -> None:
+def test_the_parser_has_the_terminals_of_the_dictionary() -> None:
     grammar = default_grammar()
     reserved = {word for _, word in grammar.vocabulary.reserved.values()}
     synonyms = {word for words in dictionary.synonyms().values() for word in words}

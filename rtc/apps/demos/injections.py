@@ -42,7 +42,6 @@ class Scene:
     struck: list[str] = field(default_factory=list)  # names of processes
     command: str = ""  # in which it happens
     step: str = ""  # of the command, at present
-    struck_at: str = ""  # the step in which a binder was killed last
 
 
 class Injection(NamedTuple):
