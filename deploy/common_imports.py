@@ -27,7 +27,7 @@ COMMON = (
 )
 
 
-class Order(msgspec.Struct, frozen=True):
+class ForkOrder(msgspec.Struct, frozen=True):
     name: str
     module: str
     arguments: list[str]
@@ -36,7 +36,7 @@ class Order(msgspec.Struct, frozen=True):
 def order_of(name: str, command: Sequence[str]) -> bytes:
     """The order to become the process `name` of this command: python ... -m MODULE ARGUMENTS."""
     _, module, *arguments = command[command.index("-m") :]
-    return msgspec.json.encode(Order(name, module, arguments))
+    return msgspec.json.encode(ForkOrder(name, module, arguments))
 
 
 def main() -> None:
@@ -48,7 +48,7 @@ def main() -> None:
 
 def become(order: bytes) -> None:
     """Run the command of the order, in a process just forked."""
-    wanted = msgspec.json.decode(order, type=Order)
+    wanted = msgspec.json.decode(order, type=ForkOrder)
     process.show_name(wanted.name)
     sys.argv = [wanted.module, *wanted.arguments]
     runpy.run_module(wanted.module, run_name="__main__", alter_sys=True)

@@ -64,7 +64,7 @@ def _kinematic(cell: Cell) -> Simulation:
 SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": _bullet, "kinematic": _kinematic}
 
 
-class Station:
+class SimulationLoop:
     """The loop around a simulation: sockets, subsystem, clock."""
 
     def __init__(self, me: process.Process, name: str, given: handover.Handover, simulation: Simulation) -> None:
@@ -323,7 +323,7 @@ def live(run_dir: str, name: str, fd: int = -1, simulation: Simulation | None = 
         me.end_with_parent(END_S * settings.timeout_scale + LAST_S)
         if _in_real_time(settings):
             process.real_time_io(me.context, IO_RANK)
-        station = Station(me, name, given, simulation or _simulation(settings, name))
+        station = SimulationLoop(me, name, given, simulation or _simulation(settings, name))
         me.log.info("scheduling: %s", _raise_priority(settings))
         station.run()
 

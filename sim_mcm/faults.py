@@ -48,7 +48,7 @@ FORCED = [
 Course = Generator[str, None, Any]
 
 
-class Refused(Exception):
+class FaultRefused(Exception):
     """The fault cannot be injected or undone now; the text is the reason."""
 
 
@@ -108,7 +108,7 @@ class Injections:
             if fault.name in self._active:
                 self._undo(fault.name)
             next(course)
-        except Refused as refused:
+        except FaultRefused as refused:
             return str(refused)
         self._active[fault.name] = (fault.words, course)
         return ""
@@ -120,37 +120,37 @@ class Injections:
         for one in names:
             try:
                 notes.append(self._undo(one))
-            except Refused as why:
+            except FaultRefused as why:
                 refused.append(str(why))
         return "; ".join(refused), "; ".join(filter(None, notes))
 
     def _undo(self, name: str) -> str:
         if name not in self._active:
             known = ", ".join(self._active) or "none"
-            raise Refused(f"{name} is not injected; active are: {known}")
+            raise FaultRefused(f"{name} is not injected; active are: {known}")
         try:
             refused = next(self._active[name][1])
         except StopIteration as undone:
             del self._active[name]
             return undone.value or ""
-        raise Refused(refused)
+        raise FaultRefused(refused)
 
     # --- one method per fault -----------------------------------------------------------------------------
 
     def _displace(self, fault: f.Displaced) -> Course:
         name, offset = fault.object, fault.offset
         if len(offset) != 6 or not all(abs(part) <= FARTHEST for part in offset):  # false for NaN too
-            raise Refused(f"offset: six finite numbers are required, none beyond {FARTHEST:g} m or rad")
+            raise FaultRefused(f"offset: six finite numbers are required, none beyond {FARTHEST:g} m or rad")
         seats = [seat.name for seat in self._cell.seats]
         _known(name, [*(thing.name for thing in self._cell.objects), *seats], "object or seat")
         if name in seats and (inside := self._inside(name)):
-            raise Refused(f"{inside} is in {name}: displace {inside}, and its seat moves with it")
+            raise FaultRefused(f"{inside} is in {name}: displace {inside}, and its seat moves with it")
         holders = [arm for arm, held in self._simulation.held().items() if name in held]
         if holders:
-            raise Refused(f"{name} is held by {', '.join(holders)}")
+            raise FaultRefused(f"{name} is held by {', '.join(holders)}")
         yield ""
         if error := self._simulation.displace(name, offset):
-            raise Refused(error)
+            raise FaultRefused(error)
         there = self._true_pose(name)
         turned = geometry.inverse(geometry.from_rpy((0.0, 0.0, 0.0), offset[3:]))
         back = [*(-x for x in offset[:3]), *geometry.to_rpy(turned).tolist()]
@@ -178,7 +178,7 @@ class Injections:
     def _drift(self, fault: f.Drifting) -> Course:
         velocity = fault.velocity
         if len(velocity) != 6 or not all(abs(part) <= FASTEST for part in velocity):  # false for NaN too
-            raise Refused(f"velocity: six finite numbers are required, none beyond {FASTEST:g} m/s or rad/s")
+            raise FaultRefused(f"velocity: six finite numbers are required, none beyond {FASTEST:g} m/s or rad/s")
         _known(fault.object, (thing.name for thing in self._cell.objects), "object")
         yield ""
         self.drifts[fault.object] = list(velocity)
@@ -199,7 +199,7 @@ class Injections:
         _known(fault.arm, self._executors, "arm")
         offset = fault.offset
         if offset is not None and (len(offset) != 6 or not all(abs(part) <= MAX_SENSED for part in offset)):
-            raise Refused(f"offset: six finite numbers are required, none beyond {MAX_SENSED:g} N or N.m")
+            raise FaultRefused(f"offset: six finite numbers are required, none beyond {MAX_SENSED:g} N or N.m")
         yield ""
         faulty = self._faulty(fault.arm)
         faulty.wrench, faulty.frozen = (faulty.read().wrench, True) if offset is None else (offset, False)
@@ -218,25 +218,25 @@ class Injections:
         _known(fault.seat, (seat.name for seat in self._cell.seats), "seat")
         yield ""
         if error := self._simulation.blunt(fault.seat, True):
-            raise Refused(error)
+            raise FaultRefused(error)
         yield ""
         self._simulation.blunt(fault.seat, False)
 
     def _strip(self, fault: f.StrippedBolt) -> Course:
         bolts = [thing.name for thing in self._cell.objects if thing.thread is not None]
         if not bolts:
-            raise Refused(f"there is no bolt {fault.bolt}: the cell {self._cell.name} has no bolts")
+            raise FaultRefused(f"there is no bolt {fault.bolt}: the cell {self._cell.name} has no bolts")
         _known(fault.bolt, bolts, "bolt")
         yield ""
         if error := self._simulation.strip(fault.bolt, True):
-            raise Refused(error)
+            raise FaultRefused(error)
         yield ""
         self._simulation.strip(fault.bolt, False)
 
     def _drop(self, fault: f.FailedHand) -> Course:
         _known(fault.arm, self._executors, "arm")
         if fault.name not in self._active and not self._simulation.held()[fault.arm]:
-            raise Refused(f"{fault.arm} holds nothing")
+            raise FaultRefused(f"{fault.arm} holds nothing")
         yield ""
         faulty = self._faulty(fault.arm)
         faulty.fail_hand(self._executors[fault.arm].hand)
@@ -257,7 +257,7 @@ class Injections:
     def _weaken(self, fault: f.WeakHand) -> Course:
         _known(fault.arm, self._executors, "arm")
         if not 0.0 < fault.n_s <= WEAKEST_N_S:  # false for NaN too
-            raise Refused(f"a hand can lose up to {WEAKEST_N_S:g} N/s of its force, not {fault.n_s:g}")
+            raise FaultRefused(f"a hand can lose up to {WEAKEST_N_S:g} N/s of its force, not {fault.n_s:g}")
         yield ""
         self._faulty(fault.arm).grip(self._executors[fault.arm].hand)
         self.hands[fault.name] = fault
@@ -284,7 +284,7 @@ class Injections:
     def _slow(self, fault: f.SlowLoop) -> Course:
         if not MIN_SLOW_S <= fault.tick_s <= MAX_SLOW_S:  # false for NaN too
             least, most = 1e3 * MIN_SLOW_S, 1e3 * MAX_SLOW_S
-            raise Refused(f"a tick can be slowed by {least:g} to {most:g} ms, not by {1e3 * fault.tick_s:g} ms")
+            raise FaultRefused(f"a tick can be slowed by {least:g} to {most:g} ms, not by {1e3 * fault.tick_s:g} ms")
         yield ""
         self.tick_s = fault.tick_s
         yield ""
@@ -373,7 +373,7 @@ class FaultyArm:
 
 def _known(name: str, known: Iterable[str], kind: str) -> None:
     if name not in (names := list(known)):
-        raise Refused(unknown(kind, name, names))
+        raise FaultRefused(unknown(kind, name, names))
 
 
 COURSES: dict[type, Callable[..., Course]] = {

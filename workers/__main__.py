@@ -83,7 +83,7 @@ def main() -> None:
         work(handed, kind, given.node, preload([kind], handed.settings.cell))
 
 
-class Order(msgspec.Struct, frozen=True):
+class WorkerOrder(msgspec.Struct, frozen=True):
     """Of a worker: `node` is its address. Without a kind it is a rehearser, and `node` its number."""
 
     node: int
@@ -94,7 +94,7 @@ def serve(handed: handover.Handover) -> None:
     """Run as the fork server: preload programs and models for all kinds, then fork one worker per order."""
     process.log_to_stderr()
     prepared = preload(WorkerKind, handed.settings.cell)
-    read = msgspec.json.Decoder(Order).decode
+    read = msgspec.json.Decoder(WorkerOrder).decode
 
     def be(order: bytes) -> None:
         wanted = read(order)

@@ -24,7 +24,7 @@ import zmq
 from broker.gateway.admission import RELOAD_S, Admission
 from broker.gateway.endpoints import HALTS, MAX_MESSAGES, PUBLISHED, Peer, ServerSockets, push
 from broker.gateway.halts import RETRY_S, HaltForwarder
-from broker.gateway.sessions import Link, Sessions, node_of
+from broker.gateway.sessions import PeerConnection, Sessions, node_of
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol import messages as m
 from rtc.protocol import wire
@@ -226,7 +226,7 @@ class Gateway:
             parts = wire.frames(msgspec.structs.replace(message, operator=f"{key.name}/{message.operator}"))
         self._forward(link, parts, message)
 
-    def _forward(self, link: Link, parts: Sequence[bytes], message: Any) -> None:
+    def _forward(self, link: PeerConnection, parts: Sequence[bytes], message: Any) -> None:
         if not push(link.socket, parts):
             self._endpoints.count("unsent", f"of {link.key.name} at {link.endpoint}")
             words = "the cluster accepts no more messages from this peer now"
@@ -257,7 +257,7 @@ class Gateway:
 
     # --- from the cluster -----------------------------------------------------------------------------
 
-    def _return_answers(self, link: Link) -> None:
+    def _return_answers(self, link: PeerConnection) -> None:
         for parts in inbox(link.socket, MAX_MESSAGES):
             if link.key.role is Role.PLANNER and link.endpoint == "front":
                 self._remember_commands(link.key, parts)
@@ -266,7 +266,7 @@ class Gateway:
                 return
 
 
-def _translated(link: Link, message: m.CommandText, now: float) -> m.CommandText:
+def _translated(link: PeerConnection, message: m.CommandText, now: float) -> m.CommandText:
     """The command with local times, and with the source that its role implies."""
     sent_at_s = 0.0
     if 0.0 < message.sent_at_s < float("inf"):

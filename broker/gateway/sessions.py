@@ -33,7 +33,7 @@ IDLE_S = 600.0  # a peer silent for so long is removed; it must send its hello a
 PROBE = wire.frames(m.CancelJobs(jobs=[]))
 
 
-class Link:
+class PeerConnection:
     """Connection of one remote peer into the cluster."""
 
     def __init__(self, endpoint: str, name: str, key: KnownKey, peer: Peer, socket: zmq.Socket[bytes]) -> None:
@@ -50,18 +50,18 @@ class Link:
 class Sessions:
     def __init__(self, me: Process, settings: Settings, endpoints: ServerSockets) -> None:
         self._me, self._settings, self._endpoints = me, settings, endpoints
-        self._links: dict[tuple[str, bytes], Link] = {}  # by endpoint and session
-        self._named: dict[tuple[str, str], Link] = {}  # by endpoint and internal name, for NAMED
-        self._by_socket: dict[Any, Link] = {}
+        self._links: dict[tuple[str, bytes], PeerConnection] = {}  # by endpoint and session
+        self._named: dict[tuple[str, str], PeerConnection] = {}  # by endpoint and internal name, for NAMED
+        self._by_socket: dict[Any, PeerConnection] = {}
 
-    def by_name(self, endpoint: str, name: str) -> Link | None:
+    def by_name(self, endpoint: str, name: str) -> PeerConnection | None:
         return self._named.get((endpoint, name))
 
-    def readable(self, sockets: Iterable[Any]) -> list[Link]:
+    def readable(self, sockets: Iterable[Any]) -> list[PeerConnection]:
         """The links that have an answer of the cluster."""
         return [link for socket in sockets if (link := self._by_socket.get(socket)) is not None]
 
-    def find_or_connect(self, endpoint: str, key: KnownKey, peer: Peer, message: Any) -> Link | None:
+    def find_or_connect(self, endpoint: str, key: KnownKey, peer: Peer, message: Any) -> PeerConnection | None:
         """The peer's link. It is created by its hello, or by its first message at an endpoint without names. None:
         the message is refused, or must be repeated after a hello."""
         session = peer.session
@@ -79,7 +79,9 @@ class Sessions:
             return None
         return self._admit(endpoint, key, peer, message, link)
 
-    def _admit(self, endpoint: str, key: KnownKey, peer: Peer, message: Any, link: Link | None) -> Link | None:
+    def _admit(
+        self, endpoint: str, key: KnownKey, peer: Peer, message: Any, link: PeerConnection | None
+    ) -> PeerConnection | None:
         """The link of a peer that has sent a hello; None: it is refused, or waits. `link`: of its connection so far."""
         session = peer.session
         if isinstance(message, m.WorkerHello) and message.instance:
@@ -106,7 +108,7 @@ class Sessions:
             self._endpoints.records.join(key.name, peer.host, name, now_s())
         return before
 
-    def _may_be_another(self, before: Link, peer: Peer, hello: Any) -> bool:
+    def _may_be_another(self, before: PeerConnection, peer: Peer, hello: Any) -> bool:
         """True if another process has chosen this address too and may be alive: its connection is not lost. A newcomer
         repeats its hello until the address is free, or until the other one has sent something: then it is refused. A
         worker whose address was assigned gives it up and gets another."""
@@ -177,7 +179,7 @@ class Sessions:
             words = f"result of {result.id:.60}, from an earlier connection of {message.name:.60}"
             self._endpoints.count_refusal("stale", key.name, peer.host, words)
 
-    def _connect(self, endpoint: str, name: str, key: KnownKey, peer: Peer) -> Link | None:
+    def _connect(self, endpoint: str, name: str, key: KnownKey, peer: Peer) -> PeerConnection | None:
         of_key = self._of_key(endpoint, key)
         if len(of_key) >= PEERS_OF_KEY:
             self.remove(min(of_key, key=lambda link: link.last_seen_s))
@@ -191,13 +193,13 @@ class Sessions:
         except zmq.ZMQError as error:  # no file descriptors left
             self._endpoints.count("unsent", f"no connection for {key.name}: {error}")
             return None
-        link = Link(endpoint, name, key, peer, socket)
+        link = PeerConnection(endpoint, name, key, peer, socket)
         self._links[endpoint, peer.session] = self._by_socket[socket] = link
         if name:
             self._named[endpoint, name] = link
         return link
 
-    def _of_key(self, endpoint: str, key: KnownKey) -> list[Link]:
+    def _of_key(self, endpoint: str, key: KnownKey) -> list[PeerConnection]:
         return [link for link in self._links.values() if link.endpoint == endpoint and link.key.public == key.public]
 
     def connections(self) -> Iterator[Connection]:
@@ -213,7 +215,7 @@ class Sessions:
                 )
             yield Connection(link.key.name, link.host, worker)
 
-    def remove(self, link: Link, linger_ms: int = 0, in_order: bool = False) -> None:
+    def remove(self, link: PeerConnection, linger_ms: int = 0, in_order: bool = False) -> None:
         if link.endpoint == "workers" and not in_order:
             self._endpoints.records.lose(link.key.name, link.host, link.name, now_s())
         if self._links.pop((link.endpoint, link.session), None) is not None:
@@ -221,7 +223,7 @@ class Sessions:
             del self._by_socket[link.socket]
             close(self._me, link.socket, linger_ms)
 
-    def remove_lost(self, link: Link, in_order: bool = False) -> None:
+    def remove_lost(self, link: PeerConnection, in_order: bool = False) -> None:
         """Remove a lost peer. For a worker, report the loss at once, so that its jobs do not wait for a time limit.
 
         `in_order`: the worker itself reported its end."""
@@ -249,7 +251,7 @@ class Sessions:
             if not self._endpoints.send("workers", link.session, PROBE):
                 self.remove_lost(link)
 
-    def _remove_where(self, wanted: Callable[[Link], bool]) -> None:
+    def _remove_where(self, wanted: Callable[[PeerConnection], bool]) -> None:
         for link in [link for link in self._links.values() if wanted(link)]:
             self.remove(link)
 

@@ -17,7 +17,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 MAX_WORDS = 300  # of a refusal
 
 
-class Bodies(NamedTuple):
+class ProgramBodies(NamedTuple):
     """Of the programs in use; empty bodies are not known."""
 
     parser: bytes
@@ -33,7 +33,7 @@ class _Sensed(msgspec.Struct):
     seats: list[msgspec.Raw] = []
 
 
-def refusal_of(points: Sequence[Breakpoint], bodies: Bodies) -> Refusal | None:
+def refusal_of(points: Sequence[Breakpoint], bodies: ProgramBodies) -> Refusal | None:
     """The refusal of breakpoints of which a command cannot reach one: it would be accepted without effect."""
     verbs = checks.verbs(bodies.parser.decode())
     if unknown := [str(one) for one in points if one.verb not in verbs]:

@@ -13,7 +13,7 @@ from broker.decisions import program_rollout
 from broker.decisions.decide import MAX_TEXT
 from broker.decisions.events import BreakpointsChanged, CommandReceived, StepRequested
 from broker.decisions.state import request_key
-from broker.router.breakpoints import Bodies, refusal_of
+from broker.router.breakpoints import ProgramBodies, refusal_of
 from broker.router.core import Core, name_of
 from broker.router.egress import Egress
 from broker.router.health import Health
@@ -133,7 +133,7 @@ class ClientMessages:
 
     def _set_breakpoints(self, peer: bytes, message: m.SetBreakpoints, now: float) -> None:
         known = (self._core.state.programs.get(name, "") for name in ("parser", "elaborator", CELL))
-        bodies = Bodies(*(self._core.store.body(digest) or b"" for digest in known))
+        bodies = ProgramBodies(*(self._core.store.body(digest) or b"" for digest in known))
         new = [one for one in message.breakpoints if one not in self._core.state.breakpoints]
         if (refused := refusal_of(new, bodies)) is not None:
             self._egress.decline(peer, message.request, refused)

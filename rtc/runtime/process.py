@@ -41,7 +41,7 @@ import zmq
 from rtc.protocol import wire
 from rtc.runtime import time_limit
 from rtc.runtime.priority import may_be_real_time
-from rtc.runtime.settings import Bounds
+from rtc.runtime.settings import SocketBounds
 
 READY, ALIVE, NOTE, CALLS = b"ready", b"alive", b"note ", b"calls "
 BEAT_S = 1.0
@@ -68,7 +68,7 @@ class SocketOptions(TypedDict, total=False):
     bind: bool  # else it connects
     identity: str
     queue_length: int
-    bounds: Bounds | None  # limits per peer of a bound socket
+    bounds: SocketBounds | None  # limits per peer of a bound socket
     secure: Secure  # called with the socket before it binds or connects
     # A ROUTER gives an identity to the newest peer that uses it, so a restarted process is served at once (the
     # default); if False, the older peer keeps the identity.
@@ -124,7 +124,7 @@ class Process:
                 self.log.warning("the file of %s was deleted or replaced: bound again", endpoint)
 
     def reopen(
-        self, old: zmq.Socket[bytes], endpoint: str, bounds: Bounds | None = None, handover: bool = True
+        self, old: zmq.Socket[bytes], endpoint: str, bounds: SocketBounds | None = None, handover: bool = True
     ) -> zmq.Socket[bytes]:
         """A new, empty bound socket of the same kind in place of `old`; its peers reconnect by themselves.
 
@@ -270,7 +270,7 @@ def open_socket(
     """
     made: zmq.Socket[bytes] = context.socket(kind)
     length = options.get("queue_length", QUEUE_LENGTH)
-    bounds = options.get("bounds") or Bounds(wire.MAX_BYTES, length, length)
+    bounds = options.get("bounds") or SocketBounds(wire.MAX_BYTES, length, length)
     made.setsockopt(zmq.MAXMSGSIZE, bounds.frame)
     made.setsockopt(zmq.RCVHWM, bounds.unread)
     made.setsockopt(zmq.SNDHWM, bounds.unsent)

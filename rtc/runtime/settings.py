@@ -132,7 +132,7 @@ OF_SUBSYSTEMS = ("estop", "telemetry", "operate", "bench")
 NO_HANDOVER = ("front", "halt", "estop", "operate")
 
 
-class Bounds(NamedTuple):
+class SocketBounds(NamedTuple):
     """Limits per peer of a socket, so that no peer fills the owner's memory."""
 
     frame: int  # bytes (MAXMSGSIZE); ZeroMQ disconnects a peer that sends a larger frame
@@ -141,18 +141,18 @@ class Bounds(NamedTuple):
 
 
 KIB = 1 << 10
-BOUNDS: dict[str, Bounds] = {
-    "front": Bounds(256 * KIB, 256, 10_000),  # frame: a program file; unsent: one batch may hold many messages
-    "halt": Bounds(64 * KIB, 256, 1_000),
-    "workers": Bounds(8 << 20, 1_000, 1_000),  # products may have megabytes; a worker holds at most 128 jobs
-    "subsystems": Bounds(256 * KIB, 1_000, 10_000),
-    "supervisor": Bounds(256 * KIB, 1_000, 1_000),
-    "events": Bounds(1 * KIB, 100, 10_000),  # receives only subscriptions
-    "world": Bounds(256 * KIB, 256, 256),  # a client waits for each answer
-    "estop": Bounds(64 * KIB, 256, 1_000),
-    "telemetry": Bounds(1 * KIB, 100, 100),
-    "operate": Bounds(4 * KIB, 16, 64),  # a stream: what waits here is stale
-    "bench": Bounds(64 * KIB, 64, 64),
+BOUNDS: dict[str, SocketBounds] = {
+    "front": SocketBounds(256 * KIB, 256, 10_000),  # frame: a program file; unsent: one batch may hold many messages
+    "halt": SocketBounds(64 * KIB, 256, 1_000),
+    "workers": SocketBounds(8 << 20, 1_000, 1_000),  # products may have megabytes; a worker holds at most 128 jobs
+    "subsystems": SocketBounds(256 * KIB, 1_000, 10_000),
+    "supervisor": SocketBounds(256 * KIB, 1_000, 1_000),
+    "events": SocketBounds(1 * KIB, 100, 10_000),  # receives only subscriptions
+    "world": SocketBounds(256 * KIB, 256, 256),  # a client waits for each answer
+    "estop": SocketBounds(64 * KIB, 256, 1_000),
+    "telemetry": SocketBounds(1 * KIB, 100, 100),
+    "operate": SocketBounds(4 * KIB, 16, 64),  # a stream: what waits here is stale
+    "bench": SocketBounds(64 * KIB, 64, 64),
 }
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtc.sensing import optics
 from rtc.sensing.locate import TagOnBody, corners
-from rtc.sensing.optics import View
+from rtc.sensing.optics import CameraView
 from rtc.sensing.pose_fit import area_px
 from rtc.spatial import geometry
 
@@ -28,7 +28,7 @@ class Cause(StrEnum):
     OCCLUDED = "something hides it, or it is not where it is believed"
 
 
-def cause(tags: Sequence[TagOnBody], believed: geometry.Floats, view: View, image: NDArray[np.uint8]) -> Cause:
+def cause(tags: Sequence[TagOnBody], believed: geometry.Floats, view: CameraView, image: NDArray[np.uint8]) -> Cause:
     """Why none of these tags, all of one body, were found. `believed`: pose of the body, world frame."""
     if not tags:
         return Cause.NO_TAGS
@@ -42,12 +42,12 @@ def cause(tags: Sequence[TagOnBody], believed: geometry.Floats, view: View, imag
     return Cause.TOO_SMALL if max(widths) < MIN_PX else Cause.OCCLUDED
 
 
-def across_px(tag: TagOnBody, believed: geometry.Floats, view: View) -> float | None:
+def across_px(tag: TagOnBody, believed: geometry.Floats, view: CameraView) -> float | None:
     """The least width of a tag in the picture; None if it is not in it, or turned away."""
     return next(iter(widths_px([tag], believed, [view])[0]), None)
 
 
-def widths_px(tags: Sequence[TagOnBody], believed: geometry.Floats, views: Sequence[View]) -> list[list[float]]:
+def widths_px(tags: Sequence[TagOnBody], believed: geometry.Floats, views: Sequence[CameraView]) -> list[list[float]]:
     """For each view the least widths of those of these tags, all of one body, that are in its picture."""
     matrix = geometry.to_matrix(believed)
     world = np.array([corners(tag) for tag in tags]) @ matrix[:3, :3].T + matrix[:3, 3]

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rtc.sensing.detector import Mark
-from rtc.sensing.optics import CORNERS, View
+from rtc.sensing.optics import CORNERS, CameraView
 from rtc.sensing.pose_fit import Fit, TagObservation, fit
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
@@ -38,7 +38,7 @@ class TagOnBody(Protocol):
 class Seen(NamedTuple):
     """The tags in one picture."""
 
-    view: View
+    view: CameraView
     marks: Sequence[Mark]
 
 

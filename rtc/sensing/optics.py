@@ -24,7 +24,7 @@ class Window(NamedTuple):
     height: int
 
 
-class View(NamedTuple):
+class CameraView(NamedTuple):
     """A camera at the time of a picture."""
 
     camera: str
@@ -49,25 +49,25 @@ class View(NamedTuple):
         return found
 
 
-def view(camera: Camera, tcp: geometry.Floats | None = None) -> View:
+def view(camera: Camera, tcp: geometry.Floats | None = None) -> CameraView:
     """The view of a camera of the cell. `tcp`: world pose, for a camera on an arm."""
     pose = camera.pose if tcp is None else geometry.compose(tcp, camera.pose)
     matrix = geometry.to_matrix(geometry.inverse(pose))
     focal_px = 0.5 * camera.size_px[1] / math.tan(math.radians(0.5 * camera.field_of_view_deg))
-    return View(camera.name, matrix[:3, :3], matrix[:3, 3], focal_px, camera.size_px)
+    return CameraView(camera.name, matrix[:3, :3], matrix[:3, 3], focal_px, camera.size_px)
 
 
 #: corners of a tag in its own axes, in halves of its size: lower left, lower right, upper right, upper left
 CORNERS = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], dtype=np.float64)
 
 
-def visible(view: View, corners: Array, normal: Array) -> bool:
+def visible(view: CameraView, corners: Array, normal: Array) -> bool:
     """Whether a tag faces the camera and lies in the picture, if nothing is in front of it. `corners`: 4 x 3, m, and
     `normal`, world frame."""
     return len(visible_of(view, corners[None], normal[None])) > 0
 
 
-def visible_of(view: View, corners: Array, normals: Array) -> list[int]:
+def visible_of(view: CameraView, corners: Array, normals: Array) -> list[int]:
     """The numbers of the tags that are `visible`. `corners`: tags x 4 x 3, m, and `normals`, world frame."""
     seen = view.to_camera(corners)
     facing = (seen.mean(axis=1) * (normals @ view.rotation.T)).sum(axis=1) < 0.0

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtc.sensing.optics import CORNERS, View
+from rtc.sensing.optics import CORNERS, CameraView
 from rtc.spatial.geometry import Array, from_matrix, rotation_vector
 
 STEPS = 25  # of the search, maximum
@@ -28,7 +28,7 @@ class TagObservation(NamedTuple):
     """One tag of a body in one picture. `points`: its corners in the axes of the body, 4 x 3, m."""
 
     tag: int
-    view: View
+    view: CameraView
     pixels: Array
     points: Array
 
@@ -195,7 +195,7 @@ def _turn_between(a: Array, b: Array) -> Array:
     return turn
 
 
-def _to_world(view: View, matrix: Array) -> Array:
+def _to_world(view: CameraView, matrix: Array) -> Array:
     world = np.eye(4)
     world[:3, :3] = view.rotation.T @ matrix[:3, :3]
     world[:3, 3] = view.rotation.T @ (matrix[:3, 3] - view.translation)

@@ -38,7 +38,7 @@ from sim_mcm.arms import unrolled
 from sim_mcm.arms.bolts import Bolts
 from sim_mcm.arms.bullet_world import STEP_S, PhysicsWorld
 from sim_mcm.arms.detents import Detents
-from sim_mcm.arms.hand import Hand
+from sim_mcm.arms.hand import SimulatedHand
 from sim_mcm.arms.hand_weight import HandWeight, PadTwist
 from sim_mcm.arms.joint_torques import JointTorques
 from sim_mcm.arms.kinematic_arm import displaced, home_on, moves_along
@@ -99,7 +99,7 @@ class BulletArm:
         self._estimate = JointTorques(self._model) if sensor is None else None
         self._weightless = self._hand_weight is None and self._estimate is None  # the sensor reads the wrench itself
         self._finger_kg = finger_mass(world.cell, name).felt_kg
-        self._hand = Hand(
+        self._hand = SimulatedHand(
             HandCommand(spec.gripper.max_opening_m, spec.gripper.max_force_n, spec.gripper.speed_m_s),
             spec.gripper.max_opening_m,
             self._finger_kg,
@@ -279,7 +279,7 @@ class BulletArm:
         self._put([*state.joints, *state.fingers])
         still = [0.0] * len(state.joints)
         self._servo.wanted = (list(state.joints), still, still)
-        self._hand = Hand(state.hand, state.opening_m, self._finger_kg)
+        self._hand = SimulatedHand(state.hand, state.opening_m, self._finger_kg)
         if self._estimate is not None:
             self._estimate.begin()
 

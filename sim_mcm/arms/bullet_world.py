@@ -42,7 +42,7 @@ AWAY = [0.0, 0.0, -100.0]  # where shapes are put that are not there
 ASK_AGAIN = 32  # steps after a contact in which arms ask for their own contacts at once
 
 
-class Body:
+class BulletBody:
     """An object or a seat of the cell, made of one or several pybullet bodies."""
 
     def __init__(
@@ -85,7 +85,7 @@ class PhysicsWorld:
         self.names: dict[int, str] = {}  # pybullet id -> name for messages
         self._lips: dict[str, list[tuple[int, Array]]] = {}  # seat -> its lips that were put away
         self.seats = {seat.name: self._fixed(seat, seat.frame.pose) for seat in cell.seats}
-        self.objects: dict[str, Body] = {}
+        self.objects: dict[str, BulletBody] = {}
         for thing in cell.objects:
             self.objects[thing.name] = self._object(thing)
         self.free = {thing.name for thing in cell.objects if not thing.fixed and thing.hinge is None}
@@ -207,7 +207,7 @@ class PhysicsWorld:
                 now = pybullet.getDynamicsInfo(part, link, physicsClientId=self.client)[1]
                 pybullet.changeDynamics(part, link, lateralFriction=factor * now, physicsClientId=self.client)
 
-    def place(self, body: Body, pose: geometry.Floats) -> None:
+    def place(self, body: BulletBody, pose: geometry.Floats) -> None:
         """Set the pose of an object or seat, at rest. One with a hinge turns, and its hinge moves with the rest."""
         if body.hinge is not None:
             least, most = body.hinge.range_rad
@@ -227,7 +227,7 @@ class PhysicsWorld:
 
     # --- construction ---------------------------------------------------------------------------------
 
-    def _fixed(self, thing: parts.Seat | parts.Object, pose: Array) -> Body:
+    def _fixed(self, thing: parts.Seat | parts.Object, pose: Array) -> BulletBody:
         pieces = []
         for shape in thing.shapes:
             at = geometry.compose(pose, shape.frame.pose).tolist()
@@ -244,10 +244,10 @@ class PhysicsWorld:
             self._rub(part, shape)
             pieces.append((part, shape.frame.pose))
         if not pieces:  # a seat may have no shapes
-            return Body(thing.name, pose, [])
-        return Body(thing.name, pose, pieces)
+            return BulletBody(thing.name, pose, [])
+        return BulletBody(thing.name, pose, pieces)
 
-    def _object(self, thing: parts.Object) -> Body:
+    def _object(self, thing: parts.Object) -> BulletBody:
         pose = self.cell.object_pose(thing.name)
         if thing.thread is not None:
             return self._threaded(thing, thing.thread)
@@ -271,9 +271,9 @@ class PhysicsWorld:
             pybullet.changeDynamics(
                 body, -1, localInertiaDiagonal=list(thing.inertia_kg_m2), physicsClientId=self.client
             )
-        return Body(thing.name, pose, [(body, geometry.make_pose((0, 0, 0)))])
+        return BulletBody(thing.name, pose, [(body, geometry.make_pose((0, 0, 0)))])
 
-    def _hinged(self, thing: parts.Object, hinge: parts.Hinge) -> Body:
+    def _hinged(self, thing: parts.Object, hinge: parts.Hinge) -> BulletBody:
         body = self._jointed(thing, pybullet.JOINT_REVOLUTE, hinge.axis)
         least, most = hinge.range_rad
         more = {} if thing.inertia_kg_m2 is None else {"localInertiaDiagonal": list(thing.inertia_kg_m2)}
@@ -291,11 +291,11 @@ class PhysicsWorld:
             physicsClientId=self.client,
         )
         pybullet.resetJointState(body, HINGED, math.radians(hinge.at_deg), 0.0, physicsClientId=self.client)
-        return Body(thing.name, thing.frame.pose, [(body, geometry.make_pose((0, 0, 0)))], hinge)
+        return BulletBody(thing.name, thing.frame.pose, [(body, geometry.make_pose((0, 0, 0)))], hinge)
 
-    def _threaded(self, thing: parts.Object, thread: parts.Thread) -> Body:
+    def _threaded(self, thing: parts.Object, thread: parts.Thread) -> BulletBody:
         body = self._jointed(thing, pybullet.JOINT_PRISMATIC, (0.0, 0.0, 1.0))
-        made = Body(thing.name, thing.frame.pose, [(body, geometry.make_pose((0, 0, 0)))], thread=thread)
+        made = BulletBody(thing.name, thing.frame.pose, [(body, geometry.make_pose((0, 0, 0)))], thread=thread)
         self.objects[thing.name] = made
         self.move_out(thing.name, 0.0)
         return made

@@ -37,7 +37,7 @@ def gains_of(finger_kg: float) -> Gains:
     return Gains(min(FINGER_N_M, spring), min(OPENING_NS_M, damping), min(CENTRE_NS_M, damping))
 
 
-class Hand:
+class SimulatedHand:
     """`finger_kg`: the mass of each finger, as its motor feels it."""
 
     def __init__(self, command: HandCommand, width_m: float, finger_kg: float = math.inf) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 import pybullet
 
-from rtc.model.cells.two_readers import Answer, Difference, Question
+from rtc.model.cells.two_readers import Answer, ReaderDifference, ReaderInput
 from rtc.model.robot import hulls
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
@@ -49,7 +49,7 @@ NAME, LOWER, UPPER, EFFORT, VELOCITY, LINK, AXIS, PARENT = (
 TYPE, MASS, COM, COM_TURN, DIAGONAL = 2, 0, 3, 4, 2  # of joint info; of dynamics info
 
 
-def differences(urdf: str, texts: Mapping[str, str], shapes: bool = True) -> list[Difference]:
+def differences(urdf: str, texts: Mapping[str, str], shapes: bool = True) -> list[ReaderDifference]:
     """What the two readers read differently. `texts`: hulls by file name; `shapes`: collision shapes are compared."""
     client = pybullet.connect(pybullet.DIRECT)
     try:
@@ -93,7 +93,7 @@ class _Both:
                 self._body, joint.number, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=client
             )
 
-    def differences(self) -> list[Difference]:
+    def differences(self) -> list[ReaderDifference]:
         """By the parts of the file; if all of them are alike, by what the whole arm does."""
         if missing := list(self._missing()):
             return missing
@@ -101,14 +101,14 @@ class _Both:
         found += self._solids() if self._shapes and not found else []
         return found or list(self._dynamics())
 
-    def _missing(self) -> Iterator[Difference]:
+    def _missing(self) -> Iterator[ReaderDifference]:
         known = {joint.name for joint in self._moving}
         theirs = set(self._model.names[1:])
         for name in sorted(known ^ theirs):
             who = "pinocchio alone" if name in theirs else "Bullet alone"
-            yield Difference(f"joint {name}", f"it moves for {who}", "a joint that both read alike")
+            yield ReaderDifference(f"joint {name}", f"it moves for {who}", "a joint that both read alike")
 
-    def _limits(self) -> Iterator[Difference]:
+    def _limits(self) -> Iterator[ReaderDifference]:
         model = self._model
         ours = {"lower": model.lowerPositionLimit, "upper": model.upperPositionLimit}
         ours |= {"effort": model.effortLimit, "velocity": model.velocityLimit}
@@ -123,7 +123,7 @@ class _Both:
                 if abs(mine - theirs) > SHARE * max(1e-3, abs(mine)):
                     yield _differ(f"joint {joint.name}", f"its {word}", f"{mine:g}", f"{theirs:g}")
 
-    def _axes(self) -> Iterator[Difference]:
+    def _axes(self) -> Iterator[ReaderDifference]:
         """The axis of each joint, with its length, in the axes of the link."""
         neutral = self._put(np.zeros(len(self._moving)))
         for joint in self._moving:
@@ -141,7 +141,7 @@ class _Both:
                     *(" ".join(f"{x + 0.0:.4g}" for x in one) for one in (mine, theirs)),
                 )
 
-    def _bodies(self) -> Iterator[Difference]:
+    def _bodies(self) -> Iterator[ReaderDifference]:
         """The rigid body that each joint moves: the link of the joint with all that is fixed to it."""
         bodies = {joint.name: pin.Inertia.Zero() for joint in self._moving}
         owner: dict[int, tuple[str, pin.SE3]] = {}  # link -> the joint that moves it, and its pose in that joint's axes
@@ -174,7 +174,7 @@ class _Both:
         state = pybullet.getLinkState(self._body, link, computeForwardKinematics=1, physicsClientId=self._client)
         return geometry.make_pose(state[4], state[5])
 
-    def _frames(self) -> Iterator[Difference]:
+    def _frames(self) -> Iterator[ReaderDifference]:
         """Where each joint puts its link; each joint is named once."""
         named: set[str] = set()
         for q in self._postures():
@@ -192,7 +192,7 @@ class _Both:
                         f"pinocchio and Bullet put its link {1e3 * metres:.3g} mm and "
                         f"{np.degrees(radians):.3g} deg apart"
                     )
-                    yield Difference(f"joint {name}", problem, "<origin> and <axis> that both read alike")
+                    yield ReaderDifference(f"joint {name}", problem, "<origin> and <axis> that both read alike")
 
     def _placed(self, link: str) -> pin.SE3:
         """Pose of a link as pinocchio has it; "": the root."""
@@ -202,7 +202,7 @@ class _Both:
             frame = roots[0]
         return self._data.oMf[frame]
 
-    def _solids(self) -> Iterator[Difference]:
+    def _solids(self) -> Iterator[ReaderDifference]:
         """The box around the collision shapes of each link, in the axes of its inertia, as Bullet keeps it."""
         shapes = hulls.shapes(self._model, self._urdf, self._texts)
         full = self._put(np.zeros(len(self._moving)))
@@ -231,7 +231,7 @@ class _Both:
         pybullet.resetBasePositionAndOrientation(self._body, base, turn, physicsClientId=self._client)
         return box
 
-    def _dynamics(self) -> Iterator[Difference]:
+    def _dynamics(self) -> Iterator[ReaderDifference]:
         """What physics does in one step from rest with the torques of an inverse dynamics: with those that carry the
         weight alone, nothing; with those that accelerate one joint, that. Each joint is named once."""
         order = [self._model.joints[self._model.getJointId(joint.name)].idx_v for joint in self._moving]
@@ -278,7 +278,7 @@ class _Both:
         return full
 
 
-def _of_body(where: str, mine: pin.Inertia, theirs: pin.Inertia) -> Iterator[Difference]:
+def _of_body(where: str, mine: pin.Inertia, theirs: pin.Inertia) -> Iterator[ReaderDifference]:
     if abs(mine.mass - theirs.mass) > SHARE * max(mine.mass, 1e-3):
         yield _differ(where, "its mass, with all that is fixed to it,", f"{mine.mass:.4g} kg", f"{theirs.mass:.4g} kg")
         return
@@ -292,8 +292,10 @@ def _of_body(where: str, mine: pin.Inertia, theirs: pin.Inertia) -> Iterator[Dif
         yield _differ(where, "its moments of inertia, with all that is fixed to it,", *moments)
 
 
-def _differ(where: str, what: str, mine: str, theirs: str) -> Difference:
-    return Difference(where, f"{what} is {mine} for pinocchio and {theirs} for Bullet", "a value that both read alike")
+def _differ(where: str, what: str, mine: str, theirs: str) -> ReaderDifference:
+    return ReaderDifference(
+        where, f"{what} is {mine} for pinocchio and {theirs} for Bullet", "a value that both read alike"
+    )
 
 
 def _box(item: Any, at: pin.SE3) -> Array:
@@ -324,7 +326,7 @@ def _without_shapes(urdf: str) -> str:
 
 
 def main() -> None:
-    question = msgspec.json.decode(sys.stdin.buffer.readline(), type=Question)
+    question = msgspec.json.decode(sys.stdin.buffer.readline(), type=ReaderInput)
     answer = Answer(differences(question.urdf, question.hulls, question.shapes))
     print(msgspec.json.encode(answer).decode(), flush=True)
 

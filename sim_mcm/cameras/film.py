@@ -26,7 +26,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import RtcError
 from rtc.runtime.process import die_with_parent
 from sim_mcm.cameras import picture as sheet
-from sim_mcm.cameras.render import Camera, SceneRenderer
+from sim_mcm.cameras.render import RenderCamera, SceneRenderer
 
 SIZE = (480, 360)
 FRAMES_PER_S = 8.0
@@ -99,7 +99,7 @@ def _paint(cell: str, frame: FilmFrame, file: Path) -> None:
 
 
 @functools.cache
-def _studio(cell: str) -> tuple[SceneRenderer, Camera]:
+def _studio(cell: str) -> tuple[SceneRenderer, RenderCamera]:
     """Of this process. The camera stays where it is."""
     studio = SceneRenderer(Cell.load(cell))
     studio.pose(SceneView())

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rtc.drawing.scene import VIEWS, CameraPicture, Drawn, Panel, Picture, SceneView
 from rtc.model.cells.cell import Cell
-from rtc.model.cells.parts import Camera as CellCamera
+from rtc.model.cells.parts import RenderCamera as CellCamera
 from rtc.protocol.outcomes import RtcError
 from rtc.sensing.optics import Window
 from rtc.spatial import geometry
@@ -62,7 +62,7 @@ assert set(DIRECTIONS) == set(VIEWS)
 CLOSE = (-1.0, -1.0, 0.75)  # direction of a close view
 
 
-class Camera(NamedTuple):
+class RenderCamera(NamedTuple):
     """Column-major 4 x 4 matrices of pybullet."""
 
     view: Sequence[float]
@@ -75,7 +75,7 @@ class Camera(NamedTuple):
         return (-1e9, -1e9) if w <= 0 else (0.5 * (1 + x / w) * size[0], 0.5 * (1 - y / w) * size[1])
 
 
-class Photograph(NamedTuple):
+class RenderedPicture(NamedTuple):
     pixels: Image  # height x width x 3
     bodies: NDArray[np.integer[Any]]  # pybullet body id at each pixel; negative: background
 
@@ -120,14 +120,14 @@ class SceneRenderer:
                         self.arms[arm.name], joint, wanted[title], physicsClientId=self.world.client
                     )
 
-    def camera(self, name: str, scene: SceneView, aspect: float) -> Camera:
+    def camera(self, name: str, scene: SceneView, aspect: float) -> RenderCamera:
         """The camera of one of VIEWS, or a close view of the named arm's hand, object, seat or place."""
         middle, radius = self._extent()
         direction, far = DIRECTIONS.get(name, (CLOSE, 0.0))
         target = middle if name in DIRECTIONS else self._target(name, scene)
         distance = far * radius if name in DIRECTIONS else CLOSE_M
         eye = target + distance * np.array(direction) / math.hypot(*direction)
-        return Camera(
+        return RenderCamera(
             pybullet.computeViewMatrix(eye.tolist(), target.tolist(), [0, 0, 1]),
             pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW_DEG, aspect, NEAR_M, FAR_M),
         )
@@ -172,7 +172,7 @@ class SceneRenderer:
         )
         return np.array(state[0])
 
-    def photograph(self, camera: Camera, width: int, height: int, *, smooth: bool = True) -> Photograph:
+    def photograph(self, camera: RenderCamera, width: int, height: int, *, smooth: bool = True) -> RenderedPicture:
         self._show_floor(True)
         times = SUPERSAMPLING if smooth else 1
         wide, high = width * times, height * times
@@ -190,7 +190,7 @@ class SceneRenderer:
         image[bodies < 0] = SKY
         blocks = image.reshape(height, times, width, times, 3)
         averaged: Image = blocks.mean(axis=(1, 3)).astype(np.uint8)
-        return Photograph(averaged, bodies[::times, ::times])
+        return RenderedPicture(averaged, bodies[::times, ::times])
 
     def _drawn(self, width: int, height: int, **view_and_light: Any) -> tuple[Image, NDArray[np.integer[Any]]]:
         """The colours [height][width][3] and the body of each pixel [height][width], -1 for none."""
@@ -206,7 +206,7 @@ class SceneRenderer:
         image: Image = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3].copy()
         return image, np.asarray(bodies).reshape(height, width)
 
-    def mask(self, photograph: Photograph, name: str) -> sheet.Mask:
+    def mask(self, photograph: RenderedPicture, name: str) -> sheet.Mask:
         """The pixels that show an object."""
         bodies = [part for part, _ in self.world.objects[name].parts] + self.tags.on(name)
         seen: sheet.Mask = np.isin(photograph.bodies, bodies)

@@ -21,7 +21,7 @@ from rtc.runtime.process import inbox, now_s, open_socket
 from rtc.runtime.settings import Settings
 from rtc.sensing.optics import Window
 from rtc.spatial import geometry
-from rtc.subsystems.perception.camera_thread import Photograph
+from rtc.subsystems.perception.camera_thread import Exposure
 
 DRAWING_NICENESS = 0  # of the drawing process, added to that of S&P
 TRUTH_S = 1.0  # time limit for the state of the simulation
@@ -40,7 +40,7 @@ class SimulatedCameras:
         self._requests = 0
         self._arms: dict[str, m.ArmSample] = {}
 
-    def photograph(self, camera: str, windows: Sequence[Window] = ()) -> Photograph:
+    def photograph(self, camera: str, windows: Sequence[Window] = ()) -> Exposure:
         renderer = self._renderer or self._started(camera)
         arm = self._cell.camera(camera).arm
         before = self._tcp(arm)
@@ -54,7 +54,7 @@ class SimulatedCameras:
         after = self._tcp(arm)
         if before is not None and after is not None and _moved(before, after):
             raise RtcError(f"{arm}, which carries {camera}, moved during the picture")
-        return Photograph(truth.at_s or asked_s, parts, before, truth.sim_s)
+        return Exposure(truth.at_s or asked_s, parts, before, truth.sim_s)
 
     def _started(self, camera: str) -> Renderer:
         """The drawing process, which has built the cell: the first picture takes no longer than others."""

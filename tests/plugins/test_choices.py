@@ -16,7 +16,7 @@ from rtc.programs import loader
 from rtc.protocol.outcomes import ProgramError, RefusalReason, StopReason
 from rtc.sensing.detector import TagDetector
 from rtc.subsystems.perception import sensor_watch
-from rtc.subsystems.perception.camera_thread import CameraThread, Photograph, _Order
+from rtc.subsystems.perception.camera_thread import CameraThread, Exposure, _Order
 from tests.plugins.toy_packages import Install
 from tests.workers.conftest import bench  # noqa: F401
 from workers.analyzer import analyze
@@ -147,7 +147,7 @@ def find(camera, image):
 def test_a_sensor_adds_marks_to_a_picture(install: Install, cell: Cell, camera: str, marks: list[int]) -> None:
     install(registry.SENSORS, "toy", "find", FINDS)
     grey = np.full((48, 64, 3), 128, dtype=np.uint8)
-    cameras = SimpleNamespace(photograph=lambda *_: Photograph(1.0, [grey], None), release=lambda: None)
+    cameras = SimpleNamespace(photograph=lambda *_: Exposure(1.0, [grey], None), release=lambda: None)
     thread = CameraThread(cell, lambda: cameras)
     found = thread._evaluated(_Order(camera, {}), cameras, TagDetector())
     assert [mark.tag for mark in found.marks] == marks
@@ -179,7 +179,7 @@ MARK = "from rtc.sensing.detector import Mark\nimport numpy as np\n"
 def test_a_sensor_that_fails_is_named_in_the_look(install: Install, cell: Cell, code: str) -> None:
     install(registry.SENSORS, "EVIL", "find", f"{MARK}def find(camera, image):\n    {code}\n")
     grey = np.full((48, 64, 3), 128, dtype=np.uint8)
-    cameras = SimpleNamespace(photograph=lambda *_: Photograph(1.0, [grey], None), release=lambda: None)
+    cameras = SimpleNamespace(photograph=lambda *_: Exposure(1.0, [grey], None), release=lambda: None)
     thread = CameraThread(cell, lambda: cameras)
     thread.look("CAMERA-1")
     assert select.select([thread.wake_fd], [], [], 20.0)[0]
@@ -192,7 +192,7 @@ def test_a_sensor_that_hangs_is_cut_off_and_named(install: Install, cell: Cell, 
     monkeypatch.setattr(sensor_watch, "LIMIT_S", 0.05)
     install(registry.SENSORS, "EVIL", "find", "def find(camera, image):\n    while True:\n        pass\n")
     grey = np.full((48, 64, 3), 128, dtype=np.uint8)
-    cameras = SimpleNamespace(photograph=lambda *_: Photograph(1.0, [grey], None), release=lambda: None)
+    cameras = SimpleNamespace(photograph=lambda *_: Exposure(1.0, [grey], None), release=lambda: None)
     thread, announced = CameraThread(cell, lambda: cameras), list[str]()
     watch = sensor_watch.SensorWatch(announced.append)
     thread.look("CAMERA-1")

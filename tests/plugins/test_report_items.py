@@ -17,7 +17,7 @@ from tests.plugins.toy_packages import Install
 from tests.subsystems.motion.conftest import cell, make, rig  # noqa: F401
 from tests.workers.conftest import bench  # noqa: F401
 
-SNAPSHOT = report_items.Snapshot(
+SNAPSHOT = report_items.ArmSnapshot(
     joints=[0.0] * 6,
     slides=[],
     wrench=[0.0] * 6,

@@ -16,7 +16,9 @@ DARK, BRIGHT = np.full((6, 10), 5, np.uint8), np.full((6, 10), 250, np.uint8)
 MODULE = geometry.make_pose((0.8, -0.8, 0.6))
 
 
-def camera(xyz: tuple[float, float, float], looks_at: tuple[float, float, float] = (0.8, -0.8, 0.6)) -> optics.View:
+def camera(
+    xyz: tuple[float, float, float], looks_at: tuple[float, float, float] = (0.8, -0.8, 0.6)
+) -> optics.CameraView:
     return optics.view(Camera(name="CAMERA-9", xyz=xyz, looks_at=looks_at))
 
 

@@ -24,7 +24,9 @@ def tags() -> dict[int, Tag]:
     return {tag.id: tag for tag in Cell.load("swapout").tags}
 
 
-def seen(view: optics.View, tags: list[Tag], pose: geometry.Array, noise_px: float = 0.0, seed: int = 0) -> locate.Seen:
+def seen(
+    view: optics.CameraView, tags: list[Tag], pose: geometry.Array, noise_px: float = 0.0, seed: int = 0
+) -> locate.Seen:
     """The tags as an ideal camera sees them."""
     matrix, random = geometry.to_matrix(pose), np.random.default_rng(seed)
     marks = []
@@ -109,7 +111,7 @@ def test_a_tag_that_the_cell_does_not_know_gives_nothing(tags) -> None:
 def test_a_tag_is_visible_in_the_picture_and_from_the_front(tags) -> None:
     matrix = geometry.to_matrix(TRUE)
 
-    def visible(tag: Tag, view: optics.View) -> bool:
+    def visible(tag: Tag, view: optics.CameraView) -> bool:
         corners = locate.corners(tag) @ matrix[:3, :3].T + matrix[:3, 3]
         return optics.visible(view, corners, matrix[:3, :3] @ geometry.to_matrix(tag.frame.pose)[:3, 2])
 

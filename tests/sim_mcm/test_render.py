@@ -127,7 +127,7 @@ def test_the_computed_floor_of_a_camera_is_where_the_drawn_one_is(cell) -> None:
     camera = Camera(name="FLOOR", xyz=(0.5, -1.3, 0.8), looks_at=(0.9, 0.3, 0.4), size_px=(160, 120))
     studio = render.SceneRenderer(msgspec.structs.replace(cell, cameras=[camera]))
     matrices = render.lens.matrices(camera, camera.pose)
-    seen = studio.photograph(render.Camera(matrices.view, matrices.lens), *camera.size_px, smooth=False).bodies
+    seen = studio.photograph(render.RenderCamera(matrices.view, matrices.lens), *camera.size_px, smooth=False).bodies
     tiles = {tile: n for n, (tile, _) in enumerate(studio._floor)}
     computed = render.backdrop(camera, camera.pose)
     studio.close()

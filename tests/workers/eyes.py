@@ -70,11 +70,11 @@ class Ideal:
         image, marks = self._seen(name, view, scene, windows)
         return Evaluated(self.now_s, self.rate * self.now_s, view, image, [] if self.blind else marks)
 
-    def _seen(self, name: str, view: optics.View, scene: SceneView, windows: Windows) -> Seen:
+    def _seen(self, name: str, view: optics.CameraView, scene: SceneView, windows: Windows) -> Seen:
         marks = self._marks(view, scene)
         return (None, [mark for mark in marks if mark.tag in windows]) if windows else (GREY, marks)
 
-    def _marks(self, view: optics.View, scene: SceneView) -> list[Mark]:
+    def _marks(self, view: optics.CameraView, scene: SceneView) -> list[Mark]:
         marks = []
         for tag in self.cell.tags:
             matrix = geometry.to_matrix(_poses(self.cell, scene)[tag.body])
@@ -94,7 +94,7 @@ class Drawn(Ideal):
         self.studio, self._detector = SceneRenderer(cell), TagDetector()
         self._seeds = itertools.count(seed)
 
-    def _seen(self, name: str, view: optics.View, scene: SceneView, windows: Windows) -> Seen:
+    def _seen(self, name: str, view: optics.CameraView, scene: SceneView, windows: Windows) -> Seen:
         self.studio.pose(scene)
         if windows:
             parts = {

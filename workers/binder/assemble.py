@@ -90,7 +90,7 @@ def of_camera(task: RuledTask, look: Look, camera: str, evaluation: EvaluationCo
         performer=camera,
         trajectory=look,
         stop_functions=stop_conditions.stop_functions(
-            task.stop_class.stops, values, None, [], stop_conditions.Line(None, None)
+            task.stop_class.stops, values, None, [], stop_conditions.TurnLine(None, None)
         ),
         reporting=Reporting(items=asked.items, every_s=asked.every_s) if asked else Reporting(),
     )

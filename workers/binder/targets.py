@@ -72,15 +72,15 @@ def against_motion(start: list[float], motion: Motion) -> Vector | None:
     return axis
 
 
-def turn_line(task: BindTask) -> stop_conditions.Line:
+def turn_line(task: BindTask) -> stop_conditions.TurnLine:
     """The line about which the step turns; of a step without an axis any change of attitude counts."""
     step, here, name = task.data.step, task.query.tcp(task.arm), task.data.step.words.about
     axis = step_target.axis_of(step)
     if name == step_target.HERE:
         named = step.words.axis not in ("", WAY_OUT)
-        return stop_conditions.Line(axes.direction(here, axis) if named else None, None)
+        return stop_conditions.TurnLine(axes.direction(here, axis) if named else None, None)
     try:
         about = step_target.hinge_of(step, task.query, task.arm, here, partial(_bound, task))
     except Refused:  # `target_of` has refused it already
-        return stop_conditions.Line(None, None)
-    return stop_conditions.Line(axes.direction(about, axis), about[:3].tolist())
+        return stop_conditions.TurnLine(None, None)
+    return stop_conditions.TurnLine(axes.direction(about, axis), about[:3].tolist())

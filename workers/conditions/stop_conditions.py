@@ -50,7 +50,7 @@ from workers.planning.world_query import WorldQuery
 Values = dict[str, float]
 
 
-class Line(NamedTuple):
+class TurnLine(NamedTuple):
     """The line about which a step turns (world): that of a circle, or the axis of the step through the hand."""
 
     axis: Vector | None  # unit vector; None: any change of attitude
@@ -58,7 +58,7 @@ class Line(NamedTuple):
 
 
 #: tag of a predicate -> constructor from the limit, the axis of an opposing force (tool frame), the line and figures
-MAKERS: dict[str, Callable[[float, Vector | None, Line, Values], Predicate]] = {
+MAKERS: dict[str, Callable[[float, Vector | None, TurnLine, Values], Predicate]] = {
     "goal-reached": lambda limit, axis, line, values: GoalReached(_stretched_m(values)),
     "time-above": lambda limit, axis, line, values: TimeAbove(limit),
     "force-above": lambda limit, axis, line, values: ForceAbove(limit_n=limit, axis=axis),
@@ -115,7 +115,7 @@ def figures_in_force(
 
 
 def stop_functions(
-    rows: list[StopRow], values: Values, against: Vector | None, requested: list[StopFunction], line: Line
+    rows: list[StopRow], values: Values, against: Vector | None, requested: list[StopFunction], line: TurnLine
 ) -> list[StopFunction]:
     """Build F: the stop functions of the command, then those of the program's rows.
 
@@ -233,7 +233,7 @@ def _state(
 def _slips(rows: list[StopRow], values: Values, against: Vector | None) -> list[Predicate]:
     """The predicates of the rows that end the step because what it turns has come off."""
     slips = [row for row in rows if row.reason is StopReason.SLIP and row.when in ("torque-below",)]
-    return [stop.when for stop in stop_functions(slips, values, against, [], Line(None, None))]
+    return [stop.when for stop in stop_functions(slips, values, against, [], TurnLine(None, None))]
 
 
 def _overloads(rows: list[StopRow], values: Values) -> list[reflexes.Overload]:
@@ -241,7 +241,7 @@ def _overloads(rows: list[StopRow], values: Values) -> list[reflexes.Overload]:
     made = []
     for row in rows:
         if OVERLOADS.get(row.when) is row.reason:
-            made.append(MAKERS[row.when](_limit(row, values), None, Line(None, None), values))
+            made.append(MAKERS[row.when](_limit(row, values), None, TurnLine(None, None), values))
     return [when for when in made if isinstance(when, reflexes.Overload)]
 
 

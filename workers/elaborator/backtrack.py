@@ -354,7 +354,7 @@ class _Test(NamedTuple):
     detours: bool
     first: bool  # it starts where the arm is
 
-    def run(self, ways: dict[int, PlannedPath]) -> segments.Segment:
+    def run(self, ways: dict[int, PlannedPath]) -> segments.FreeSegment:
         """The segment; the way of the first one is added to `ways`."""
         space = self.step.space
         with _AtPlace(f"step {self.n} ({self.step.to})", words=f"step {self.n}"):

@@ -42,7 +42,7 @@ def scene_of(query: WorldQuery) -> Scene:
 
 
 def observations(
-    query: WorldQuery, scene: Scene, view: optics.View, body: str, pose: Array
+    query: WorldQuery, scene: Scene, view: optics.CameraView, body: str, pose: Array
 ) -> tuple[list[TagObservation], list[str]]:
     """The tags of a body that a camera sees, and what hides others that it would see."""
     large = [

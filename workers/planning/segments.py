@@ -47,7 +47,7 @@ class Target(msgspec.Struct, frozen=True, eq=False):
     around: bool = False  # two arms may leave the straight line where that is not free
 
 
-class Segment(NamedTuple):
+class FreeSegment(NamedTuple):
     """A segment that is free. `found`: the way that `plan_segment` would take to `goal`; None: not known."""
 
     end: Array  # rad, joint values at the end
@@ -61,7 +61,7 @@ class Segment(NamedTuple):
         return path_reuse.to_message(path_reuse.request_digest(request, space, self.goal), self.found)
 
 
-def check_segment(request: PlanningRequest, space: str, target: Target, detours: bool, first: bool) -> Segment:
+def check_segment(request: PlanningRequest, space: str, target: Target, detours: bool, first: bool) -> FreeSegment:
     """The segment with the joint values (rad) at its end. Raises Refused if it is blocked.
 
     `detours`: also try paths with way-points if the direct path is blocked.
@@ -99,7 +99,7 @@ def _timed_joint(request: PlanningRequest, target: Target, known: PlannedPath | 
     return plan_joint_motion(request, goal, before.path)
 
 
-def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment:
+def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first: bool) -> FreeSegment:
     goal, found = _goal(request, target), None
     if target.via:
         _through(request, target, goal)
@@ -107,7 +107,7 @@ def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first
         refuse_if(request.arm.why_not_within(goal, request.margin_rad))
     else:
         found = find_joint_way(request, goal) if detours else find_direct_way(request, goal, with_room=first)
-    return Segment(goal, goal, found)
+    return FreeSegment(goal, goal, found)
 
 
 def _through(request: PlanningRequest, target: Target, goal: Array) -> FreeWay:
@@ -150,13 +150,13 @@ def _timed_task(request: PlanningRequest, target: Target, known: PlannedPath | N
     return motion
 
 
-def _tested_task(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment:
+def _tested_task(request: PlanningRequest, target: Target, detours: bool, first: bool) -> FreeSegment:
     pose = _pose(request, target)
     if target.via:
         segment = _tested_curve(request, _smooth(request, target, pose), detours, first)
     else:
         found = find_task_way(request, pose, request.margin_rad)
-        segment = Segment(found.path.knots[-1], pose, found)
+        segment = FreeSegment(found.path.knots[-1], pose, found)
     refuse_if(_other_end(request, target, segment.end))
     return segment
 
@@ -190,9 +190,9 @@ def _timed_curve(request: PlanningRequest, target: Target, known: PlannedPath | 
     return in_time(request, find_curve(request, target.poses, request.way_margin_rad))
 
 
-def _tested_curve(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment:
+def _tested_curve(request: PlanningRequest, target: Target, detours: bool, first: bool) -> FreeSegment:
     assert target.poses is not None
-    return Segment(find_curve(request, target.poses, request.margin_rad).path.knots[-1], target.poses[-1])
+    return FreeSegment(find_curve(request, target.poses, request.margin_rad).path.knots[-1], target.poses[-1])
 
 
 # --- two arms --------------------------------------------------------------------------------------------
@@ -207,9 +207,9 @@ def _timed_both(request: PlanningRequest, target: Target, known: PlannedPath | N
     return motion
 
 
-def _tested_both(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment:
+def _tested_both(request: PlanningRequest, target: Target, detours: bool, first: bool) -> FreeSegment:
     motion = _timed_both(request, target, None)
-    return Segment(motion.goal_joints, motion.goal_pose)
+    return FreeSegment(motion.goal_joints, motion.goal_pose)
 
 
 #: fourth column of a script -> planner of its segments
@@ -221,7 +221,7 @@ SPACES: dict[str, Callable[[PlanningRequest, Target, PlannedPath | None], Motion
 }
 BOTH = "move_both"  # space of the steps that move two arms
 STRAIGHT = frozenset(("move_task", *curves.CURVES))  # lines and curves of one hand
-_TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], Segment]] = {
+_TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], FreeSegment]] = {
     "move_joint": _tested_joint,
     "move_task": _tested_task,
     **dict.fromkeys(curves.CURVES, _tested_curve),

@@ -16,7 +16,7 @@ from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import HandMotion, JointTrajectory, Look
 from rtc.protocol.rehearsal import FaultBranch
 from workers.planning.world_query import WorldQuery
-from workers.rehearsal.performance import Moment, Performance, copied
+from workers.rehearsal.performance import BoundPrimitive, Performance, copied
 from workers.rehearsal.predicted_report import end_report
 
 EACH = "FAULTS"
@@ -97,7 +97,7 @@ def _report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopReaso
     return report if at_goal else msgspec.structs.replace(report, reason=reason)
 
 
-def _branch(done: Performance, moment: Moment, reason: StopReason) -> FaultBranch:
+def _branch(done: Performance, moment: BoundPrimitive, reason: StopReason) -> FaultBranch:
     """What follows, as far as the step after the one that failed."""
     paper = Performance(
         programs=done.programs,

@@ -49,7 +49,7 @@ BEARS_N, BEARS_NM = 6.0, 0.27
 Programs = Mapping[WorkerKind, Any]
 
 
-class Moment(NamedTuple):
+class BoundPrimitive(NamedTuple):
     """A primitive was bound, and has not begun."""
 
     actions: ActionStack[Script, Any]
@@ -74,7 +74,7 @@ class Performance:
     script: Script | None = None
     actions: ActionStack[Script, Any] | None = None
     steps: list[RehearsedStep] = field(default_factory=list)
-    moments: list[Moment] = field(default_factory=list)
+    moments: list[BoundPrimitive] = field(default_factory=list)
     assumes: list[str] = field(default_factory=list)
     refusal: Refusal | None = None
     given_up: Refusal | None = None
@@ -205,7 +205,7 @@ class Performance:
                 report = msgspec.structs.replace(report, duration_s=0.0, at_s=self.now_s)
             self.assumes += assumptions(bound, report)
             self.steps.append(rehearsed(query, bound, report, self.actions.step[0] if self.actions.step else 0))
-            self.moments.append(Moment(copied(self.actions), self.world, self.now_s, bound))
+            self.moments.append(BoundPrimitive(copied(self.actions), self.world, self.now_s, bound))
         if report is None:
             return
         self._note_stretched(bound)

@@ -86,7 +86,7 @@ def _serve(port: int, role: Role, browse: bool, run_dir: Path, key: Path | None)
         words = f"port {port} cannot be used: {error.strerror or error}; choose another, or --port 0"
         raise cli_error(words, 2) from None
     with process.start("rtc console", Path()) as me, listening:
-        given = gateway.Given(endpoints, connect, cell, role, in_words)
+        given = gateway.ConsoleOptions(endpoints, connect, cell, role, in_words)
         gateway.serve(me, given, listening, partial(_opened, browse))
 
 

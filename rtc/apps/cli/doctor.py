@@ -42,7 +42,7 @@ GOOD = ("ready", "starting", "pending", "ending")  # states of a process
 
 
 @dataclass(frozen=True)
-class Finding:
+class DoctorFinding:
     """One line. `mend`: what would mend it; empty if all is well."""
 
     about: str
@@ -68,7 +68,7 @@ def doctor(json: AsJson = False, run_dir: RunDir = None) -> None:
     raise typer.Exit(1 if warnings else 0)
 
 
-def _show(findings: Iterable[Finding]) -> None:
+def _show(findings: Iterable[DoctorFinding]) -> None:
     for one in findings:
         mark = Text("warning  ", style="bold yellow") if one.mend else Text("ok       ", style="green")
         console.print(mark + Text(f"{one.about}: {one.found}"))
@@ -79,33 +79,37 @@ def _show(findings: Iterable[Finding]) -> None:
 # --- the machine -------------------------------------------------------------------------------------
 
 
-def machine() -> Iterator[Finding]:
+def machine() -> Iterator[DoctorFinding]:
     yield of_load(os.getloadavg()[0], len(os.sched_getaffinity(0)))
     yield of_memory(Path("/proc/meminfo").read_text())
     yield of_priority(may_be_real_time(1))
 
 
-def of_load(load: float, cores: int) -> Finding:
+def of_load(load: float, cores: int) -> DoctorFinding:
     words = f"{load:.1f} processes want {cores} core{'s' * (cores != 1)}"
     if cores < NEEDED_CORES:
-        return Finding("load", words, f"give it {NEEDED_CORES} cores: with one, arms pause while motions are planned")
+        return DoctorFinding(
+            "load", words, f"give it {NEEDED_CORES} cores: with one, arms pause while motions are planned"
+        )
     if load > cores:
-        return Finding("load", words, "end other programs, or start with `rtc up --speed 0.5`: half of real time")
-    return Finding("load", words)
+        return DoctorFinding("load", words, "end other programs, or start with `rtc up --speed 0.5`: half of real time")
+    return DoctorFinding("load", words)
 
 
-def of_memory(meminfo: str) -> Finding:
+def of_memory(meminfo: str) -> DoctorFinding:
     """`meminfo`: the text of /proc/meminfo."""
     found = re.search(r"^MemAvailable:\s+(\d+) kB", meminfo, re.MULTILINE)
     free = 1024 * int(found[1]) if found else 0
-    return Finding("memory", f"{_size(free)} available", "" if free >= MIN_MEMORY else "end programs that use much")
+    return DoctorFinding(
+        "memory", f"{_size(free)} available", "" if free >= MIN_MEMORY else "end programs that use much"
+    )
 
 
-def of_priority(permitted: bool) -> Finding:
+def of_priority(permitted: bool) -> DoctorFinding:
     if permitted:
-        return Finding("priority", "real-time priority is permitted to arms, broker and halts")
+        return DoctorFinding("priority", "real-time priority is permitted to arms, broker and halts")
     user = pwd.getpwuid(os.getuid()).pw_name
-    return Finding(
+    return DoctorFinding(
         "priority",
         "real-time priority is not permitted: with busy cores, ticks and halts are late",
         f"add the line `{user} - rtprio 5` to /etc/security/limits.conf and log in again; "
@@ -116,22 +120,22 @@ def of_priority(permitted: bool) -> Finding:
 # --- the installation --------------------------------------------------------------------------------
 
 
-def installation() -> Iterator[Finding]:
-    yield Finding("rtc", f"{__version__}, Python {platform.python_version()}, {platform.system()}")
+def installation() -> Iterator[DoctorFinding]:
+    yield DoctorFinding("rtc", f"{__version__}, Python {platform.python_version()}, {platform.system()}")
     versions = {name: _version(name) for name in _requirements()}
     absent = [name for name, version in versions.items() if not version]
     words = ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items())
-    yield Finding("libraries", words, f"pip install {' '.join(absent)}" if absent else "")
+    yield DoctorFinding("libraries", words, f"pip install {' '.join(absent)}" if absent else "")
     slower = "" if compiled() else "planning takes about twice as long; install a C++ compiler, then rtc again"
-    yield Finding("collision checks", collision_checks(compiled()), slower)
+    yield DoctorFinding("collision checks", collision_checks(compiled()), slower)
     for extra in EXTRAS:
-        yield Finding(f"extra for {extra}", missing(extra) or "installed")  # optional: no warning
+        yield DoctorFinding(f"extra for {extra}", missing(extra) or "installed")  # optional: no warning
     for group in registry.GROUPS:
         found, failed = registry.loaded(group)
         if found:
-            yield Finding(group, ", ".join(found))
+            yield DoctorFinding(group, ", ".join(found))
         for name, why in failed.items():
-            yield Finding(group, f"{name} cannot be loaded: {why}", "correct or uninstall its package")
+            yield DoctorFinding(group, f"{name} cannot be loaded: {why}", "correct or uninstall its package")
 
 
 def _requirements() -> list[str]:
@@ -150,7 +154,7 @@ def _version(name: str) -> str:
 # --- the run directory -------------------------------------------------------------------------------
 
 
-def directory(where: Path) -> Iterator[Finding]:
+def directory(where: Path) -> Iterator[DoctorFinding]:
     there = next(path for path in (where, *where.absolute().parents) if path.is_dir())
     free = shutil.disk_usage(there).free
     mend = ""
@@ -158,7 +162,7 @@ def directory(where: Path) -> Iterator[Finding]:
         mend = f"choose a directory that you may write: {shell_command('rtc up -d', Path('DIR'))}"
     elif free < MIN_DISK:
         mend = f"delete old runs ({where}/{PREVIOUS}*), or choose a directory on another disk by --run-dir"
-    yield Finding("disk", f"{_size(free)} free for {where}; its runs use {_size(_used(where))}", mend)
+    yield DoctorFinding("disk", f"{_size(free)} free for {where}; its runs use {_size(_used(where))}", mend)
 
 
 def _used(where: Path) -> int:
@@ -173,7 +177,7 @@ def _used(where: Path) -> int:
 # --- the cluster -------------------------------------------------------------------------------------
 
 
-def cluster(where: Path) -> Iterator[Finding]:
+def cluster(where: Path) -> Iterator[DoctorFinding]:
     try:
         with Client(where) as client:
             status = client.status()
@@ -181,70 +185,70 @@ def cluster(where: Path) -> Iterator[Finding]:
             yield from of_ticks(client.telemetry(silence_s=SAMPLE_S))
             yield from of_work(from_cluster(client, COMMANDS))
     except NoCluster as none:
-        yield Finding("cluster", str(none))  # it is no fault that none runs
+        yield DoctorFinding("cluster", str(none))  # it is no fault that none runs
         yield from _of_past(where)
     except ClusterError as error:
         mend = f"{shell_command('rtc down', where)}, then {shell_command('rtc up -d', where)}"
-        yield Finding("cluster", str(error), f"ask again in some seconds; if it stays: {mend}")
+        yield DoctorFinding("cluster", str(error), f"ask again in some seconds; if it stays: {mend}")
 
 
-def _of_past(where: Path) -> Iterator[Finding]:
+def _of_past(where: Path) -> Iterator[DoctorFinding]:
     for past in runs(where):
         try:
             yield from of_work(past.last(COMMANDS), f" ({past.title})")
         except RtcError as error:
-            yield Finding("journal", str(error), f"delete {past.journal}: it only holds a run that has ended")
+            yield DoctorFinding("journal", str(error), f"delete {past.journal}: it only holds a run that has ended")
         return
 
 
-def of_status(status: dict[str, Any]) -> Iterator[Finding]:
+def of_status(status: dict[str, Any]) -> Iterator[DoctorFinding]:
     """Findings about a `StatusReply.status`."""
-    yield Finding("cluster", f"{status['cluster']} runs for {status['uptime_s']:.0f} s")
+    yield DoctorFinding("cluster", f"{status['cluster']} runs for {status['uptime_s']:.0f} s")
     if (silent_s := status["supervisor_silent_s"]) > SILENT_S:
         mend = "dead processes are not started again: `rtc down`, then `rtc up -d`"
-        yield Finding("supervisor", f"silent for {seconds(silent_s)}", mend)
+        yield DoctorFinding("supervisor", f"silent for {seconds(silent_s)}", mend)
     rows = status["processes"]
     bad = [f"{row['name']} {row['state']}" for row in rows if row["state"] not in GOOD]
     died = [f"{row['name']} {row['restarts']} times" for row in rows if row["restarts"]]
     words = "; ".join(filter(None, [", ".join(bad), f"started again: {', '.join(died)}" if died else ""]))
     mend = f"the cause is in {status['run_dir']}/logs/NAME.log"
-    yield Finding("processes", words or f"all {len(rows)} run", mend if words else "")
+    yield DoctorFinding("processes", words or f"all {len(rows)} run", mend if words else "")
     for row in status["subsystems"]:
         if row["state"] != "connected":
-            yield Finding(row["name"], row["state"], f"wait until `rtc status` shows it connected; {mend}")
+            yield DoctorFinding(row["name"], row["state"], f"wait until `rtc status` shows it connected; {mend}")
         if row["injected"]:
-            yield Finding(row["name"], f"injected faults: {'; '.join(row['injected'])}", "rtc inject undo")
+            yield DoctorFinding(row["name"], f"injected faults: {'; '.join(row['injected'])}", "rtc inject undo")
     for row in status["resources"]:
         if row["owner"].startswith("quarantine"):
             mend = "`rtc halt` confirms rest, once its subsystem answers"
-            yield Finding(row["name"], f"closed: {row['owner']}", mend)
+            yield DoctorFinding(row["name"], f"closed: {row['owner']}", mend)
     yield of_broker(status["decision_ms"])
     waiting = {kind: count for kind, count in status["queues"].items() if count}
     words = ", ".join(f"{count} for {kind}" for kind, count in waiting.items()) or "no job waits"
-    yield Finding("queues", words)
+    yield DoctorFinding("queues", words)
 
 
-def of_broker(decision_ms: dict[str, float]) -> Finding:
+def of_broker(decision_ms: dict[str, float]) -> DoctorFinding:
     p99 = decision_ms.get("p99", 0.0)
     mend = "the machine is too busy, or its disk too slow: see load and disk above" if p99 > SLOW_ITERATION_MS else ""
-    return Finding("broker", f"99 of 100 iterations take at most {p99:.1f} ms", mend)
+    return DoctorFinding("broker", f"99 of 100 iterations take at most {p99:.1f} ms", mend)
 
 
-def of_ticks(samples: Iterator[m.Telemetry]) -> Iterator[Finding]:
+def of_ticks(samples: Iterator[m.Telemetry]) -> Iterator[DoctorFinding]:
     """Findings about the control ticks during SAMPLE_S, and since the start of each MCM."""
     first = next(samples, None)
     if first is None:
-        yield Finding("ticks", "no telemetry", "no subsystem of arms runs: see `rtc status` and its log in logs/")
+        yield DoctorFinding("ticks", "no telemetry", "no subsystem of arms runs: see `rtc status` and its log in logs/")
         return
     last = next((one for one in samples if one.at_s - first.at_s >= SAMPLE_S), first)
     ticks, late = last.ticks - first.ticks, last.late_ticks - first.late_ticks
     words = f"{late} of {ticks} control ticks were late in {last.at_s - first.at_s:.1f} s; {last.late_ticks} of "
     words += f"{last.ticks} since the start"
     mend = "the machine is too busy: see load and priority above; `rtc up --speed 0.5` asks half of it"
-    yield Finding("ticks", words, mend if late > SLOW_SHARE * max(1, ticks) else "")
+    yield DoctorFinding("ticks", words, mend if late > SLOW_SHARE * max(1, ticks) else "")
 
 
-def of_work(records: Iterable[m.CommandRecord], when: str = "") -> Iterator[Finding]:
+def of_work(records: Iterable[m.CommandRecord], when: str = "") -> Iterator[DoctorFinding]:
     """The slowest job of a worker in these commands."""
     jobs = [(note, record) for record in records for note in record.notes if "@" in note.node]
     if not jobs:
@@ -252,7 +256,7 @@ def of_work(records: Iterable[m.CommandRecord], when: str = "") -> Iterator[Find
     note, record = max(jobs, key=lambda pair: pair[0].took_s)
     words = f"the slowest job of the last commands took {seconds(note.took_s)}: {note.node} for {record.command}{when}"
     mend = f"`rtc trace {record.command}` shows its steps; a free machine or a nearer goal takes less"
-    yield Finding("jobs", words, mend if note.took_s > SLOW_JOB_S else "")
+    yield DoctorFinding("jobs", words, mend if note.took_s > SLOW_JOB_S else "")
 
 
 def _size(count: int) -> str:

@@ -151,7 +151,9 @@ def _believed(rtc: Client, cell: Cell, arms: dict[str, m.ArmSample]) -> dict[str
     return {seat.name: seat.frame.pose.tolist() for seat in cell.seats} | scene.poses | scene.seats
 
 
-def _located(cell: Cell, view: optics.View, pixels: NDArray[np.uint8], poses: dict[str, list[float]]) -> list[Located]:
+def _located(
+    cell: Cell, view: optics.CameraView, pixels: NDArray[np.uint8], poses: dict[str, list[float]]
+) -> list[Located]:
     """One row for each body with tags, in the order of the cell file."""
     fits = locator.locate(cell.tags, [locator.Seen(view, TagDetector().find(pixels))])
     rows = []

@@ -30,7 +30,7 @@ TRUTH = "truth"
 Facts = Mapping[str, SavedFact]
 
 
-class Difference(NamedTuple):
+class FactDifference(NamedTuple):
     """One fact in two states of the world; None: it is in one of them only. Of a pose also how far they differ."""
 
     key: str
@@ -167,24 +167,24 @@ def of_truth(truth: SimTruthReply) -> dict[str, SavedFact]:
     return {key: SavedFact(value=value) for key, value in values.items()}
 
 
-def differences(before: Facts, after: Facts) -> list[Difference]:
+def differences(before: Facts, after: Facts) -> list[FactDifference]:
     """The facts that differ, in the order of their keys."""
     found = []
     for key in sorted({*before, *after}):
         old, new = before.get(key), after.get(key)
         if old is None or new is None:
-            found.append(Difference(key, old, new))
+            found.append(FactDifference(key, old, new))
         elif _is_pose(key, old, new):
             off_m, turned_rad = geometry.distance(old.value, new.value), geometry.angle(old.value, new.value)
-            one = Difference(key, old, new, off_m, turned_rad)
+            one = FactDifference(key, old, new, off_m, turned_rad)
             if old.validity is not new.validity or beyond(one, SAME_M, SAME_RAD):
                 found.append(one)
         elif (old.value, old.validity) != (new.value, new.validity):
-            found.append(Difference(key, old, new))
+            found.append(FactDifference(key, old, new))
     return found
 
 
-def beyond(one: Difference, within_m: float, within_rad: float) -> bool:
+def beyond(one: FactDifference, within_m: float, within_rad: float) -> bool:
     """Whether the values differ by more than this. Lengths and joints are compared as poses are."""
     if one.off_m is not None and one.turned_rad is not None:
         return one.off_m > within_m or one.turned_rad > within_rad
@@ -206,14 +206,14 @@ def _is_pose(key: str, *facts: SavedFact) -> bool:
     return key.rpartition(".")[2] in POSES and all(isinstance(fact.value, list) for fact in facts)
 
 
-def as_row(one: Difference) -> dict[str, Any]:
+def as_row(one: FactDifference) -> dict[str, Any]:
     """For --json: m and rad."""
     row = {"key": one.key, "location": location(one.key), "before": one.before, "after": one.after}
     figures = {"off_m": one.off_m, "turned_rad": one.turned_rad}
     return row | {name: value for name, value in figures.items() if value is not None}
 
 
-def print_differences(found: list[Difference], units: JointUnits) -> None:
+def print_differences(found: list[FactDifference], units: JointUnits) -> None:
     if not found:
         console.print("no fact differs")
         return

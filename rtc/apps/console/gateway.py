@@ -52,7 +52,7 @@ READ_AGAIN = 20  # commands before the start of the gateway that are shown
 START_S = 10.0
 
 
-class Given(NamedTuple):
+class ConsoleOptions(NamedTuple):
     """What `rtc console` was called with."""
 
     endpoints: Endpoints
@@ -77,7 +77,7 @@ def listen(port: int, others: bool) -> sockets.socket:
     return made
 
 
-def serve(me: Process, given: Given, listening: sockets.socket, opened: Callable[[str], None]) -> None:
+def serve(me: Process, given: ConsoleOptions, listening: sockets.socket, opened: Callable[[str], None]) -> None:
     """Serve pages until `me.stopping` or the end of the cluster. `opened` gets the link."""
     port = listening.getsockname()[1]
     settings = given.endpoints if isinstance(given.endpoints, Settings) else None
@@ -100,16 +100,16 @@ def serve(me: Process, given: Given, listening: sockets.socket, opened: Callable
             door.close()
 
 
-def _for_halts(given: Given, access: Access, round_trip_s: float) -> halt_door.Given:
+def _for_halts(given: ConsoleOptions, access: Access, round_trip_s: float) -> halt_door.HaltDoorOptions:
     arms = [arm.name for arm in given.cell.arms]
-    stated = halt_door.Given(access=access, arms=arms, round_trip_s=round_trip_s)
+    stated = halt_door.HaltDoorOptions(access=access, arms=arms, round_trip_s=round_trip_s)
     if isinstance(given.endpoints, KeyFile):
         return msgspec.structs.replace(stated, key=given.endpoints)
     return msgspec.structs.replace(stated, settings=given.endpoints)
 
 
 @contextlib.contextmanager
-def _parts(given: Given, access: Access) -> Iterator[tuple[Console, Hub, Desk, float]]:
+def _parts(given: ConsoleOptions, access: Access) -> Iterator[tuple[Console, Hub, Desk, float]]:
     """What pages use: desks with clients, halt lines, pictures. Also the round trip to the cluster (s)."""
     endpoints = given.endpoints
     sentences, questions = Desk("sentences", given.connect), Desk("questions", given.connect)

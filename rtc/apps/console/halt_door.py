@@ -44,7 +44,7 @@ AGAIN_S = 0.1  # after accepting has failed, such as without free descriptors
 END_S = 3.0
 
 
-class Given(msgspec.Struct, frozen=True, kw_only=True):
+class HaltDoorOptions(msgspec.Struct, frozen=True, kw_only=True):
     """What the process needs. One of `settings` and `key` is set."""
 
     access: Access
@@ -57,7 +57,7 @@ class Given(msgspec.Struct, frozen=True, kw_only=True):
 class HaltDoor:
     """The gateway's side: starts and ends the process. `channel` yields the connections of pages."""
 
-    def __init__(self, given: Given, listening: socket.socket) -> None:
+    def __init__(self, given: HaltDoorOptions, listening: socket.socket) -> None:
         self.channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         descriptors = (listening.fileno(), theirs.fileno())
         self._process = subprocess.Popen(
@@ -203,7 +203,7 @@ def take_connections(channel: socket.socket, take: Callable[[socket.socket], Non
     loop.add_reader(channel, receive)
 
 
-async def _serve(given: Given, halts: Halts, listening: socket.socket, channel: socket.socket) -> None:
+async def _serve(given: HaltDoorOptions, halts: Halts, listening: socket.socket, channel: socket.socket) -> None:
     config = configured(app(given.access, halts), PacedHaltSocket)
     Sorter(listening, channel, taker(config, ServerState()))
     over = asyncio.Event()
@@ -223,7 +223,7 @@ def _raise_priority() -> None:
 
 def main() -> None:
     listening, channel = (socket.socket(fileno=int(one)) for one in sys.argv[1:])
-    given = msgspec.json.decode(sys.stdin.buffer.read(), type=Given)
+    given = msgspec.json.decode(sys.stdin.buffer.read(), type=HaltDoorOptions)
     process.log_to_stderr()
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

@@ -65,7 +65,7 @@ class ReportingExporter(SpanExporter):
         return self._to.force_flush(timeout_millis)
 
 
-class Segment(NamedTuple):
+class PhaseSpan(NamedTuple):
     """A command's time in one phase of one step, on the clock of the notes (s)."""
 
     phase: Phase
@@ -191,7 +191,7 @@ class Traces:
             if note.warning:
                 yield Event("warning", {"rtc.note": note.note}, self._ns(note.at_s))
 
-    def _export_step(self, root: SpanContext, step: str, parts: list[Segment]) -> None:
+    def _export_step(self, root: SpanContext, step: str, parts: list[PhaseSpan]) -> None:
         """The phases of a step, below its span; phases without a step are below the command."""
         above = self._below(root) if step else root
         for part in parts:
@@ -217,17 +217,17 @@ class Traces:
         return int(1e9 * (at_s + self._offset_s))
 
 
-def segments(notes: list[m.ProgressNote], end_s: float) -> Iterator[Segment]:
+def segments(notes: list[m.ProgressNote], end_s: float) -> Iterator[PhaseSpan]:
     """The phases of a command in order. A note names the phase that begins, and the process that ended the last one."""
     begin: m.ProgressNote | None = None
     words = ""
     for note in notes:
         if begin is not None and (note.phase, note.step) != (begin.phase, begin.step):
-            yield Segment(begin.phase, begin.step, begin.at_s, note.at_s, note.node, note.note or words)
+            yield PhaseSpan(begin.phase, begin.step, begin.at_s, note.at_s, note.node, note.note or words)
             begin = None
         if begin is None and note.phase is not Phase.ENDED:
             begin, words = note, ""
         else:
             words = note.note or words
     if begin is not None:  # its last note is missing
-        yield Segment(begin.phase, begin.step, begin.at_s, end_s, "", words)
+        yield PhaseSpan(begin.phase, begin.step, begin.at_s, end_s, "", words)

@@ -18,13 +18,13 @@ COMMAND = [sys.executable, "-P", "-m", "sim_mcm.arms.readers"]
 LIMIT_S = 60.0  # on a slow, busy machine; it takes about a second
 
 
-class Difference(NamedTuple):
+class ReaderDifference(NamedTuple):
     where: str  # link NAME or joint NAME
     problem: str
     expected: str
 
 
-class Question(msgspec.Struct, frozen=True):
+class ReaderInput(msgspec.Struct, frozen=True):
     """`hulls`: texts by file name; `shapes`: whether collision shapes are compared, too."""
 
     urdf: str
@@ -33,12 +33,12 @@ class Question(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True):
-    differences: list[Difference]
+    differences: list[ReaderDifference]
 
 
-def differences(urdf: str, hulls: dict[str, str], shapes: bool) -> list[Difference]:
+def differences(urdf: str, hulls: dict[str, str], shapes: bool) -> list[ReaderDifference]:
     """All values that pinocchio and Bullet read differently. Raises RtcError if there is no answer."""
-    return _answer(msgspec.json.encode(Question(urdf, hulls, shapes)) + b"\n").differences
+    return _answer(msgspec.json.encode(ReaderInput(urdf, hulls, shapes)) + b"\n").differences
 
 
 @lru_cache(maxsize=16)

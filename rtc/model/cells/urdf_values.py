@@ -47,29 +47,29 @@ QUANTITIES = {1: "a finite number", 3: "three finite numbers", 4: "four finite n
 Row = tuple[str, str]  # problem, expected
 
 
-class Fault(NamedTuple):
+class UrdfFault(NamedTuple):
     where: str  # link NAME, joint NAME, or robot
     problem: str
     expected: str
 
 
-def faults(robot: Element) -> Iterator[Fault]:
+def faults(robot: Element) -> Iterator[UrdfFault]:
     """All wrong values of a <robot>, in the order of the file."""
     if not robot.get("name"):
-        yield Fault("robot", "it has no name", '<robot name="...">')
-    yield from (Fault("robot", problem, expected) for problem, expected in _of_materials(robot))
+        yield UrdfFault("robot", "it has no name", '<robot name="...">')
+    yield from (UrdfFault("robot", problem, expected) for problem, expected in _of_materials(robot))
     for kind in ("link", "joint"):
         parts = robot.findall(kind)
         for name, count in Counter(part.get("name") for part in parts).items():
             if not name:
-                yield Fault("robot", f"a <{kind}> has no name", f'<{kind} name="...">')
+                yield UrdfFault("robot", f"a <{kind}> has no name", f'<{kind} name="...">')
             elif count > 1:
-                yield Fault(f"{kind} {name}", f"{count} of them have this name", "a name of its own for each")
+                yield UrdfFault(f"{kind} {name}", f"{count} of them have this name", "a name of its own for each")
         for part in parts:
-            yield from (Fault(f"{kind} {part.get('name')}", *row) for row in _given_twice(part))
+            yield from (UrdfFault(f"{kind} {part.get('name')}", *row) for row in _given_twice(part))
             own = _of_link(part) if kind == "link" else _of_joint(part, robot)
             for problem, expected in (*_of_numbers(part), *own):
-                yield Fault(f"{kind} {part.get('name')}", problem, expected)
+                yield UrdfFault(f"{kind} {part.get('name')}", problem, expected)
 
 
 #: path within a link or joint -> elements of which it has one; readers of a URDF take different ones of two
@@ -89,12 +89,12 @@ def _given_twice(part: Element) -> Iterator[Row]:
                     yield f"it has {count} <{tag}>", "one"
 
 
-def too_long(robot: Element) -> Fault | None:
+def too_long(robot: Element) -> UrdfFault | None:
     """The greatest length, if it is not plausible in metres. Lengths that are not numbers are left out."""
     where, longest = max(_lengths(robot), key=lambda row: row[1], default=("", 0.0))
     if longest <= LONG_M:
         return None
-    return Fault(where, f"it states a length of {longest:g} m: is it in millimetres?", "metres")
+    return UrdfFault(where, f"it states a length of {longest:g} m: is it in millimetres?", "metres")
 
 
 def soft_limits(joint: Element, soft: Element) -> tuple[float, float] | None:

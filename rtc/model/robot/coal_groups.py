@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from rtc.model.robot.collision_pairs import Pairs
+from rtc.model.robot.collision_pairs import CollisionPairs
 from rtc.model.robot.scene_state import SceneState
 from rtc.spatial.geometry import Array
 
@@ -33,7 +33,7 @@ class CoalGroups:
         self._data = made.geometry.createData()
         self._manager = pin.BroadPhaseManager_NaiveCollisionManager(made.model, made.geometry, self._data)
         self._callback = pin.CollisionCallBackDefault(made.geometry, self._data, True)
-        self._pairs: Pairs | None = None  # those of the margins
+        self._pairs: CollisionPairs | None = None  # those of the margins
 
     def parts(self, slots: list[int], rows: Array, group: int, off: Array) -> Parts:
         """Finds the parts of the way along these configurations on which a pair may be too near.

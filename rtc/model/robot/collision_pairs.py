@@ -12,7 +12,7 @@ from rtc.model.robot.collision_scene import Scene, in_hands
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class CollisionPairs:
     """The pairs to check in a scene and their margins (m), by pair and as matrices [piece][piece]."""
 
     active: np.ndarray
@@ -41,7 +41,7 @@ class PairTable:
         region_piece = np.array([p.kind == "region" for p in pieces])
         self.with_region = region_piece[self.first] | region_piece[self.second]  # by pair
 
-    def of_scene(self, scene: Scene) -> Pairs:
+    def of_scene(self, scene: Scene) -> CollisionPairs:
         """The active pairs and the margins. Raises ValueError for an unknown body."""
         moving = self.arm_piece.copy()  # pieces that move with an arm
         carrier = self.carriers(scene)
@@ -67,7 +67,7 @@ class PairTable:
             two_arms = by_arm[first] & by_arm[second] & (carrier[first] != carrier[second])
             margin = np.where(two_arms, np.maximum(margin, scene.arms_apart_m), margin)
         numbers = np.flatnonzero(active).astype(np.int32)
-        return Pairs(active, numbers, margin[numbers], margin, self.as_matrix(active), self.as_matrix(margin))
+        return CollisionPairs(active, numbers, margin[numbers], margin, self.as_matrix(active), self.as_matrix(margin))
 
     def _keeps_distance(self, scene: Scene, carrier: np.ndarray) -> np.ndarray:
         """Mask of the pairs that a clearance applies to: two bodies that move apart, or a held one and its own arm.

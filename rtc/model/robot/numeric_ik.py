@@ -47,7 +47,7 @@ FOLLOW_GAIN = 0.05
 HELD, MAX_HELD = 0.15, 0.06  # share of its range, and distance (rad, m), of a limit at which a redundant joint stays
 
 
-class Approach(NamedTuple):
+class NearestReach(NamedTuple):
     """The nearest approach to a goal that is out of reach."""
 
     joints: Array
@@ -161,14 +161,14 @@ class Chain:
         found = self._search(goal, reference, self.lower - reach, self.upper + reach)
         return _different(found, SAME)
 
-    def nearest_approach(self, goal: pin.SE3, reference: Array) -> Approach:
+    def nearest_approach(self, goal: pin.SE3, reference: Array) -> NearestReach:
         """The posture within the limits that comes nearest to a goal out of reach, of those tried."""
         starts = np.vstack((reference, self._nearest(goal, BATCHES[0])))
         q, _ = self._descend(goal, starts, self.lower, self.upper, keep_all=True)
         off = self._errors(goal, *self.fk(q))
         metres, radians = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)
         best = int(np.argmin(metres + METRES_PER_RAD * radians))
-        return Approach(q[best], float(metres[best]), float(radians[best]))
+        return NearestReach(q[best], float(metres[best]), float(radians[best]))
 
     def nearest_ik(self, goal: pin.SE3, near: Array) -> Array | None:
         """Joint values near `near` that bring the tcp to the goal, regardless of limits; None: not found.

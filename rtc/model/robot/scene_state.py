@@ -17,7 +17,7 @@ import pinocchio as pin
 from rtc.model.cells import cell as cells
 from rtc.model.robot import bodies
 from rtc.model.robot.boxes import boxes_of
-from rtc.model.robot.collision_pairs import Pairs, PairTable
+from rtc.model.robot.collision_pairs import CollisionPairs, PairTable
 from rtc.model.robot.collision_scene import AS_BUILT, Scene, in_hands, same_places
 from rtc.model.robot.levers import ball, levers, of_pairs
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -95,8 +95,8 @@ class SceneState:
         self.scene: Scene | None = None
         self._placed: dict[str, tuple[str, list[float]]] = {}  # body -> the arm that holds it, and its pose there
         self._elsewhere: dict[str, tuple[int, pin.SE3]] = {}  # bodies that coal has not yet: parent joint, pose there
-        self._pairs_of_coal: Pairs | None = None  # the pairs that coal has
-        self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `PairTable.of_scene` reads
+        self._pairs_of_coal: CollisionPairs | None = None  # the pairs that coal has
+        self._pairs_of_scene: dict[tuple[object, ...], CollisionPairs] = {}  # by all that `PairTable.of_scene` reads
         self._joints_before: dict[tuple[str, int], int] = {}  # by arm and joint
         self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
         self.table = PairTable(self.bodies)
@@ -263,7 +263,7 @@ class SceneState:
         if pairs is not self.pairs:
             self._put_in_force(pairs)
 
-    def _put_in_force(self, pairs: Pairs) -> None:
+    def _put_in_force(self, pairs: CollisionPairs) -> None:
         if self.boxes is not None:
             self.boxes.use(pairs.numbers, pairs.kept)
         self.pairs = pairs

@@ -25,7 +25,7 @@ from rtc.runtime import time_limit
 from rtc.runtime.memory_guard import limit_data
 from rtc.runtime.process import die_with_parent, log_to_stderr, now_s
 from rtc.runtime.process_table import in_words
-from rtc.subsystems.base.report_items import Snapshot, measured, not_measured
+from rtc.subsystems.base.report_items import ArmSnapshot, measured, not_measured
 
 ANSWER_S = 0.02  # an idle machine answers within 0.2 ms; no arm is served meanwhile
 SILENT_S = 3.0
@@ -53,7 +53,7 @@ class ItemProcess:
         self._number = self._answered = 0
         self._loaded, self._asked_s, self._asked = False, now_s(), "its package, which is being loaded,"
 
-    def measure(self, name: str, state: Snapshot) -> Any:
+    def measure(self, name: str, state: ArmSnapshot) -> Any:
         """The value of an item, or words that say why there is none."""
         if (status := self._process.poll()) is not None:
             self._begin_anew()
@@ -111,7 +111,7 @@ def main() -> None:
     with socket.socket(fileno=fd) as line:
         registry.loaded(registry.REPORT_ITEMS)
         line.send(msgspec.msgpack.encode([0, None]))
-        decode = msgspec.msgpack.Decoder(tuple[int, str, Snapshot]).decode
+        decode = msgspec.msgpack.Decoder(tuple[int, str, ArmSnapshot]).decode
         while request := line.recv(MOST_BYTES):
             number, name, state = decode(request)
             line.send(msgspec.msgpack.encode([number, measured(name, state)]))

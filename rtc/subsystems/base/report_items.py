@@ -29,7 +29,7 @@ MOST_DEEP = 20  # lists and maps within each other
 MOST_INTEGER = 1 << 63  # beyond it no message can have one
 
 
-class ArmState(Protocol):
+class MeasuredArm(Protocol):
     """What an arm measures now: see `rtc.subsystems.motion.observation.Observation`."""
 
     @property
@@ -50,8 +50,8 @@ class ArmState(Protocol):
     def tcp(self) -> Array | list[float]: ...  # [x y z qx qy qz qw], m, world axes
 
 
-class Snapshot(msgspec.Struct, kw_only=True):
-    """A copy of an `ArmState`: code of a package gets nothing that belongs to an arm."""
+class ArmSnapshot(msgspec.Struct, kw_only=True):
+    """A copy of a `MeasuredArm`: code of a package gets nothing that belongs to an arm."""
 
     joints: list[float]
     slides: list[int]
@@ -66,8 +66,8 @@ class Snapshot(msgspec.Struct, kw_only=True):
         return self.pose
 
     @staticmethod
-    def of(state: ArmState) -> Snapshot:
-        return Snapshot(
+    def of(state: MeasuredArm) -> ArmSnapshot:
+        return ArmSnapshot(
             joints=[*state.joints],
             slides=[*state.slides],
             wrench=[*state.wrench],
@@ -79,7 +79,7 @@ class Snapshot(msgspec.Struct, kw_only=True):
         )
 
 
-Measure = Callable[[str, Snapshot], Any]  # the value of an item, or words that it could not be measured
+Measure = Callable[[str, ArmSnapshot], Any]  # the value of an item, or words that it could not be measured
 
 
 def known() -> list[str]:
@@ -92,7 +92,7 @@ def why_not_loaded(name: str) -> str:
     return "" if name in STANDARD else registry.why_missing(registry.REPORT_ITEMS, name)
 
 
-def measured(name: str, state: Snapshot) -> Any:
+def measured(name: str, state: ArmSnapshot) -> Any:
     """What the function of a package returns, as plain data; words, if it fails."""
     if why := why_not_loaded(name):
         return not_measured(why)
@@ -107,11 +107,13 @@ def not_measured(why: str) -> str:
     return f"not measured: {why}"
 
 
-def reading(items: Sequence[str], arm: str, state: ArmState, *, ended: bool, measure: Measure = measured) -> Measured:
+def reading(
+    items: Sequence[str], arm: str, state: MeasuredArm, *, ended: bool, measure: Measure = measured
+) -> Measured:
     """The values of these items. `ended`: with the peaks of the primitive."""
     forces, peaks = "FORCES" in items, "FORCES" in items and ended
     added = [name for name in items if name not in STANDARD]
-    snapshot = Snapshot.of(state) if added else None
+    snapshot = ArmSnapshot.of(state) if added else None
     return Measured(
         arm=arm,
         tcp_pose=[*map(float, state.tcp())] if "POSE" in items else None,

@@ -18,7 +18,7 @@ from rtc.subsystems.motion.observation import Observation
 from rtc.subsystems.motion.stop_functions import Stops
 
 
-class Bounds:
+class ConditionBounds:
     """Values within which no condition is true. All comparisons are false for NaN."""
 
     def __init__(self, stops: Stops, traits: Traits) -> None:
@@ -100,17 +100,17 @@ def _along(limit: float, axis: list[float] | None) -> float:
     return limit / length if length else math.inf if limit >= 0.0 else -math.inf
 
 
-LOWER: dict[type, Callable[[Bounds, Any, Traits], None]] = {
+LOWER: dict[type, Callable[[ConditionBounds, Any, Traits], None]] = {
     p.GoalReached: lambda bounds, when, traits: None,
     p.BodyTouch: lambda bounds, when, traits: None,
     p.ArmTouch: lambda bounds, when, traits: None,
-    p.ForceAbove: Bounds._force,
-    p.TorqueAbove: Bounds._torque,
-    p.TimeAbove: Bounds._time,
-    p.SpeedAbove: Bounds._speed,
-    p.FollowingErrorAbove: Bounds._following,
-    p.JointMarginBelow: Bounds._margin,
-    p.GripForceBelow: Bounds._grip,
-    p.HandWidthBelow: Bounds._width,
-    p.GripForceAbove: Bounds._grip_above,
+    p.ForceAbove: ConditionBounds._force,
+    p.TorqueAbove: ConditionBounds._torque,
+    p.TimeAbove: ConditionBounds._time,
+    p.SpeedAbove: ConditionBounds._speed,
+    p.FollowingErrorAbove: ConditionBounds._following,
+    p.JointMarginBelow: ConditionBounds._margin,
+    p.GripForceBelow: ConditionBounds._grip,
+    p.HandWidthBelow: ConditionBounds._width,
+    p.GripForceAbove: ConditionBounds._grip_above,
 }

@@ -20,7 +20,7 @@ from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.subsystems.base.report_items import Measure, measured
 from rtc.subsystems.motion import acceptance, profiles, stop_functions
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
-from rtc.subsystems.motion.bounds import Bounds
+from rtc.subsystems.motion.bounds import ConditionBounds
 from rtc.subsystems.motion.clearance import Clearance
 from rtc.subsystems.motion.goals import GOAL_RAD, Arrived, arrival
 from rtc.subsystems.motion.hand import Hand
@@ -77,7 +77,7 @@ class Executor:
         self._still_ticks = 0  # at rest, since it settles
         self._stands = False  # on its path, in a pause
         self._stops: stop_functions.Stops = []
-        self._bounds = Bounds([], arm.traits)
+        self._bounds = ConditionBounds([], arm.traits)
         self._arrived: Arrived = lambda time_s: None
         self._reports: RunningReports | None = None  # of the primitive
         self._watch = stop_functions.RetreatWatch([])
@@ -589,7 +589,7 @@ class Executor:
             return str(error)
         except Exception as error:  # a bad primitive must not end the process that controls the other arm
             return f"it cannot be checked: {type(error).__name__}: {error}"
-        self._stops, self._bounds = stops, Bounds(stops, self.arm.traits)
+        self._stops, self._bounds = stops, ConditionBounds(stops, self.arm.traits)
         self._reports = RunningReports(self.name, self._seen, primitive, conditions, self._measure)
         return ""
 

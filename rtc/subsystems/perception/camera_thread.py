@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 MOST_MARKS = 1000  # of one sensor of a package, in one picture
 
 
-class Photograph(NamedTuple):
+class Exposure(NamedTuple):
     at_s: float  # time of the exposure
     parts: Sequence[NDArray[np.uint8]]  # the windows of the picture, or the whole picture alone
     tcp: list[float] | None  # measured pose of the hand that carries the camera, world frame
@@ -39,7 +39,7 @@ class Photograph(NamedTuple):
 
 
 class Cameras(Protocol):
-    def photograph(self, camera: str, windows: Sequence[Window] = ()) -> Photograph:
+    def photograph(self, camera: str, windows: Sequence[Window] = ()) -> Exposure:
         """A picture, or windows of it. Raises RtcError without one."""
 
     def release(self) -> None:
@@ -57,7 +57,7 @@ class _Order(NamedTuple):
     windows: Mapping[int, Window]  # by tag; empty: the whole picture
 
 
-class Result(NamedTuple):
+class LookResult(NamedTuple):
     camera: str
     found: Evaluated | Failed
     windows: int = 0  # number of them in the picture; 0: it is whole
@@ -69,7 +69,7 @@ class CameraThread:
     def __init__(self, cell: Cell, cameras: Callable[[], Cameras]) -> None:
         self._cell, self._cameras = cell, cameras
         self._wanted: queue.SimpleQueue[_Order | None] = queue.SimpleQueue()
-        self._results: queue.SimpleQueue[Result] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[LookResult] = queue.SimpleQueue()
         self._wake_end, self._wake_start = socket.socketpair()
         self._wake_end.setblocking(False)
         self.wake_fd = self._wake_end.fileno()
@@ -85,7 +85,7 @@ class CameraThread:
         self.busy = True
         self._wanted.put(_Order(camera, windows or {}))
 
-    def result(self) -> Result | None:
+    def result(self) -> LookResult | None:
         """The picture that was ordered, if it is there."""
         with contextlib.suppress(BlockingIOError):
             self._wake_end.recv(64)
@@ -111,7 +111,7 @@ class CameraThread:
                 found: Evaluated | Failed = self._evaluated(order, cameras, detector)
             except (RtcError, TookTooLong) as error:
                 found = Failed(f"{order.camera} gives no picture: {error}")
-            self._results.put(Result(order.camera, found, len(order.windows)))
+            self._results.put(LookResult(order.camera, found, len(order.windows)))
             self._wake_start.send(b"\0")
         cameras.release()
 

@@ -19,13 +19,13 @@ from rtc.protocol.outcomes import Measured, Sighting
 from rtc.sensing import absence, rest
 from rtc.sensing.detector import Mark
 from rtc.sensing.locate import Seen, locate
-from rtc.sensing.optics import View, Window
+from rtc.sensing.optics import CameraView, Window
 from rtc.sensing.pose_fit import Fit
 from rtc.sensing.windows import windows
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.subsystems.perception.look_clock import LookClock
-from rtc.subsystems.perception.motion import FOLLOWED_S, RESTS_S, Motion
+from rtc.subsystems.perception.motion import FOLLOWED_S, RESTS_S, BodyMotion
 
 BODY = "BODY"  # a look has one body, without a name
 # What a stopped arm holds swings for some tenths of a second, so only a motion that pictures from then on show counts.
@@ -40,7 +40,7 @@ class Evaluated(NamedTuple):
 
     at_s: float  # time of its exposure
     own_s: float  # the same by the clock of what is seen
-    view: View
+    view: CameraView
     image: NDArray[np.uint8] | None  # None: only windows of it were taken
     marks: Sequence[Mark]
 
@@ -51,7 +51,7 @@ class _Side:
     def __init__(self, due_s: float, kept_s: float) -> None:
         self.due_s = due_s  # time of its next picture
         self.seen: list[Seen] = []  # pictures with the body, as many as its pose needs
-        self.view: View | None = None  # of the latest picture
+        self.view: CameraView | None = None  # of the latest picture
         self.latest_s: float | None = None  # exposure of the latest picture
         self.seen_s: float | None = None  # exposure of the latest picture with the body
         # Exposures by the clock of what is seen: of the latest picture, of the first one, and of the first without the
@@ -62,7 +62,9 @@ class _Side:
         self.unseen = ""  # why the body is not in the latest picture
         self.failure = ""  # why there is not a picture
         self.predicts = False  # the latest picture shows the body
-        self.motion = Motion(kept_s)  # of the body, by the pictures of this camera: their common errors do not matter
+        self.motion = BodyMotion(
+            kept_s
+        )  # of the body, by the pictures of this camera: their common errors do not matter
         self.doubt_m = math.inf  # of the latest pose in it
 
     def expose(self, at_s: float, own_s: float) -> None:

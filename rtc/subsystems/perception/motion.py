@@ -19,7 +19,7 @@ FOLLOWED_S, RESTS_S = 1.0, 2.0
 MIN_S = 0.25  # span of poses below which a velocity would be noise
 
 
-class Motion:
+class BodyMotion:
     def __init__(self, kept_s: float) -> None:
         self._kept_s = kept_s
         self._poses: deque[tuple[float, Array]] = deque()

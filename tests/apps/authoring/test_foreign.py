@@ -368,7 +368,7 @@ def test_a_body_that_reaches_below_the_base_is_no_collision_with_the_floor(tmp_p
 
 
 def test_a_cell_whose_readers_differ_is_not_written(tmp_path, monkeypatch):
-    differing = [two_readers.Difference("joint j", "its axis differs", "one axis")]
+    differing = [two_readers.ReaderDifference("joint j", "its axis differs", "one axis")]
     monkeypatch.setattr(two_readers, "differences", lambda *_, **__: differing)
     file = tmp_path / "arm.urdf"
     file.write_text(six())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from broker.router.breakpoints import Bodies, refusal_of
+from broker.router.breakpoints import ProgramBodies, refusal_of
 from rtc.model.cells.cell import Cell
 from rtc.programs.loader import default, merge
 from rtc.protocol.messages import Breakpoint
@@ -13,7 +13,7 @@ LONG = "scripts: [{script: linger, case: 1, uses: [hand], steps: [%s]}]\ndecisio
 STEP = "{do: hold, stop: hold, label: wait, args: {duration_s: 1.0}}"
 
 
-def last_step(bodies: Bodies, verb: str) -> int:
+def last_step(bodies: ProgramBodies, verb: str) -> int:
     """The highest step of a verb that is accepted."""
     return next(n for n in range(1000, 0, -1) if refusal_of([Breakpoint(verb, n)], bodies) is None)
 
@@ -21,7 +21,7 @@ def last_step(bodies: Bodies, verb: str) -> int:
 @pytest.mark.parametrize("cell", ["servicing", "swapout"])
 def test_a_step_that_no_command_reaches_is_refused(cell: str) -> None:
     """GRASP:99 of a program was accepted, and without effect. Looks that come first make a script longer."""
-    bodies = Bodies(default("parser"), default("elaborator"), Cell.load(cell).encode())
+    bodies = ProgramBodies(default("parser"), default("elaborator"), Cell.load(cell).encode())
     alone = bodies._replace(cell=b"")
     assert last_step(alone, "STOW") < last_step(bodies, "STOW") < last_step(alone, "STOW") + 40
     beyond = last_step(bodies, "STOW") + 1
@@ -32,7 +32,7 @@ def test_a_step_that_no_command_reaches_is_refused(cell: str) -> None:
 
 
 def test_the_longest_script_is_that_of_the_programs_in_use() -> None:
-    before = Bodies(default("parser"), default("elaborator"), b"")
+    before = ProgramBodies(default("parser"), default("elaborator"), b"")
     longer = merge("elaborator", before.elaborator, "s.yaml", (LONG % ", ".join(30 * [STEP])).encode())
     assert last_step(before, "STOW") < 30
     assert last_step(before._replace(elaborator=longer), "STOW") == 30
@@ -40,5 +40,5 @@ def test_the_longest_script_is_that_of_the_programs_in_use() -> None:
 
 @pytest.mark.parametrize("verb", ["PAUSE", "FLY"])
 def test_a_verb_without_a_script_has_no_step(verb: str) -> None:
-    bodies = Bodies(default("parser"), default("elaborator"), b"")
+    bodies = ProgramBodies(default("parser"), default("elaborator"), b"")
     assert refusal_of([Breakpoint(verb, 1)], bodies) is not None

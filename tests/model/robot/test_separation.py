@@ -11,7 +11,7 @@ from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import AS_BUILT, Held, Scene
 from rtc.model.robot.separation import Interval, TwoWays
 from rtc.spatial import geometry
-from workers.planning.motion.beside import Course, waits
+from workers.planning.motion.beside import TimedPostures, waits
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 CELLS = ("swapout", "servicing", "truss")  # with two arms
@@ -95,7 +95,7 @@ def test_the_waits_of_two_motions_are_the_same_without_boxes(cuts: int) -> None:
     worlds = CollisionWorld(cell), CollisionWorld(cell, boxes=False)
     time_s, found = np.linspace(0.0, 3.0, ROWS), set()
     for _ in range(20):
-        one, two = (Course(time_s, way(worlds[0], arm, rng)) for arm in ARMS)
+        one, two = (TimedPostures(time_s, way(worlds[0], arm, rng)) for arm in ARMS)
         first, second = (waits(world.compare_arms(*ARMS, HELD), one, two, NEAR_M, cuts) for world in worlds)
         assert first == second
         found.add(None if first is None else bool(first))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtc.subsystems.motion.arm import TICK_S, HandCommand
-from sim_mcm.arms.hand import Hand
+from sim_mcm.arms.hand import SimulatedHand
 
 FINGER_KG = 0.1
 WALL_N_M, WALL_NS_M = 100_000.0, 50.0
@@ -15,7 +15,7 @@ class Fingers:
     """Two fingers of a hundred grams, a wall for each (m from the middle; None = nothing there)."""
 
     def __init__(self, width_m: float, walls: tuple[float | None, float | None] = (None, None)) -> None:
-        self.hand = Hand(HandCommand(width_m, 60.0, 0.05), width_m)
+        self.hand = SimulatedHand(HandCommand(width_m, 60.0, 0.05), width_m)
         self.at = [0.5 * width_m] * 2
         self.speed = [0.0, 0.0]
         self.walls = walls

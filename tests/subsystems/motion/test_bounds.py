@@ -9,7 +9,7 @@ import pytest
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.subsystems.motion.arm import Motion
-from rtc.subsystems.motion.bounds import LOWER, Bounds
+from rtc.subsystems.motion.bounds import LOWER, ConditionBounds
 from rtc.subsystems.motion.observation import Observation
 from rtc.subsystems.motion.stop_functions import CHECKS, compile_stops, first
 
@@ -71,14 +71,14 @@ def sense(rig, seen: Observation, **changes: object) -> float:
     return now["elapsed_s"]
 
 
-def quiet(bounds: Bounds, seen: Observation, elapsed_s: float, command: Motion) -> bool:
+def quiet(bounds: ConditionBounds, seen: Observation, elapsed_s: float, command: Motion) -> bool:
     """The whole test of a tick, as the executor makes it."""
     return elapsed_s <= bounds.time_s and bounds.hold(seen, command)
 
 
 def checked(rig, *conditions: tuple[StopReason, p.Predicate]):
     stops = compile_stops(primitive(*conditions), rig.arm.traits)
-    return stops, Bounds(stops, rig.arm.traits), Observation(rig.arm)
+    return stops, ConditionBounds(stops, rig.arm.traits), Observation(rig.arm)
 
 
 def test_a_tick_far_from_every_limit_passes(rig) -> None:

@@ -42,7 +42,7 @@ BRAKE_S = 0.3  # the subsystem brakes about so long before the end of a part tha
 WAIT_FACTOR, WAIT_MARGIN_S = 1.5, 2.0  # limit of the waits for another arm, from the time that it needs
 
 
-class Course(NamedTuple):
+class TimedPostures(NamedTuple):
     """A path in small intervals: the postures at their ends (rad), [n][joints], and the time of each (s)."""
 
     time_s: Array
@@ -181,7 +181,7 @@ def _in_the_way(arm: str, other: Primitive, their: str) -> Refusal:
     )
 
 
-def clear_from(check: SeparationCheck, mine: Course, theirs: Course, clearance_m: float) -> float | None:
+def clear_from(check: SeparationCheck, mine: TimedPostures, theirs: TimedPostures, clearance_m: float) -> float | None:
     """The time on their course (s) from which on the rest of it is clear of all of mine: 0 if all of it is.
 
     None: their end is not clear of my path.
@@ -190,7 +190,9 @@ def clear_from(check: SeparationCheck, mine: Course, theirs: Course, clearance_m
     return None if found is None else max((wait.until_s for wait in found), default=0.0)
 
 
-def waits(check: SeparationCheck, mine: Course, theirs: Course, clearance_m: float, cuts: int = 1) -> list[Wait] | None:
+def waits(
+    check: SeparationCheck, mine: TimedPostures, theirs: TimedPostures, clearance_m: float, cuts: int = 1
+) -> list[Wait] | None:
     """Where I wait for them, the last place first. My course is divided into so many parts; I wait between them.
 
     At each part that I am in, the rest of their course is clear of it, and of all parts before it. What I wait for is
@@ -234,7 +236,7 @@ def _halves(part: Interval) -> tuple[Interval, Interval]:
     return Interval(part.first, middle), Interval(middle, part.last)
 
 
-def course(path: JointTrajectory, reach: Array) -> Course:
+def course(path: JointTrajectory, reach: Array) -> TimedPostures:
     """The trajectory in intervals of at most STEP_M. `reach`: of each joint, as in `SeparationCheck.reaches`.
 
     Between two times FINE_S apart the line is used: the difference is small against SPACE_M."""
@@ -244,4 +246,4 @@ def course(path: JointTrajectory, reach: Array) -> Course:
     index = np.append(0, np.cumsum(pieces)).astype(float)
     at = np.arange(pieces.sum() + 1, dtype=float)
     postures = np.column_stack([np.interp(at, index, knots[:, n]) for n in range(knots.shape[1])])
-    return Course(np.interp(at, index, time_s), postures)
+    return TimedPostures(np.interp(at, index, time_s), postures)
