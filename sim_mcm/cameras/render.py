@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rtc.drawing.scene import VIEWS, CameraPicture, Drawn, Panel, Picture, SceneView
 from rtc.model.cells.cell import Cell
-from rtc.model.cells.parts import RenderCamera as CellCamera
+from rtc.model.cells.parts import Camera as CellCamera
 from rtc.protocol.outcomes import RtcError
 from rtc.sensing.optics import Window
 from rtc.spatial import geometry

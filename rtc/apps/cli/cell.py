@@ -11,7 +11,7 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.output import AsJson, cli_error, console, emit_json, table
-from rtc.drawing.renderer import Renderer
+from rtc.drawing.renderer import ASKED_NICENESS, Renderer
 from rtc.drawing.scene import VIEWS, Panel, Picture, SceneView
 from rtc.language.hands import hand_in_words
 from rtc.model.cells.cell import CELLS, Cell
@@ -171,7 +171,7 @@ def draw(path: Path, cell: Cell, out: Path, camera: str) -> None:
     labels = {arm.name: arm.name for arm in cell.arms}
     labels |= {thing.name: thing.name for thing in cell.objects if not thing.fixed}
     view = camera.lower() if camera.lower() in VIEWS else camera.upper().replace("_", "-")
-    with Renderer() as renderer:
+    with Renderer(ASKED_NICENESS) as renderer:
         panel = Panel(title=f"{cell.name}: all arms at home", scene=scene, labels=labels)
         renderer.draw(Picture(out=str(out.absolute()), cell=str(path.absolute()), panels=[panel], camera=view))
 
