@@ -315,7 +315,7 @@ class ArmModel:
             if error @ error < PROJECTED_RAD * PROJECTED_RAD:
                 return q
             jacobian = pin.computeFrameJacobian(self.model, self._data, q, self._tcp, pin.LOCAL)[3:]
-            q += _damped(jacobian @ jacobian.T, error) @ jacobian
+            q += np.linalg.solve(jacobian @ jacobian.T + DAMPING * np.eye(3), error) @ jacobian
         return None
 
     def moved_by(self, by_m: Floats, joints: Floats) -> Array:
@@ -385,7 +385,7 @@ class ArmModel:
         """Joint values regardless of limits."""
         if self._closed_form is not None:
             last_link = self._base_inverse @ geometry.to_matrix(target) @ self._tool_inverse
-            return puma_ik.branches(self._closed_form, last_link, float(reference[3]))
+            return puma_ik.branches(self._closed_form, last_link[:3].tolist(), float(reference[3]))
         return [q.tolist() for q in self._chain.without_limits(self._goal(target), reference)]
 
     def _followed(self, targets: Sequence[Floats] | Array, near: Array) -> Array:
@@ -491,17 +491,6 @@ class ArmModel:
             clears="another arm, or a nearer place" if missing else "another attitude or place, or another arm",
             detail={"cause": "reach", "arm": self.name, "which": words, "distance_m": missing, **detail},
         )
-
-
-def _damped(square: Array, error: Array) -> Array:
-    """The solution x of (square + DAMPING * 1) x = error for a symmetric matrix of 3 rows; numpy's takes 8 us."""
-    (a, b, c), (_, d, e), (_, _, f) = square.tolist()
-    a, d, f = a + DAMPING, d + DAMPING, f + DAMPING
-    x, y, z = error.tolist()
-    ca, cb, cc, cd, ce, cf = d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b
-    size = a * ca + b * cb + c * cc
-    rows = (ca * x + cb * y + cc * z, cb * x + cd * y + ce * z, cc * x + ce * y + cf * z)
-    return np.array(rows) / size
 
 
 def _sweeps(placements: Sequence[Array], tool: Array, slides: Array) -> Array:

@@ -52,16 +52,15 @@ def recognise(placements: list[NDArray[np.float64]]) -> PumaGeometry | None:
     return PumaGeometry(*lengths) if fits else None
 
 
-def branches(g: PumaGeometry, flange: NDArray[np.float64], wrist_roll: float) -> list[list[float]]:
-    """All joint vectors (rad, each angle in -pi..pi) that put frame 6 at the 4x4 `flange`, given in frame 0.
+def branches(g: PumaGeometry, flange: Rows, wrist_roll: float) -> list[list[float]]:
+    """All joint vectors (rad, each angle in -pi..pi) that put frame 6 at `flange`, given in frame 0.
 
     If the wrist is straight, only joint 4 + joint 6 is determined; joint 4 becomes `wrist_roll`.
     """
-    rows = flange[:3].tolist()
     return [
         [remainder(q, TURN) for q in (q1, q2, q3, *wrist)]
-        for q1, u, q3 in _shoulders_and_elbows(g, rows)
-        for q2, wrists in (_upper_arm_and_wrists(g, rows, q1, u, q3, wrist_roll),)
+        for q1, u, q3 in _shoulders_and_elbows(g, flange)
+        for q2, wrists in (_upper_arm_and_wrists(g, flange, q1, u, q3, wrist_roll),)
         for wrist in wrists
     ]
 
@@ -69,31 +68,17 @@ def branches(g: PumaGeometry, flange: NDArray[np.float64], wrist_roll: float) ->
 def nearest(g: PumaGeometry, flange: Rows, near: Sequence[float], speeds: Sequence[float]) -> list[float] | None:
     """The branch with the shortest motion time from `near` (rad) at full `speeds` (rad/s), turns nearest to it.
 
-    `flange`: the upper three rows of the 4x4 matrix. None: out of reach. A branch whose shoulder or elbow alone takes
-    longer than the best one found is not completed, which saves most of the time of `branches`.
+    None: out of reach.
     """
-    starts = []
-    for n, (q1, u, q3) in enumerate(_shoulders_and_elbows(g, flange)):
-        least_s = max(abs(_turned(q1, near[0]) - near[0]) / speeds[0], abs(_turned(q3, near[2]) - near[2]) / speeds[2])
-        starts.append((least_s, n, q1, u, q3))
-    starts.sort()
-    best, best_s, best_n = None, math.inf, 0
-    for least_s, n, q1, u, q3 in starts:
-        if least_s > best_s:
-            break
-        q2, wrists = _upper_arm_and_wrists(g, flange, q1, u, q3, near[3])
-        for wrist in wrists:
-            found = [_turned(q, to) for q, to in zip((q1, q2, q3, *wrist), near, strict=True)]
-            takes_s = max([abs(q - to) / speed for q, to, speed in zip(found, near, speeds, strict=True)])
-            if takes_s < best_s or (takes_s == best_s and n < best_n):
-                best, best_s, best_n = found, takes_s, n
-    return best
+    turned = [
+        [q - TURN * round((q - to) / TURN) for q, to in zip(branch, near, strict=True)]
+        for branch in branches(g, flange, near[3])
+    ]
 
+    def takes_s(found: list[float]) -> float:
+        return max([abs(q - to) / speed for q, to, speed in zip(found, near, speeds, strict=True)])
 
-def _turned(angle: float, near: float) -> float:
-    """The same angle with the turn nearest to `near`."""
-    angle = remainder(angle, TURN)
-    return angle - TURN * round((angle - near) / TURN)
+    return min(turned, key=takes_s, default=None)
 
 
 def _shoulders_and_elbows(g: PumaGeometry, flange: Rows) -> Iterator[tuple[float, float, float]]:
