@@ -15,7 +15,7 @@ from rtc.spatial import geometry
 from rtc.subsystems.perception.look_task import Evaluated, Windows
 from rtc.world.spread import even
 from tests.workers.conftest import CELL
-from tests.workers.eyes import NOTHING, Ideal
+from tests.workers.eyes import NOTHING, Drawn, Ideal
 from workers.planning.robot_models import CellModel
 
 MODULE, OTHER = "MACS-NEW", "MACS-OLD"
@@ -470,3 +470,12 @@ def test_an_object_that_is_seen_far_from_the_hand_is_not_held(holding) -> None:
 
 def run_tcp(bench):
     return bench.model.arms["RIGHT-ARM"].fk(bench.world.value("RIGHT-ARM.joints"))
+
+
+@pytest.mark.physics
+def test_each_drawn_picture_has_noise_of_its_own() -> None:
+    """With one seed for all of them a body at rest has exactly the same pose in each, and a speed of zero."""
+    eyes = Drawn(CELL)
+    first, second = (eyes.picture("CAMERA-1", SceneView()) for _ in range(2))
+    assert {mark.tag for mark in first.marks} & {mark.tag for mark in second.marks}
+    assert not np.array_equal(np.asarray(first.image), np.asarray(second.image))
