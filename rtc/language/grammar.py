@@ -42,9 +42,10 @@ class Grammar:
             if meaning not in MEANING:
                 raise ProgramError(f"clause {rule.origin.name}: the meaning {meaning!r} does not exist")
             self.productions.append((_word(rule.origin.name), tuple(_word(s.name) for s in rule.expansion)))
-        self.vocabulary = Vocabulary(self._lark.terminals)
+        terminals = {s.name for rule in self._lark.rules for s in rule.expansion if s.is_term}
         #: terminal -> the reserved word it stands for
-        self.reserved = {t.name: _word(t.name) for t in self._lark.terminals if t.name not in TOKEN_CLASSES}
+        self.reserved = {name: _word(name) for name in sorted(terminals.difference(TOKEN_CLASSES))}
+        self.vocabulary = Vocabulary(self._lark.terminals, self.reserved)
 
     def begin(self) -> InteractiveParser:
         """A parser at the beginning of a sentence. The caller feeds it one word at a time."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
 from lark.lexer import PatternStr, TerminalDef, Token
@@ -50,14 +50,19 @@ class WrittenNumber(NamedTuple):
 class Vocabulary:
     """The token patterns of one grammar, compiled once. Raises ProgramError for an incomplete grammar."""
 
-    def __init__(self, terminals: Collection[TerminalDef]) -> None:
+    def __init__(self, terminals: Collection[TerminalDef], reserved: Mapping[str, str]) -> None:
+        """`reserved`: terminal -> its word. A terminal that is declared, but not defined, has this spelling alone."""
         shapes = {t.name: t.pattern.to_regexp() for t in terminals}
         missing = [name for name in TOKEN_CLASSES if name not in shapes]
         if missing:
             raise ProgramError(f"the grammar lacks the token class {missing[0]}")
-        reserved = [t for t in terminals if t.name not in TOKEN_CLASSES]
+        defined = {t.name: _spelt(t) for t in terminals}
         #: spelling -> (terminal, canonical spelling); synonyms are further spellings
-        self.reserved = {s: (t.name, t.name.replace("_", "-")) for t in reserved for s in _spellings(t)}
+        self.reserved = {
+            spelling: (name, word)
+            for name, word in reserved.items()
+            for spelling in _spellings(name, defined.get(name, word))
+        }
         self.scanner = re.compile(
             r"[ \t,]*(?:(?P<NAME>{NAME})|(?P<QUANTITY>{QUANTITY})|(?P<NUMBER>{NUMBER})|(?P<STRING>{STRING})"
             r"|--.*|\.[ \t,]*(?=--|$)|(?P<WRONG>[^ \t,]))".format(**shapes),
@@ -127,14 +132,16 @@ def measured(word: Token) -> WrittenNumber:
     return WrittenNumber(number, unit, column, word.value)
 
 
-def _spellings(terminal: TerminalDef) -> list[str]:
+def _spelt(terminal: TerminalDef) -> str:
+    return terminal.pattern.value if isinstance(terminal.pattern, PatternStr) else terminal.pattern.to_regexp()
+
+
+def _spellings(name: str, value: str) -> list[str]:
     """The spellings of a reserved word. Lark gives `STOW: "STOW" | "PARK"` as the pattern `(?:STOW|PARK)`."""
-    pattern = terminal.pattern
-    value = pattern.value if isinstance(pattern, PatternStr) else pattern.to_regexp()
     spellings = value.removeprefix("(?:").removesuffix(")").replace("\\", "").split("|")
     for spelling in spellings:
         if not re.fullmatch(r"[A-Z]+(-[A-Z]+)*", spelling):
-            raise ProgramError(f"the reserved word {terminal.name} is spelt {spelling!r}: capitals and '-' only")
+            raise ProgramError(f"the reserved word {name} is spelt {spelling!r}: capitals and '-' only")
     return spellings
 
 
