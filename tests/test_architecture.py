@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import re
 import sys
@@ -47,7 +48,7 @@ ONLY_IN = {
 }
 #: pure packages and files: no clock, no socket, no process, no chance
 PURE = (
-    "rtc/protocol/", "rtc/language/", "rtc/spatial/", "rtc/model/robot/", "rtc/model/cells/cell.py",
+    "rtc/protocol/", "rtc/language/", "rtc/wording/", "rtc/spatial/", "rtc/model/robot/", "rtc/model/cells/cell.py",
     "rtc/model/cells/parts.py",
     "workers/parser/", "workers/elaborator/", "workers/binder/", "workers/analyzer/", "workers/planning/",
     "workers/conditions/", "workers/rehearsal/", "rtc/programs/action_stack.py",
@@ -232,6 +233,47 @@ def test_a_cycle_is_found() -> None:
 
 def module(path: Path) -> str:
     return place(path).removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def test_only_what_people_see_makes_words_of_facts() -> None:
+    graph = import_graph()
+    users = {name for name, used in graph.items() if any(one.startswith("rtc.wording") for one in used)}
+    assert {name for name in users if not name.startswith(("rtc.apps.", "rtc.wording."))} == set()
+
+
+#: texts of messages for people, and what would take one apart
+TEXTS = {"note", "message", "found", "drift"}
+TAKES_APART = {
+    *("match", "fullmatch", "search", "findall", "finditer", "sub", "split", "rsplit", "splitlines"),
+    *("startswith", "endswith", "removeprefix", "removesuffix", "partition", "rpartition", "find", "index"),
+}
+#: `outcome_table`: the message of a program, with places for figures
+READ_TEXTS = {"rtc/programs/outcome_table.py", "workers/rehearsal/repairs.py"}
+
+
+def test_no_code_takes_the_text_of_a_message_apart() -> None:
+    folders = ("rtc", "broker", "workers", "sim_mcm", "deploy", "tests/campaigns", "examples", "benchmarks")
+    files = [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+    found = {place(path): taken_apart(path.read_text()) for path in files}
+    assert {where: lines for where, lines in found.items() if lines and where not in READ_TEXTS} == {}
+
+
+def taken_apart(text: str) -> list[str]:
+    """Calls of a regular expression or of a method of strings on the text of a message."""
+    calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    return [
+        ast.unparse(call)
+        for call in calls
+        if isinstance(call.func, ast.Attribute) and call.func.attr in TAKES_APART
+        if any(isinstance(part, ast.Attribute) and part.attr in TEXTS for part in (call.func.value, *call.args))
+    ]
+
+
+@pytest.mark.parametrize(
+    "line", ["HALT.fullmatch(note.message)", "note.found.partition(': ')", "re.sub('a', '', n.note)"]
+)
+def test_a_text_that_is_taken_apart_is_found(line: str) -> None:
+    assert taken_apart(line) == [line]
 
 
 def test_code_names_no_skill() -> None:

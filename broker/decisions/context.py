@@ -6,7 +6,7 @@ It also has the operations that every action needs, such as creating a job or wr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import msgspec
 
@@ -16,14 +16,34 @@ from broker.decisions.resources import WORLD, Quarantine
 from broker.decisions.state import NOTES_KEPT, SPACES_KEPT, ArmMotion, Command, PendingJob, ScriptHead, State, StepHead
 from rtc.programs.action_stack import NOMINAL, ActionStack
 from rtc.protocol import wire
-from rtc.protocol.messages import REHEARSER, Phase, ProgressNote, WorkerKind
-from rtc.protocol.outcomes import Compared, Measured
+from rtc.protocol.messages import REHEARSER, NoteKind, Phase, ProgressNote, WorkerKind
+from rtc.protocol.outcomes import Compared, Measured, OutcomeKind, StopReason
 from rtc.protocol.primitive import Box, apart
 
 read_step = wire.decoder(StepHead)
 PLANNERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # they plan beside the motions of other arms
 NO_PROGRAMS: dict[str, str] = {}
-START = " (starts when "  # in the words of a step: the condition of its start
+
+
+class Facts(TypedDict, total=False):
+    """What a note states besides its kind; the fields are those of ProgressNote."""
+
+    reason: StopReason | None
+    outcome: OutcomeKind
+    message: str
+    found: str
+    drift: str
+    owner: str
+    about: str
+    arm: str
+    clears: list[str]
+    value: float
+    expected_s: float
+    measured: Measured | None
+    compared: Compared | None
+    trim: int
+    pieces: list[str]
+    warning: bool
 
 
 class DecisionContext:
@@ -144,21 +164,16 @@ class DecisionContext:
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1
 
-    def note(self, command: Command, text: str = "", *, warning: bool = False) -> None:
+    def note(self, command: Command, kind: NoteKind, **facts: Unpack[Facts]) -> None:
         """Write a note. The phase stays."""
-        self.enter(command, command.phase, text, warning=warning)
+        self.enter(command, command.phase, kind, **facts)
 
     def enter(
         self,
         command: Command,
         phase: Phase,
-        text: str = "",
-        *,
-        expected_s: float = 0,
-        measured: Measured | None = None,
-        compared: Compared | None = None,
-        warning: bool = False,
-        trim: int = 0,
+        kind: NoteKind = NoteKind.PHASE,
+        **facts: Unpack[Facts],
     ) -> None:
         """Change the phase and write a note."""
         state, notes = self.state, command.notes
@@ -169,15 +184,11 @@ class DecisionContext:
             at_s=self.now,
             command=command.id,
             phase=phase,
+            kind=kind,
             step=command.step_words,
             node=self.node,
             took_s=self.took_s,
-            note=text,
-            expected_s=expected_s,
-            measured=measured,
-            compared=compared,
-            trim=trim,
-            warning=warning,
+            **facts,
         )
         notes.append(note)
         if len(notes) > NOTES_KEPT:

@@ -25,7 +25,7 @@ from broker.decisions import (
 )
 from broker.decisions.command import control, intake, limits, operator_answers, pacing, stopping, termination
 from broker.decisions.command.table import stimulate
-from broker.decisions.context import START, DecisionContext
+from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, Effect, TellClient
 from broker.decisions.events import (
     AnswerWasRefused,
@@ -54,7 +54,7 @@ from broker.decisions.events import (
 )
 from broker.decisions.state import Command, PendingJob, PendingOutcome, State, request_key
 from rtc.language.fastpath import halt_scope
-from rtc.protocol.messages import Accepted, Declined, HaltOrder, Phase, WorkerKind
+from rtc.protocol.messages import Accepted, Declined, HaltOrder, NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
 from rtc.protocol.primitive_id import command_of
 
@@ -136,7 +136,7 @@ def _parse(context: DecisionContext, command: Command) -> None:
         return
     command.jobs += 1  # so that the later jobs have the same ids in either case
     context.count("parsed_before")
-    context.enter(command, Phase.PARSING, "parsed before")
+    context.enter(command, Phase.PARSING, NoteKind.PARSED_BEFORE)
     stimulate(context, command, Stimulus.PRODUCT, known)
 
 
@@ -276,11 +276,11 @@ def on_started(context: DecisionContext, event: PrimitiveStarted) -> None:
     awaited = command is not None and (command.primitive, command.subsystem) == (primitive, event.subsystem)
     if awaited and command is not None and command.phase is Phase.EXECUTING:
         context.node = event.subsystem
-        command.step_words = command.step_words.partition(START)[0]  # without the condition of the start
+        command.starts_after = ""
         for motion in context.state.motions.values():
             if motion.primitive == primitive:
                 motion.started_s = context.now
-        context.note(command, "started")
+        context.note(command, NoteKind.STARTED)
 
 
 def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:

@@ -16,7 +16,7 @@ from broker.decisions.effects import DeclineHalt, PublishHalt, SendHalt
 from broker.decisions.events import HaltCalled, Stimulus
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.state import Command, HaltPhase, HaltSentence, LinkState, PendingOutcome, State
-from rtc.protocol.messages import HaltOrder, HaltRequested, Phase
+from rtc.protocol.messages import HaltOrder, HaltRequested, NoteKind, Phase
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 
 HALTS_KEPT = 64  # latest halts from sockets stored, to count each once
@@ -127,7 +127,7 @@ def _was_sent_after(command: Command, received_at_s: float) -> bool:
 
 
 def halted(scope: str) -> PendingOutcome:
-    return PendingOutcome(kind=OutcomeKind.HALTED, message=f"halted ({scope})", stop=StopReason.HALT)
+    return PendingOutcome(kind=OutcomeKind.HALTED, message=f"halted ({scope})", stop=StopReason.HALT, scope=scope)
 
 
 class Settled(NamedTuple):
@@ -143,7 +143,7 @@ class Settled(NamedTuple):
 def order_sentence(context: DecisionContext, name: str, scope: str) -> None:
     """Halt what is in scope, except the HALT sentence itself, and wait for rest."""
     command = context.state.commands[name]
-    context.enter(command, Phase.HALTING, f"halt {scope}")
+    context.enter(command, Phase.HALTING, NoteKind.HALT, about=scope)
     await_rest(context, command, list(context.state.subsystems))
     order(context, HaltOrder(halt=name, scope=scope, called_at_s=context.now), spare=name)
     ordered = [e.subsystem for e in context.effects if type(e) is SendHalt and e.order.halt == name]

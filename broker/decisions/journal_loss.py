@@ -12,7 +12,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import PublishNote
 from broker.decisions.events import JournalLost, Stimulus
 from broker.decisions.state import Command, PendingOutcome, State
-from rtc.protocol.messages import CommandText, Phase, ProgressNote
+from rtc.protocol.messages import CommandText, NoteKind, Phase, ProgressNote
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 
 JOB_NUMBER_GAP = 10_000  # offset of job numbers after the loss, so that they differ from lost ones
@@ -83,5 +83,8 @@ def publish(context: DecisionContext) -> None:
     state = context.state
     if state.lost:
         state.seq += 1
-        note = ProgressNote(seq=state.seq, at_s=context.now, command="", phase=Phase.ENDED, note=state.lost)
+        kind = NoteKind.JOURNAL_LOST
+        note = ProgressNote(
+            seq=state.seq, at_s=context.now, command="", phase=Phase.ENDED, kind=kind, message=state.lost
+        )
         context.effects.append(PublishNote(client="", note=note))

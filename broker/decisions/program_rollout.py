@@ -12,6 +12,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.events import ProgramInstalled
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.state import Command, PendingJob, Rollout, RolloutPhase, State, TakenProgram
+from rtc.protocol.messages import NoteKind
 
 PROVEN_KEPT = 16  # proven programs stored per worker kind
 HISTORY_KEPT = 32  # programs per worker kind in `rtc programs`, with at most
@@ -80,7 +81,7 @@ def repeat_with_another(context: DecisionContext, command: Command, job: Pending
         return False
     command.programs[kind] = job.program = following
     job.attempt += 1
-    context.note(command, words, warning=True)
+    context.note(command, NoteKind.PROGRAM_FAILED, about=kind, message=words, warning=True)
     context.dispatch(job, command.client)
     return True
 

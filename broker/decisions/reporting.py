@@ -6,8 +6,7 @@ The router forwards reports of EVERY and WHEN directly, without the Decision Uni
 from __future__ import annotations
 
 from broker.decisions.state import Command, ReportHead
-from rtc.protocol.messages import ProgressNote, ProgressReport
-from rtc.protocol.units import figure
+from rtc.protocol.messages import NoteKind, ProgressNote, ProgressReport
 
 MAX_PER_S = 100  # maximum rate of periodic reports to one client; the rest is dropped and counted
 
@@ -35,6 +34,7 @@ def note_of(command: Command, report: ProgressReport, at_s: float) -> ProgressNo
     assert command.head is not None
     asked = command.head.report
     assert asked is not None
+    condition = None if report.condition is None else asked.when[report.condition]
     return ProgressNote(
         seq=0,  # not part of the event stream, because it bypasses the Decision Unit
         at_s=at_s,
@@ -42,16 +42,9 @@ def note_of(command: Command, report: ProgressReport, at_s: float) -> ProgressNo
         phase=command.phase,
         step=command.step_words,
         node=command.subsystem,
-        note=_met(asked, report),
+        kind=NoteKind.REPORT if condition is None else NoteKind.CONDITION,
+        message="" if condition is None else condition.sentence,
+        value=None if condition is None else report.measured,
+        unit=condition.quantity.unit if condition is not None and condition.quantity is not None else "",
         measured=report.reading,
     )
-
-
-def _met(asked: ReportHead, report: ProgressReport) -> str:
-    """The condition that is true, in the words of the sentence, with the measured value; empty if it is periodic."""
-    if report.condition is None:
-        return ""
-    condition = asked.when[report.condition]
-    if report.measured is None:
-        return condition.sentence
-    return f"{condition.sentence}: {condition.measured_in_words(report.measured) or figure(report.measured)}"

@@ -111,6 +111,7 @@ class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"
     by_operator: str = ""
     remark: str = ""
     compared: Compared | None = None
+    found: str = ""
     drift: str = ""
 
 
@@ -224,6 +225,8 @@ class PendingOutcome(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
     stop: StopReason | None = None
     refusal: Refusal | None = None
     rehearsal: Rehearsal | None = None
+    scope: str = ""
+    """Of the halt that ends it."""
 
 
 class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
@@ -265,8 +268,10 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """The fields of `parsed` that the Decision Unit reads."""
     actions: ActionStack[ScriptHead, msgspec.Raw] | None = None
     """Its plan; None until its resources are granted."""
-    step_words: str = ""
+    step_text: str = ""
     """The current step for people: "5 of 9: feel one side"."""
+    starts_after: str = ""
+    """The commands whose arms must leave first, until its primitive has started."""
     given_up: PendingOutcome | None = None
     """The outcome once the steps of a `give_up` trim are done."""
     steps_done: int = 0
@@ -340,6 +345,12 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     def shown_phase(self) -> Phase:
         """Its phase for people, who see a pause on a path as a pause."""
         return Phase.PAUSED if self.stands else self.phase
+
+    @property
+    def step_words(self) -> str:
+        """The current step for people, with what its start waits for."""
+        waits = f" (starts when {self.starts_after} has left the space)" if self.starts_after else ""
+        return self.step_text + waits
 
     @property
     def shown_step(self) -> str:

@@ -143,8 +143,8 @@ class _Faults:
         self.narrator.check(f"the arm moved on meanwhile, at {slowest:.2f} rad/s or more", slowest > MOVING_RAD_S)
         self.narrator.check(f"the result still arrived: {end.command} {end.outcome.kind.value}",
                          end.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
-        notes = [note.note for note in self.asking.trace(command.number).notes]
-        self.narrator.check("it was sent to the arm once", sum(note == "started" for note in notes) == 1)
+        started = [note for note in self.asking.trace(command.number).notes if note.kind is m.NoteKind.STARTED]
+        self.narrator.check("it was sent to the arm once", len(started) == 1)
 
     def mcm_killed(self) -> None:
         self.narrator.chapter("kill -9 of the MCM itself in the middle of a motion")
@@ -220,7 +220,7 @@ class _Faults:
         end = self.rtc.run(text, on_note, COMMAND_S)
         notes = self.asking.trace(end.command).notes
         for lost, done in pairwise(notes):
-            if struck and lost.note.startswith(f"{struck[0].name} lost"):
+            if struck and lost.kind is m.NoteKind.WORKER_LOST and lost.about == struck[0].name:
                 return struck[0], end, lost, done
         return None
 

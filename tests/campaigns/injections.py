@@ -31,6 +31,7 @@ from rtc.protocol.faults import BluntSeat, Displaced, MisreadHand, WeakHand
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.runtime.chaos import Chaos
 from rtc.spatial import geometry
+from rtc.wording.notes import in_words
 
 ON_PAPER = "O9"
 DISPLACED_M = 0.020  # to where the first search ends without a touch, inside the straddle of the hand
@@ -88,10 +89,10 @@ def binder_killer() -> Callable[[Scene], None]:
     return strike
 
 
-def lost(scene: Scene) -> list[str]:
+def lost(scene: Scene) -> list[m.ProgressNote]:
     """The notes of the command about workers that were lost."""
-    notes = [note.note for note in scene.rtc.trace(scene.command).notes]
-    return [note for note in notes for name in scene.struck if note.startswith(f"{name} lost")]
+    notes = scene.rtc.trace(scene.command).notes
+    return [one for one in notes if one.kind is m.NoteKind.WORKER_LOST and one.about in scene.struck]
 
 
 def stop_mcm(scene: Scene) -> None:
@@ -126,7 +127,7 @@ def _closed_again(narrator: Narrator, scene: Scene, course: Course) -> None:
 
 def _realigned(narrator: Narrator, scene: Scene, course: Course) -> None:
     notes = course.notes(scene.rtc, "C28")
-    jams, trims = [note.note for note in notes if "backed off" in note.note], [note.trim for note in notes if note.trim]
+    jams, trims = [note for note in notes if "backed off" in note.message], [note.trim for note in notes if note.trim]
     narrator.check(f"jams at which the MCM backed off by itself: {len(jams)}", bool(jams))
     narrator.check(f"after each a search: entries used of the trimming stack: {trims}", len(trims) == len(jams))
     steps = [note.step for note in notes]
@@ -154,10 +155,10 @@ def _went_around(narrator: Narrator, scene: Scene, course: Course) -> None:
 def _gripped_again(narrator: Narrator, scene: Scene, course: Course) -> None:
     notes = course.notes(scene.rtc, "C25")
     flagged = [note for note in notes if note.trim]
-    words, warned = "; ".join(note.note for note in flagged), all(note.warning for note in flagged)
+    words, warned = "; ".join(map(in_words, flagged)), all(note.warning for note in flagged)
     narrator.check(f"flagged after a step that had succeeded: {words}", bool(flagged) and warned)
-    ended = [note.note for note in notes if note.node == "MCM"]
-    lost = [words for words in ended for reason in LOST if reason.value in words]
+    ended = [note.reason for note in notes if note.kind is m.NoteKind.STEP_ENDED]
+    lost = [reason for reason in ended if reason in LOST]
     narrator.check(f"steps that a lost grip has ended: {len(lost)} of {len(ended)}", bool(ended) and not lost)
     what = "the hand closed again before both arms carried the module"
     narrator.check(what, _in_order([note.step for note in notes], "bring", "close again", "with both arms"))
@@ -171,8 +172,8 @@ def _holds(scene: Scene, name: str) -> str:
 
 def _done_again(narrator: Narrator, scene: Scene, course: Course) -> None:
     gone = lost(scene)
-    narrator.check(f"killed while it was at work: {'; '.join(gone) or 'nothing'}", bool(gone))
-    notes = [note for note in course.notes(scene.rtc, "C22") if note.note not in gone]
+    narrator.check(f"killed while it was at work: {'; '.join(map(in_words, gone)) or 'nothing'}", bool(gone))
+    notes = [note for note in course.notes(scene.rtc, "C22") if note not in gone]
     bound = [note.step for note in notes if note.node.startswith("binder@")]
     narrator.check(f"{len(bound)} steps were bound, each once", bool(bound) and len(bound) == len(set(bound)))
 

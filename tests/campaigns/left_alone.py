@@ -12,7 +12,6 @@ does. Arms of exact kinematics, with Decision Unit, workers and MCM in one proce
 from __future__ import annotations
 
 import copy
-import re
 from collections import Counter
 from functools import cache
 from typing import Any, Literal, NamedTuple
@@ -24,6 +23,7 @@ from benchmarks.report import question
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.subsystems.motion.arm import TICK_S, CellState
+from rtc.wording.notes import in_words
 from rtc.world.model import World
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.campaigns import advice, numbered_runs
@@ -40,7 +40,6 @@ WAITS = round(2.0 / TICK_S)  # ticks without motion after which a command is see
 PERIOD = 20  # ticks between two messages of a hand
 FEWEST = 100  # runs whose results are kept
 ATTEMPTS = 20  # sentences that end before they are paused are drawn anew
-RELEASED = re.compile(r"\b(?:TAKE [A-Z-]+ FROM OPERATOR|RESUME C-\d+|ABORT C-\d+)")
 
 ARMS = {"RIGHT-ARM": ("MACS-NEW", "HANDLE-A"), "LEFT-ARM": ("MACS-OLD", "HANDLE-B")}
 LED = {"home": (), "lifted": ("GRASP {module} {handle} WITH {arm}", "LIFT {module} BY 20 CM WITH {arm}")}
@@ -140,6 +139,7 @@ class Person:
     def __init__(self, cluster: OneProcess) -> None:
         self.cluster = cluster
         self.given: list[str] = []
+        self.waits = False  # the last sentence has no end, and what it waits for names no sentence that ends that
         self.moved = False  # an arm has moved by a sentence that succeeded
         self.story: list[str] = []
 
@@ -148,17 +148,19 @@ class Person:
         cluster = self.cluster
         command = cluster.give(sentence, client="bob")
         done: set[str] = set()
+        self.waits = False
         while not _settled(cluster, command):
-            words = next((n.note for n in reversed(cluster.notes) if n.command == command), "")
-            step = RELEASED.search(words)
-            if step is None or step[0] in done:
-                return Answer(False, f"waits: {words}", "")
-            done.add(step[0])
-            self.given.append(step[0])
-            answer = cluster.give(step[0], client="bob")
+            waits = next((n for n in reversed(cluster.notes) if n.command == command), None)
+            step = waits.clears[0] if waits is not None and waits.clears else ""
+            if not step or step in done:
+                self.waits = True
+                return Answer(False, f"waits: {in_words(waits) if waits is not None else ''}", "")
+            done.add(step)
+            self.given.append(step)
+            answer = cluster.give(step, client="bob")
             if not _settled(cluster, answer):
-                return Answer(False, f"{step[0]} has no end", "")
-            self.story.append(f"{step[0]}: {Answer.of_outcome(cluster.outcomes[answer])}")
+                return Answer(False, f"{step} has no end", "")
+            self.story.append(f"{step}: {Answer.of_outcome(cluster.outcomes[answer])}")
         outcome = cluster.outcomes[command]
         if outcome.kind is OutcomeKind.SUCCEEDED and sentence.split()[0] in advice.VERBS.split("|"):
             self.moved = True
@@ -202,7 +204,7 @@ def leave_alone(drawn: Drawn) -> Ran | None:
     first = Answer.of_outcome(ended) if ended is not None and aim == drawn.sentence else person.say(aim)
     if not first.succeeded and not first.clears and ended is not None:  # nothing holds the arm
         first = person.say(aim)
-    if not first.succeeded and first.message.startswith("waits"):
+    if person.waits:
         return Ran(drawn, "stuck", first.message, len(person.given), person.story)
     if first.succeeded:
         return Ran(drawn, "done" if len(person.given) <= advice.MAX_SENTENCES else "stuck", "", 1, person.story)

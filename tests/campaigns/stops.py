@@ -133,7 +133,7 @@ def say(cluster: OneProcess, sentence: str, each_tick: Callable[[], None] = lamb
     """Give a sentence, and wait for its end."""
     command, last = cluster.give(sentence), cluster.ticks + round(1000 * LIMIT_S)
     while cluster.state.commands:
-        assert cluster.ticks < last, (sentence, [c.notes[-1].note for c in cluster.state.commands.values()])
+        assert cluster.ticks < last, (sentence, [c.notes[-1] for c in cluster.state.commands.values()])
         cluster.tick()
         each_tick()
     return cluster.outcomes[command]

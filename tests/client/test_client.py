@@ -582,7 +582,9 @@ def ending_on_request(ends: dict[str, OutcomeKind]) -> Answer:
             case m.CommandText(request=request):
                 number = begun.setdefault(request, f"C-{len(begun) + 1}")
                 note = m.ProgressNote(seq=1, at_s=0.0, command=number, phase=m.Phase.EXECUTING, step="1 of 2: go")
-                report = m.ProgressNote(seq=0, at_s=0.0, command=number, phase=m.Phase.EXECUTING, note="force")
+                report = m.ProgressNote(
+                    seq=0, at_s=0.0, command=number, phase=m.Phase.EXECUTING, kind=m.NoteKind.CONDITION
+                )
                 return [m.Accepted(request=request, command=number), note, report]
         return obliging(message)
 

@@ -17,7 +17,7 @@ import pytest
 from deploy.engines.ray_workers import Fleet, main, parser
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
-from rtc.protocol.messages import WorkerKind
+from rtc.protocol.messages import NoteKind, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyFile, KeyRing
@@ -153,7 +153,7 @@ def test_workers_in_actors_bind_and_their_loss_harms_no_command(run_dir: Path, k
         nodes: set[str] = set()
         for one in ended:
             notes = rtc.trace(one.command).notes
-            assert [note.note for note in notes if note.node == "MCM"] == ["started", "ended: goal"]
+            assert [note.kind for note in notes if note.node == "MCM"] == [NoteKind.STARTED, NoteKind.STEP_ENDED]
             nodes |= {note.node for note in notes if note.node.startswith("binder@")}
         assert {is_remote(node) for node in nodes} == {True, False}  # on Ray, and later here
 

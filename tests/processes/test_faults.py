@@ -91,12 +91,12 @@ def test_the_job_of_a_killed_worker_is_done_by_another(rtc: Client, chaos: Chaos
         for text in 10 * [AWAY, STOW]:  # until one is met in the milliseconds of a bind
             end = rtc.run(text, kill_holder, LIMIT_S)
             assert end.outcome.kind is OutcomeKind.SUCCEEDED
-            notes = [note.note for note in asking.trace(end.command).notes]
-            again = [note for note in notes if struck and note.startswith(f"{struck[0].name} lost")]
+            notes = asking.trace(end.command).notes
+            again = [note for note in notes if note.kind is m.NoteKind.WORKER_LOST]
             if again:
                 break
             struck.clear()
-        assert again == [f"{struck[0].name} lost (exit status -9); job again"]
+        assert [(note.about, note.message) for note in again] == [(struck[0].name, "exit status -9")]
         assert begun(run_dir, end.command) == 1
         address = {row.name: row.node for row in processes(run_dir).values()}
         assert address[struck[0].name] == int(struck[0].name.partition("@")[2])  # under its address
@@ -204,7 +204,7 @@ def test_what_is_given_at_once_is_begun_in_the_order_given_while_workers_die(
             chaos.strike("worker")
     assert {command.wait(LIMIT_S).outcome.kind for command in commands} == {OutcomeKind.SUCCEEDED}
     begun_at_s = [
-        note.at_s for command in commands for note in rtc.trace(command.number).notes if note.note == "started"
+        note.at_s for command in commands for note in rtc.trace(command.number).notes if note.kind is m.NoteKind.STARTED
     ]
     assert len(begun_at_s) == len(commands)
     assert begun_at_s == sorted(begun_at_s)
@@ -234,7 +234,7 @@ def test_the_commands_of_a_dead_client_are_halted_if_it_wanted_that(rtc: Client,
     assert record is not None
     assert record.outcome is not None
     assert record.outcome.kind is OutcomeKind.HALTED
-    assert any("its client disconnected" in note.note for note in record.notes)
+    assert any("its client disconnected" in note.message for note in record.notes)
     assert rtc.trace(free.number).phase is m.Phase.EXECUTING  # no other command was halted
     free.halt()
     assert free.wait(LIMIT_S).outcome.kind is OutcomeKind.HALTED

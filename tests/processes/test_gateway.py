@@ -227,8 +227,8 @@ def test_a_late_result_of_an_earlier_connection_is_refused_and_counted(
         first.close()
         for command in commands:
             assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
-        lost = [n.note for n in here.trace(job.id.partition("/")[0]).notes if "binder@18 lost" in n.note]
-        assert len(lost) == 1
+        lost = [n for n in here.trace(job.id.partition("/")[0]).notes if n.kind is m.NoteKind.WORKER_LOST]
+        assert [one.about for one in lost] == ["binder@18"]
 
         late = m.JobRefused(id=job.id, attempt=job.attempt, refusal=Refusal(reason=RefusalReason.STATE, message="late"))
         second = Peer(context, key, "workers")

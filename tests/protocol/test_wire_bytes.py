@@ -18,6 +18,7 @@ from rtc.protocol import wire
 from rtc.protocol.outcomes import WireError
 from rtc.protocol.versions import VERSION, misfit
 from tests.protocol.wire_examples import FOLDER, TYPES
+from tests.source_files import ROOT
 
 FILES = sorted(FOLDER.glob("*.msgpack"))
 FREE = (
@@ -34,6 +35,13 @@ FREE = (
     "relies_on",
     "extra",
 )  # maps with any keys, or with parts
+
+
+def test_the_page_of_the_protocol_lists_every_kind_of_note() -> None:
+    page = (ROOT / "docs" / "protocol.md").read_text()
+    kinds = page.partition("| kind | what has happened |")[2].partition("A note with")[0]
+    rows = [line.split("|")[1] for line in kinds.splitlines() if line.startswith("| `")]
+    assert sorted(word.strip(" `") for row in rows for word in row.split(",")) == sorted(m.NoteKind)
 
 
 def body_of(name: str) -> Any:

@@ -130,7 +130,7 @@ class OneProcess:
         """Until all commands have ended. Raises AssertionError after the limit."""
         last = self.ticks + round(limit_s / TICK_S)
         while self.state.commands:
-            assert self.ticks < last, [(c.id, c.phase.value, c.notes[-1].note) for c in self.state.commands.values()]
+            assert self.ticks < last, [(c.id, c.phase.value, c.notes[-1]) for c in self.state.commands.values()]
             self.tick()
 
     def tick(self) -> None:

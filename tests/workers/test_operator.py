@@ -47,7 +47,7 @@ class Operator:
             if words in self.asked:
                 return
             self.rtc.tick()
-        raise AssertionError((words, self.asked, self.rtc.outcomes, [n.note for n in self.rtc.notes[-5:]]))
+        raise AssertionError((words, self.asked, self.rtc.outcomes, self.rtc.notes[-5:]))
 
     def send(self, **wanted: Any) -> str:
         given = {"primitive": self.executor.primitive_id, "operator": "ADA", "seen_at_s": self.rtc.now_s, "hold": True}
@@ -170,8 +170,8 @@ def test_give_and_take_hand_an_arm_over_between_two_points_of_rest() -> None:
     it.drive(1.0, twist=[0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
     assert "hand is not part" in it.send(hand="close")
     assert rtc.state.commands[held].phase is m.Phase.HELD
-    waits = {n.command: n.note for n in rtc.notes if n.phase is m.Phase.HELD}
-    assert all("TAKE RIGHT-ARM FROM OPERATOR" in waits[name] for name in (held, beside))
+    waits = {n.command: n.clears for n in rtc.notes if n.phase is m.Phase.HELD}
+    assert all(waits[name] == ["TAKE RIGHT-ARM FROM OPERATOR"] for name in (held, beside))
     assert it.say("TAKE LEFT-ARM FROM OPERATOR").kind is OutcomeKind.REFUSED
     assert it.say("TAKE RIGHT-ARM FROM OPERATOR").kind is OutcomeKind.REFUSED  # it moves
     it.drive(0.2, hold=False)

@@ -148,7 +148,7 @@ def test_a_command_that_relies_on_a_moving_object_is_planned_when_the_arm_has_re
     cluster.run()
     notes = [note for note in cluster.notes if note.command == second]
     waits = next(note for note in notes if note.phase is Phase.WAITING)
-    assert "MACS-NEW is changing" in waits.note
+    assert "MACS-NEW is changing" in waits.message
     assert cluster.outcomes[first].kind is OutcomeKind.SUCCEEDED
     assert "cannot reach" in cluster.outcomes[second].message
 

@@ -147,7 +147,8 @@ def _success(task: AnalyzeTask) -> Assessment:
     return Assessment(
         verdict="abort" if task.data.closing else "trim" if trim else "continue",
         reason=task.report.reason,
-        message="; ".join(filter(None, (task.step.label, task.evaluation.remark, seen))),
+        message=task.step.label,
+        found="; ".join(filter(None, (task.evaluation.remark, seen))),
         trim=trim,
         keep={name: _kept(source, task.report) for name, source in task.step.keep.items()},
         remark=_remark(task),

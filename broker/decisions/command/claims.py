@@ -8,7 +8,7 @@ from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.resources import Claim
 from broker.decisions.state import Command, ParsedHead, exact_arms_of
-from rtc.protocol.messages import Phase, WorkerKind
+from rtc.protocol.messages import NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS
 
@@ -55,18 +55,21 @@ def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> b
         return False
     context.grant(resources.wait(command.id, claim))
     context.check_space_lines()
-    context.enter(command, Phase.HELD, f"{name} is in use by {owner}{_ended_by(context, owner)}")
+    _hold(context, command, name, owner)
     return False
 
 
-def _ended_by(context: DecisionContext, owner: str) -> str:
-    """What ends a use that does not end by itself: that of a paused command, and of an operator, who may have left."""
+def _hold(context: DecisionContext, command: Command, name: str, owner: str) -> None:
+    """Note what it waits for, and what ends a use that does not end by itself: that of a paused command, and of an
+    operator, who may have left."""
     other = context.state.commands.get(owner)
+    kind, arm, clears = NoteKind.IN_USE, "", list[str]()
     if other is not None and (other.pause_wanted or other.phase is Phase.PAUSED):
-        return f", which is paused: RESUME {owner}, or ABORT {owner}"
-    if other is not None and other.operated:
-        return f": the operator has {other.performers[0]}; TAKE {other.performers[0]} FROM OPERATOR ends that"
-    return ""
+        kind, clears = NoteKind.IN_USE_PAUSED, [f"RESUME {owner}", f"ABORT {owner}"]
+    elif other is not None and other.operated:
+        arm = other.performers[0]
+        kind, clears = NoteKind.IN_USE_OPERATOR, [f"TAKE {arm} FROM OPERATOR"]
+    context.enter(command, Phase.HELD, kind, about=name, owner=owner, arm=arm, clears=clears)
 
 
 def on_granted(context: DecisionContext, command: Command, _: Any) -> None:

@@ -6,7 +6,7 @@ long, it is deferred and the command ends.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Unpack
 
 import msgspec
 
@@ -14,11 +14,11 @@ from broker.decisions import deferred_analysis
 from broker.decisions.command.jobs import QUARANTINED, SUSPECT, dispatch_again, has_moved, retry_analysis
 from broker.decisions.command.limits import CLOSING_LIMIT_S
 from broker.decisions.command.termination import cancel, end
-from broker.decisions.context import DecisionContext
+from broker.decisions.context import DecisionContext, Facts
 from broker.decisions.events import JobLost
 from broker.decisions.state import NIL, AssessmentHead, Command, PendingOutcome
 from rtc.protocol import wire
-from rtc.protocol.messages import EndReport, Phase, WorkerKind
+from rtc.protocol.messages import EndReport, NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 WHEN_BACK = "when the subsystem is back"
@@ -27,15 +27,17 @@ AGAIN = "then give the sentence again"
 read_assessment = wire.decoder(AssessmentHead)
 
 
-def close(context: DecisionContext, command: Command, report: EndReport, note: str) -> None:
-    """Start the last analysis, which only updates the world facts."""
+def close(
+    context: DecisionContext, command: Command, report: EndReport, kind: NoteKind, **facts: Unpack[Facts]
+) -> None:
+    """Start the last analysis, which only updates the world facts. `kind`, `facts`: of the note that it begins."""
     assert command.actions is not None
     context.stop_timer(command)
     command.primitive_body = NIL
     data = {"evaluation": command.evaluation, "report": report, "closing": True}
     context.create_job(command, WorkerKind.ANALYZER, data, locations=command.actions.script.writes)
     context.start_timer(command, CLOSING_LIMIT_S)
-    context.enter(command, Phase.CLOSING, note)
+    context.enter(command, Phase.CLOSING, kind, **facts)
 
 
 def stop_after_analysis(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
@@ -44,7 +46,7 @@ def stop_after_analysis(context: DecisionContext, command: Command, ending: Pend
     if command.due_s:  # a retry was scheduled, because the world database was unavailable
         retry_analysis(context, command, None)
     context.start_timer(command, CLOSING_LIMIT_S)
-    context.enter(command, Phase.CLOSING, f"{ending.message}; the analysis continues, its verdict is ignored")
+    context.enter(command, Phase.CLOSING, NoteKind.LAST_ANALYSIS, message=ending.message)
 
 
 def finish_closing(context: DecisionContext, command: Command, product: Any) -> None:

@@ -14,7 +14,7 @@ from broker.decisions.events import Stimulus
 from broker.decisions.halt_request import Settled, halted, on_sentence
 from broker.decisions.resources import number
 from broker.decisions.state import Command, ParsedHead, PendingOutcome, path_words
-from rtc.protocol.messages import Phase
+from rtc.protocol.messages import NoteKind, Phase
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}  # all control verbs except HALT
@@ -136,7 +136,7 @@ PAUSE_ANSWERS = {Stimulus.PAUSE: _will_pause, Stimulus.RESUME: _will_resume}
 
 def request_pause(context: DecisionContext, command: Command, _: Any) -> None:
     command.pause_wanted = True
-    context.note(command, "will pause before its next step")
+    context.note(command, NoteKind.WILL_PAUSE)
 
 
 def withdraw_pause(context: DecisionContext, command: Command, _: Any) -> None:
@@ -146,7 +146,7 @@ def withdraw_pause(context: DecisionContext, command: Command, _: Any) -> None:
 def resume(context: DecisionContext, command: Command, _: Any) -> None:
     """Go on with the next step, whatever breakpoint is before it."""
     command.pause_wanted = command.single_step = False
-    context.note(command, "resumed")
+    context.note(command, NoteKind.RESUMED)
     take_step(context, command)
 
 

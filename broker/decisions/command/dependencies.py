@@ -10,7 +10,7 @@ from broker.decisions.command.claims import claim_and_elaborate
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import Command, ParsedHead, PendingOutcome
-from rtc.protocol.messages import Phase
+from rtc.protocol.messages import NoteKind, Phase
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
 
@@ -49,7 +49,7 @@ def wait_for_another(context: DecisionContext, command: Command, head: ParsedHea
         return False
     line = state.awaiting if head.after else state.joining
     line.setdefault(other, []).append(command.id)
-    context.enter(command, Phase.HELD, f"waits for {other} to {'succeed' if head.after else 'begin'}")
+    context.enter(command, Phase.HELD, NoteKind.AFTER if head.after else NoteKind.TOGETHER, owner=other)
     return True
 
 

@@ -11,6 +11,7 @@ from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import JobLost
 from broker.decisions.state import Command, PendingOutcome
+from rtc.protocol.messages import NoteKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 QUARANTINED = "the names it touched stay quarantined until the world database is updated"
@@ -35,7 +36,7 @@ def schedule_analysis_retry(context: DecisionContext, command: Command, refusal:
         job.attempt += 1  # a late answer to the previous attempt is stale
         context.count("analyses_again")
         context.start_timer(command, deferred_analysis.AGAIN_S)
-        context.note(command, f"{refusal.message}; the analysis is repeated")
+        context.note(command, NoteKind.ANALYSIS_AGAIN, message=refusal.message)
         return
     message = (
         f"the result could not be analysed within {deferred_analysis.LIMIT_S:.0f} s: {refusal.message}; {QUARANTINED}"
@@ -90,7 +91,7 @@ def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) ->
     if len(job.deaths) < (MOST_IN_PACKAGE if loss.inside else deferred_analysis.MAX_DEATHS):
         job.attempt += 1
         context.count("jobs_again")
-        context.note(command, f"{loss.node} lost ({_last_line(loss)}); job again")
+        context.note(command, NoteKind.WORKER_LOST, about=loss.node, message=_last_line(loss))
         context.dispatch_again(command)
         return None
     culprit, clears = f"the {job.kind.value}'s job {job.id}", "change the sentence or the program"

@@ -8,7 +8,7 @@ from __future__ import annotations
 from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import NIL, Command, ParsedHead, PendingJob
-from rtc.protocol.messages import Phase, WorkerKind
+from rtc.protocol.messages import NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
 LOAD = "LOAD"
@@ -33,4 +33,4 @@ def load(context: DecisionContext, command: Command, head: ParsedHead) -> None:
         part=head.object or "",
     )
     context.dispatch(command.job, command.client)
-    context.enter(command, Phase.ELABORATING, f"loads {head.object}")
+    context.enter(command, Phase.ELABORATING, NoteKind.LOADING, about=head.object or "")

@@ -12,7 +12,7 @@ from broker.decisions.command.closing import close
 from broker.decisions.command.limits import await_report
 from broker.decisions.command.pacing import send_pace
 from broker.decisions.command.termination import end, end_given_up, refuse
-from broker.decisions.context import START, DecisionContext, step_in_words
+from broker.decisions.context import DecisionContext, step_in_words
 from broker.decisions.effects import AcknowledgeReport, SendPrimitive
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import Claim
@@ -31,7 +31,7 @@ from broker.decisions.state import (
 from rtc.programs import action_stack
 from rtc.programs.action_stack import NOMINAL
 from rtc.protocol import wire
-from rtc.protocol.messages import Assessment, Breakpoint, EndReport, Phase, WorkerKind
+from rtc.protocol.messages import Assessment, Breakpoint, EndReport, NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Operated, Primitive
 from rtc.protocol.primitive_id import belongs_to, command_of, primitive_id
@@ -56,7 +56,7 @@ def on_elaborated(context: DecisionContext, command: Command, product: msgspec.R
         return
     command.actions = action_stack.begin(script)
     if script.notes:
-        context.note(command, "; ".join(script.notes))
+        context.note(command, NoteKind.PLANNED, message="; ".join(script.notes))
     next_step(context, command)
 
 
@@ -70,11 +70,10 @@ def next_step(context: DecisionContext, command: Command, remark: str = "") -> N
     elif not actions.refs:
         end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, remark))
     elif command.pause_wanted or command.single_step:
-        context.enter(command, Phase.PAUSED, "paused between two steps")
+        context.enter(command, Phase.PAUSED, NoteKind.PAUSED)
     elif context.state.breakpoints and (breakpoint := _breakpoint(command)) in context.state.breakpoints:
-        context.enter(
-            command, Phase.PAUSED, f"breakpoint {breakpoint}; `rtc step {command.id}`, or RESUME {command.id}"
-        )
+        clears = [f"RESUME {command.id}"]
+        context.enter(command, Phase.PAUSED, NoteKind.BREAKPOINT, about=str(breakpoint), clears=clears)
     else:
         take_step(context, command)
 
@@ -91,23 +90,23 @@ def take_step(context: DecisionContext, command: Command) -> None:
     """Bind the step on the top of the Action_Stack, which is not empty."""
     assert command.actions is not None
     command.actions.pop()
-    command.step_words = step_in_words(command.actions)
+    command.step_text, command.starts_after = step_in_words(command.actions), ""
     bind_step(context, command)
 
 
-def bind_step(context: DecisionContext, command: Command, note: str = "") -> None:
-    """Bind the current step; a wanted pause comes first."""
+def bind_step(context: DecisionContext, command: Command, kind: NoteKind = NoteKind.PHASE, message: str = "") -> None:
+    """Bind the current step; a wanted pause comes first. `kind`, `message`: of the note, why it is bound again."""
     actions = command.actions
     assert actions is not None
     if command.pause_wanted:
         actions.put_back()
-        context.enter(command, Phase.PAUSED, "paused between two steps")
+        context.enter(command, Phase.PAUSED, NoteKind.PAUSED)
         return
     name = primitive_id(command.id, command.primitives + 1, context.state.life)
     others = len(context.state.commands) > 1
     data = {**actions.binder_input(name), "others": others, "pictures": picture_times_of(context.state)}
     context.create_job(command, WorkerKind.BINDER, data)
-    context.enter(command, Phase.BINDING, note)
+    context.enter(command, Phase.BINDING, kind, message=message)
 
 
 def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
@@ -118,11 +117,11 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
     if result.report != NIL:
         command.evaluation = result.evaluation
         analyze(context, command, result.report)
-        context.enter(command, Phase.ANALYZING, result.note)
+        context.enter(command, Phase.ANALYZING, NoteKind.BOUND, message=result.note)
         return
     if not result.subsystem or result.primitive == NIL:
         command.steps_done += 1
-        context.note(command, result.note or "nothing to execute")
+        context.note(command, NoteKind.ASSIGNED, message=result.note)
         next_step(context, command)
         return
     subsystem = context.state.subsystems.get(result.subsystem)
@@ -134,7 +133,7 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
     if message := _fault(context, command, result, primitive, subsystem):
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
     elif primitive.paths and not context.is_clear(command, primitive.space_mm):
-        bind_step(context, command, "another arm has begun to move meanwhile: planned again beside it")
+        bind_step(context, command, NoteKind.MOTIONS_CHANGED)
     else:
         begin(context, command, result, primitive)
 
@@ -166,12 +165,18 @@ def begin(context: DecisionContext, command: Command, result: BoundHead, primiti
     for arm in primitive.paths:
         context.begin_motion(command, arm, result.primitive, primitive.space_mm)
     if result.remark:
-        command.step_words += f" ({result.remark})"
-    if primitive.start_after:
-        awaited = ", ".join(dict.fromkeys(command_of(condition.primitive) for condition in primitive.start_after))
-        command.step_words += f"{START}{awaited} has left the space)"
+        command.step_text += f" ({result.remark})"
+    command.starts_after = ", ".join(dict.fromkeys(command_of(one.primitive) for one in primitive.start_after))
     send(context, command)
-    context.enter(command, Phase.EXECUTING, result.note, expected_s=result.predicted_s * context.state.timeout_scale)
+    expected_s = result.predicted_s * context.state.timeout_scale
+    context.enter(
+        command,
+        Phase.EXECUTING,
+        NoteKind.BOUND,
+        message=result.note,
+        expected_s=expected_s,
+        owner=command.starts_after,
+    )
     if command.primitives == 1:
         for waiting in context.state.joining.pop(command.id, ()):
             context.enqueue_stimulus(waiting, Stimulus.RELEASE, True)
@@ -203,13 +208,13 @@ def on_reported(context: DecisionContext, command: Command, report: EndReport) -
     if command.actions is not None:
         command.actions.moved_s += report.duration_s
     command.measured = report.reading or command.measured
-    note = f"ended: {report.reason}" + (f" ({report.message})" if report.message else "")
     if report.reason is StopReason.HALT:
         command.pending_outcome = PendingOutcome(OutcomeKind.HALTED, "halted at its subsystem", StopReason.HALT)
-        close(context, command, report, note)
+        close(context, command, report, NoteKind.STEP_ENDED, reason=report.reason, message=report.message)
         return
     analyze(context, command, report)
-    context.enter(command, Phase.ANALYZING, note, measured=command.measured)
+    kind, reason, message = NoteKind.STEP_ENDED, report.reason, report.message
+    context.enter(command, Phase.ANALYZING, kind, reason=reason, message=message, measured=command.measured)
 
 
 def acknowledge(context: DecisionContext, command: Command) -> None:
@@ -231,7 +236,7 @@ def on_assessed(context: DecisionContext, command: Command, assessment: Assessme
     context.end_motions(command)
     if assessment.verdict == "continue":
         command.steps_done += 1
-        _note_judged(context, command, assessment, assessment.message or f"{assessment.reason}: as expected")
+        _note_judged(context, command, assessment)
         next_step(context, command, assessment.remark)
     elif assessment.verdict == "trim" and push_trim(context, command, assessment):
         next_step(context, command)
@@ -243,7 +248,8 @@ def on_assessed(context: DecisionContext, command: Command, assessment: Assessme
 
 def failure(assessment: AssessmentHead | Assessment) -> PendingOutcome:
     """The outcome after a step without a usable trim."""
-    message = assessment.message or f"{assessment.reason.value} where it was not expected"
+    stated = "; ".join(filter(None, (assessment.message, assessment.found)))
+    message = stated or f"{assessment.reason.value} where it was not expected"
     refusal = None
     if assessment.clears or assessment.by_operator:
         refusal = Refusal(reason=RefusalReason.STATE, message=message, clears=assessment.clears)
@@ -260,16 +266,24 @@ def push_trim(context: DecisionContext, command: Command, assessment: Assessment
     context.count("trims")
     if trim.then == "give_up":
         command.given_up = failure(assessment)
-    pieces = "; then ".join(command.actions.trim(n).label for n in (assessment.trim, *assessment.further))
-    words = f"{assessment.message or assessment.reason.value}: trim {assessment.trim}, {pieces}"
-    _note_judged(context, command, assessment, words, assessment.trim)
+    pieces = [command.actions.trim(n).label for n in (assessment.trim, *assessment.further)]
+    _note_judged(context, command, assessment, pieces)
     return True
 
 
 def _note_judged(
-    context: DecisionContext, command: Command, assessment: AssessmentHead, words: str, trim: int = 0
+    context: DecisionContext, command: Command, assessment: AssessmentHead, pieces: list[str] | None = None
 ) -> None:
-    """Note the verdict. What has drifted is a warning: a person may act before a step fails of it."""
-    words = f"{words}; {assessment.drift}" if assessment.drift else words
-    warning = bool(assessment.drift)
-    context.enter(command, command.phase, words, compared=assessment.compared, warning=warning, trim=trim)
+    """Note the verdict; `pieces`: of its trim. What has drifted is a warning: a person may act before a step fails."""
+    context.note(
+        command,
+        NoteKind.JUDGED if pieces is None else NoteKind.TRIM,
+        reason=assessment.reason,
+        message=assessment.message,
+        found=assessment.found,
+        drift=assessment.drift,
+        compared=assessment.compared,
+        trim=0 if pieces is None else assessment.trim,
+        pieces=pieces or [],
+        warning=bool(assessment.drift),
+    )

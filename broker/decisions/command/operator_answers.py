@@ -11,7 +11,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendAnswer
 from broker.decisions.events import AnswerWasRefused
 from broker.decisions.state import Command, LinkState, ParsedHead
-from rtc.protocol.messages import EndReport, OperatorAnswer, Phase
+from rtc.protocol.messages import EndReport, NoteKind, OperatorAnswer, Phase
 from rtc.protocol.outcomes import OF_OPERATOR, Refusal, RefusalReason
 from rtc.protocol.primitive_id import command_of
 
@@ -33,7 +33,7 @@ def answer(context: DecisionContext, command: Command, head: ParsedHead) -> None
     done = given_back or head.verb not in (TAKE, CANNOT)
     message = OperatorAnswer(primitive=target.primitive, done=done, why="" if done else why)
     context.state.answers[command.id] = message
-    context.enter(command, Phase.HELD, f"answers {target.id}")
+    context.enter(command, Phase.HELD, NoteKind.ANSWERING, owner=target.id)
     send(context, target, message)
 
 

@@ -13,8 +13,8 @@ from broker.decisions.command.stopping import stop_overdue
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendPace
 from broker.decisions.events import PrimitivePaced
-from broker.decisions.state import Command, LinkState, path_words
-from rtc.protocol.messages import Phase
+from broker.decisions.state import Command, LinkState
+from rtc.protocol.messages import NoteKind, Phase
 from rtc.protocol.primitive_id import command_of
 
 
@@ -35,9 +35,7 @@ def send_pace(context: DecisionContext, command: Command) -> None:
 
 def pause_motion(context: DecisionContext, command: Command, _: Any) -> None:
     command.pause_wanted = True
-    context.note(
-        command, "slows down on its path" if can_pause(context, command) else "will pause before its next step"
-    )
+    context.note(command, NoteKind.SLOWS_DOWN if can_pause(context, command) else NoteKind.WILL_PAUSE)
     send_pace(context, command)
 
 
@@ -65,5 +63,7 @@ def on_paced(context: DecisionContext, event: PrimitivePaced) -> None:
         context.node = event.subsystem
         command.paused_primitive = change.primitive if change.paused else ""
         command.paused_done = change.done
-        words = path_words(change.done) if change.paused else "goes on along its path"
-        context.note(command, words, warning=change.paused)  # a person sees why it does not go on
+        if change.paused:
+            context.note(command, NoteKind.STANDS, value=change.done, warning=True)  # a person sees why it waits
+        else:
+            context.note(command, NoteKind.GOES_ON)

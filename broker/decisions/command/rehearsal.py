@@ -67,7 +67,7 @@ def on_rehearsed(context: DecisionContext, command: Command, product: msgspec.Ra
     refusal = result.refusal or _refuse_now(command.head, in_use)
     name = _keep(context.state, command, result, feasible=refusal is None)
     rehearsal = msgspec.structs.replace(result.rehearsal, digest=name, in_use=in_use)
-    command.step_words = result.step
+    command.step_text = result.step
     if refusal is None:
         message = f"feasible, about {rehearsal.predicted_s:.1f} s"
         message += f": {rehearsal.remark}" if rehearsal.remark else ""

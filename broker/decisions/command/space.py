@@ -20,7 +20,7 @@ from broker.decisions.command.nominal import bind_step
 from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import Command
-from rtc.protocol.messages import EndReport, Phase
+from rtc.protocol.messages import EndReport, NoteKind, Phase
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
 
 
@@ -64,7 +64,7 @@ def _after_blocked(context: DecisionContext, command: Command, message: str) -> 
     """Plan the step again, once the arm in its way is not on that path any more."""
     arms = [arm for arm, motion in context.state.motions.items() if motion.primitive in command.beside]
     if not arms:
-        bind_step(context, command, f"{message}; planned again")
+        bind_step(context, command, NoteKind.PLANNED_AGAIN, message=message)
         return
     refusal = Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"wait for {arms[0]}")
     _wait(context, command, arms[0], refusal)
@@ -86,7 +86,7 @@ def _wait(context: DecisionContext, command: Command, arm: str, refusal: Refusal
     else:
         command.waits_for = arm
         context.state.space_lines.setdefault(arm, []).append(command.id)
-        context.enter(command, Phase.WAITING, f"waits for space of {arm}, which {owner.id} moves: {refusal.message}")
+        context.enter(command, Phase.WAITING, NoteKind.SPACE, arm=arm, owner=owner.id, message=refusal.message)
 
 
 def _circle(context: DecisionContext, command: Command, owner: Command) -> str:
@@ -116,6 +116,6 @@ def pause(context: DecisionContext, command: Command, _: Any) -> None:
     """Pause before the step that waits. A command without a plan pauses before its first step."""
     command.pause_wanted = True
     if command.actions is None:
-        context.note(command, "will pause before its first step")
+        context.note(command, NoteKind.WILL_PAUSE_FIRST)
     else:
         plan_again(context, command, None)

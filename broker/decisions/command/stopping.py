@@ -13,7 +13,7 @@ from broker.decisions.command.termination import stop
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, SendHalt
 from broker.decisions.state import NIL, Command, PendingOutcome
-from rtc.protocol.messages import EndReport, HaltOrder, Phase
+from rtc.protocol.messages import EndReport, HaltOrder, NoteKind, Phase
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 
 STOP = "stop-"  # prefix of the halt that stops a command's primitive; the command's number follows
@@ -27,7 +27,8 @@ def stop_primitive(context: DecisionContext, command: Command, ending: PendingOu
     """Halt the primitive that is being executed, and wait for rest."""
     command.pending_outcome = ending
     order_halt(context, command)
-    context.enter(command, Phase.HALTING, ending.message)
+    about, message = ending.scope, ending.message
+    context.enter(command, Phase.HALTING, NoteKind.STOPPING, about=about, reason=ending.stop, message=message)
 
 
 def order_halt(context: DecisionContext, command: Command) -> None:
@@ -54,14 +55,14 @@ def on_rested(context: DecisionContext, command: Command, report: EndReport) -> 
     context.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
     command.primitive_body = NIL
     command.at_rest = True
-    close(context, command, report, f"at rest: {report.reason.value}")
+    close(context, command, report, NoteKind.AT_REST, reason=report.reason)
 
 
 def on_rest_confirmed(context: DecisionContext, command: Command, _: Any) -> None:
     """Close without an end report. A subsystem sends the report before it confirms rest, so without a report it never
     received the primitive."""
     command.at_rest = True
-    close(context, command, missing_report(context, command, StopReason.HALT), "at rest: it had not begun")
+    close(context, command, missing_report(context, command, StopReason.HALT), NoteKind.AT_REST)
 
 
 def fail_unconfirmed(context: DecisionContext, command: Command, _: Any) -> None:
@@ -70,7 +71,7 @@ def fail_unconfirmed(context: DecisionContext, command: Command, _: Any) -> None
     message = _after_cause(command, f"rest was not confirmed by {command.subsystem} within {limit_s:.0f} s")
     over = _outcome(OutcomeKind.HALT_NOT_CONFIRMED, stop_reason or StopReason.HALT, message, UNCONFIRMED_ADVICE)
     command.pending_outcome = over
-    close(context, command, missing_report(context, command), message)
+    close(context, command, missing_report(context, command), NoteKind.NOT_AT_REST, message=message)
 
 
 def _after_cause(command: Command, message: str) -> str:
@@ -101,7 +102,7 @@ def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> N
     message = f"{command.subsystem} was lost while executing: {why}"
     command.pending_outcome = _lost(message)
     command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
-    close(context, command, missing_report(context, command), message)
+    close(context, command, missing_report(context, command), NoteKind.SUBSYSTEM_LOST, message=message)
 
 
 def on_lost_while_halting(context: DecisionContext, command: Command, why: str) -> None:
@@ -109,7 +110,7 @@ def on_lost_while_halting(context: DecisionContext, command: Command, why: str) 
     stop_reason = StopReason.SUBSYSTEM_LOST
     command.pending_outcome = _outcome(OutcomeKind.HALT_NOT_CONFIRMED, stop_reason, message, UNCONFIRMED_ADVICE)
     command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
-    close(context, command, missing_report(context, command), message)
+    close(context, command, missing_report(context, command), NoteKind.SUBSYSTEM_LOST, message=message)
 
 
 def missing_report(

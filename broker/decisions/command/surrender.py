@@ -10,7 +10,7 @@ from __future__ import annotations
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import Stimulus
 from broker.decisions.state import Command, PendingOutcome, Surrender
-from rtc.protocol.messages import Phase
+from rtc.protocol.messages import NoteKind, Phase
 
 
 def surrender(context: DecisionContext, command: Command, ending: PendingOutcome) -> list[str]:
@@ -36,8 +36,7 @@ def surrender(context: DecisionContext, command: Command, ending: PendingOutcome
 def join(context: DecisionContext, command: Command, failed: str) -> None:
     """Hold a command until the operator has done what another one has failed to do."""
     context.state.surrenders[failed].waiting.append(command.id)
-    words = f"waits for the operator, who is asked to do what {failed} has failed to do; RESUME {command.id} goes on"
-    context.enter(command, Phase.HELD, words)
+    context.enter(command, Phase.HELD, NoteKind.SURRENDERED, owner=failed, clears=[f"RESUME {command.id}"])
 
 
 def taken_up(context: DecisionContext, command: Command) -> None:

@@ -175,7 +175,7 @@ def stimulate(context: DecisionContext, command: Command, stimulus: Stimulus, pa
 
 
 def _with_trace(command: Command, before: Phase, stimulus: Stimulus) -> str:
-    trace = "\n".join(f"  {n.at_s:.3f} {n.phase.value} {n.step} {n.note}" for n in command.notes[-20:])
+    trace = "\n".join(f"  {n.at_s:.3f} {n.phase.value} {n.step} {n.kind} {n.message}" for n in command.notes[-20:])
     return (
         f"{command.id}: {stimulus.value} in {before.value} led to {command.phase.value}, "
         f"which the table does not allow\n{trace}"

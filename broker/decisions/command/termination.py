@@ -17,7 +17,7 @@ from broker.decisions.events import Stimulus
 from broker.decisions.resources import Quarantine
 from broker.decisions.state import Command, PendingOutcome, Result, request_key
 from rtc.protocol import wire
-from rtc.protocol.messages import CommandEnded, CommandRecord, Phase
+from rtc.protocol.messages import CommandEnded, CommandRecord, NoteKind, Phase
 from rtc.protocol.outcomes import Compared, Outcome, OutcomeKind, Refusal, RefusalReason
 
 ENDED_KEPT = 4096  # minimum number of stored results, for clients that ask again
@@ -61,8 +61,7 @@ def end(
         if succeeded:
             surrender.taken_up(context, command)
         surrender.let_go(context, command.id)
-    words = f"{kind}: {ending.message}" if ending.message else f"{kind}"
-    context.enter(command, Phase.ENDED, words, compared=compared)
+    context.enter(command, Phase.ENDED, NoteKind.OUTCOME, outcome=kind, message=ending.message, compared=compared)
     doubt = kind in UNCONFIRMED and not command.at_rest
     in_doubt = Quarantine(command.subsystem, command.primitive) if doubt else None
     granted = state.resources.release(command.id, in_doubt, command.performers)

@@ -10,9 +10,8 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.measured import in_words
 from rtc.apps.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, quoted, seconds, table
-from rtc.apps.cli.trace import Previous, print_run, run_as_json
+from rtc.apps.cli.trace import Previous, print_run, report_lines, run_as_json
 from rtc.client.client import Client
 from rtc.client.past_runs import Past, clock_time, runs
 from rtc.protocol import messages as m
@@ -61,8 +60,7 @@ def print_log(records: list[m.CommandRecord], run: Past | None, *, far: bool = F
     console.print(out)
     for record in records:
         if record.reports:
-            latest = record.reports[-1]
-            words = ([latest.note] if latest.note else []) + (in_words(latest.measured) if latest.measured else [])
+            words = report_lines(record.reports[-1])
             console.print(Text(f"{record.command}  latest report: {'; '.join(words)}"))
 
 

@@ -20,6 +20,7 @@ from rtc.apps.cli.output import COLOUR, console, quoted, refusal_lines, seconds,
 from rtc.apps.cli.rehearsal_lines import in_lines
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind
+from rtc.wording import notes as wording
 
 WAITS = (m.Phase.HELD, m.Phase.WAITING)  # the note names what the command waits for
 #: phases that are too short for their own line (`rtc trace` shows them); ENDED has the result line
@@ -103,18 +104,18 @@ class Board:
             self._report(note)
             return
         if note.warning and not self.quiet:
-            self._out.print(Text(f"{note.command}  warning: {note.note}", style="yellow"))
+            self._out.print(Text(f"{note.command}  warning: {wording.in_words(note)}", style="yellow"))
         if self.on_long is not None:
             self.on_long(note)
         changed = (note.phase.value, note.step) != (row.phase, row.of)
         row.of = note.step
         row.phase = note.phase.value
-        row.step = what = note.note if note.phase in WAITS else note.step
+        row.step = what = wording.in_words(note) if note.phase in WAITS else note.step
         if note.expected_s:
             row.step += f" (about {duration(note.expected_s)})"
         if changed and note.phase not in PASSING:
             about = f"  about {duration(note.expected_s)}" if note.expected_s else ""
-            self._line(f"{note.command}  {note.phase.value:<11} {what or note.note}{about}".rstrip())
+            self._line(f"{note.command}  {note.phase.value:<11} {what or wording.in_words(note)}{about}".rstrip())
 
     def _report(self, note: m.ProgressNote) -> None:
         """A report of EVERY or WHEN: a line on the screen, or kept for the JSON result."""
@@ -124,7 +125,7 @@ class Board:
             self.reports_older[note.command] += 1
         kept.append(note)
         if not self.quiet:
-            words = "; ".join(line.strip() for line in [note.note, *in_words(note.measured)] if line)
+            words = "; ".join(line.strip() for line in [wording.in_words(note), *in_words(note.measured)] if line)
             self._out.print(Text(f"{time.monotonic() - self._begun_s:7.2f} s  {note.command}  {words}"))
 
     def ended(self, n: int, ended: m.CommandEnded) -> None:

@@ -38,6 +38,7 @@ from rtc.client.client import Client, Source, as_text
 from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
+from rtc.wording import notes as wording
 
 HALTED = (OutcomeKind.HALTED, OutcomeKind.HALT_NOT_CONFIRMED)  # after these the rest of a program is not sent
 
@@ -304,7 +305,7 @@ def _result(ended: m.CommandEnded, line: Line, board: Board) -> dict[str, Any]:
 
 def _report(note: m.ProgressNote) -> dict[str, Any]:
     """A report. `when`: the condition that was true, with what was measured; without it the report is periodic."""
-    when = {"when": note.note} if note.note else {}
+    when = {"when": words} if (words := wording.in_words(note)) else {}
     return {"at_s": note.at_s, **when, **msgspec.to_builtins(note.measured)}
 
 

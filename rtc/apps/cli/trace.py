@@ -11,7 +11,6 @@ import msgspec
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.feedback import stages
 from rtc.apps.cli.measured import duration, in_words
 from rtc.apps.cli.output import (
     COLOUR,
@@ -31,6 +30,8 @@ from rtc.client.past_runs import Past, runs
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import NoCluster, OutcomeKind, RequestDeclined
 from rtc.runtime.settings import default_run_dir
+from rtc.wording import notes as wording
+from rtc.wording.feedback import stages
 
 DID = {"parser": "parsed", "elaborator": "planned", "binder": "bound", "analyzer": "judged"}  # kind of worker -> verb
 
@@ -144,7 +145,7 @@ def print_trace(record: m.CommandRecord) -> None:
     console.print(Text(f"{'since':>9}  {'took':>8}  {'done by':<13} {'at':<4} now", style="bold"))
     step, node = "", ""
     for note in record.notes:
-        if note.node and note.node == node and not note.note:
+        if note.node and note.node == node and not wording.in_words(note):
             continue  # repeats the process
         node = note.node
         if note.step and note.step != step and note.phase != m.Phase.ENDED:
@@ -161,13 +162,20 @@ def print_reports(record: m.CommandRecord) -> None:
     if record.reports_older:
         console.print(Text(f"reports: {record.reports_older} older ones are no longer kept", style="dim"))
     for note in record.reports:
-        words = ([note.note] if note.note else []) + (in_words(note.measured) if note.measured else [])
+        words = report_lines(note)
         console.print(Text(f"{seconds(note.at_s - record.accepted_at_s):>9}  reported: {'; '.join(words)}"))
+
+
+def report_lines(note: m.ProgressNote) -> list[str]:
+    """A report of EVERY or WHEN: the condition that was true, and what was measured."""
+    return [*filter(None, [wording.in_words(note)]), *(in_words(note.measured) if note.measured else [])]
 
 
 def trace_lines(note: m.ProgressNote, accepted_at_s: float) -> list[str]:
     """One line; of the feedback loop one for each of its stages."""
-    first, *others = [f"{stage}: {words}" if words else stage for stage, words in stages(note)] or [note.note]
+    first, *others = [f"{stage}: {words}" if words else stage for stage, words in stages(note)] or [
+        wording.in_words(note)
+    ]
     return [trace_line(note, accepted_at_s, first), *(f"{'':51}{words}" for words in others)]
 
 
@@ -222,7 +230,7 @@ def waits_for(status: dict[str, Any], record: m.CommandRecord) -> list[str]:
     if owners := list(dict.fromkeys(owners)):
         lines.append(f"to clear it: wait for {', '.join(owners)}, or: ABORT {owners[0]}; {give_up}")
     elif not lines and record.notes:  # for another command, or for the space of an arm
-        lines += [record.notes[-1].note, give_up]
+        lines += [wording.in_words(record.notes[-1]), give_up]
     return lines
 
 
@@ -255,6 +263,7 @@ def as_json(record: m.CommandRecord) -> dict[str, Any]:
     for note, source in zip(shown.get("notes", []), record.notes, strict=True):
         note["since_accept_s"] = round(source.at_s - record.accepted_at_s, 6)
         note["address"] = address(source.node)
+        note["words"] = wording.in_words(source)
         note["stages"] = dict(stages(source))
     return shown
 
@@ -271,7 +280,7 @@ def chain(record: m.CommandRecord) -> list[str]:
             lines += [link(note) for note in notes if note.node or note.phase == m.Phase.HELD]
         elif n == last and not ended_well:
             lines.append(f"script line {step}")
-            lines += ["    " + link(note) for note in notes if note.node or note.note]
+            lines += ["    " + link(note) for note in notes if note.node or wording.in_words(note)]
         else:
             lines.append(f"script line {step}: {_in_short(notes)}")
     return lines
@@ -280,11 +289,11 @@ def chain(record: m.CommandRecord) -> list[str]:
 def link(note: m.ProgressNote) -> str:
     """One link of the chain; of the feedback loop with its stages."""
     if not note.node:
-        return f"{note.phase.value}: {note.note}".rstrip(": ")
-    if note.note == "started":
+        return ": ".join(filter(None, (note.phase.value, wording.in_words(note))))
+    if note.kind is m.NoteKind.STARTED:
         return f"started by {note.node}"
     done = DID.get(note.node.partition("@")[0], "reported")
-    words = "; ".join(f"{stage}: {result}" for stage, result in stages(note) if result) or note.note
+    words = "; ".join(f"{stage}: {result}" for stage, result in stages(note) if result) or wording.in_words(note)
     by = "" if "@" in note.node else f" by {note.node}"  # which worker it was, rtc trace shows
     return f"{done}{by} in {seconds(note.took_s)}" + (f": {words}" if words else "")
 
@@ -297,7 +306,7 @@ def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:
     for note in notes:
         kind = note.node.partition("@")[0]
         about = {"parser": "", "elaborator": "", "analyzer": step}.get(kind, note.step)
-        if note.note or not note.node or note.node != node:
+        if wording.in_words(note) or not note.node or note.node != node:
             pairs.append((about, note))
         step, node = note.step, note.node
     return pairs
@@ -305,14 +314,13 @@ def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:
 
 def _in_short(notes: list[m.ProgressNote]) -> str:
     """The result of a step, as its subsystem reported it, and what the analyzer found in the report."""
-    reports = [note for note in notes if note.node and "@" not in note.node and note.note != "started"]
-    shown = reports or [note for note in notes if note.note]
+    reports = [one for one in notes if one.node and "@" not in one.node and one.kind is not m.NoteKind.STARTED]
+    shown = reports or [note for note in notes if wording.in_words(note)]
     if not shown:
         return "done"
     note = shown[-1]
-    judged = [one.note.partition("; ")[2] for one in notes if one.node.startswith("analyzer")]
-    found = "".join(f"; {words}" for words in judged if words)
-    return f"{note.node} {note.note} after {seconds(note.took_s)}{found}" if reports else link(note)
+    found = "".join(f"; {words}" for one in notes for words in (one.found, one.drift) if words)
+    return f"{note.node} {wording.in_words(note)} after {seconds(note.took_s)}{found}" if reports else link(note)
 
 
 def _print_decision(record: m.CommandRecord, *, details: bool) -> None:

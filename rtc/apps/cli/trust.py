@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.feedback import shown_as
 from rtc.apps.cli.log import MAX_COMMANDS, records_of
 from rtc.apps.cli.output import AsJson, RunDir, With, console, emit_json, table
 from rtc.apps.cli.trace import Previous, print_run, run_as_json
 from rtc.protocol.messages import CommandRecord
 from rtc.protocol.outcomes import Compared, Figure
+from rtc.wording.feedback import shown_as
 
 Kind = tuple[str, str]  # verb and kind of step
 

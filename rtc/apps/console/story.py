@@ -13,23 +13,24 @@ from typing import Any
 import msgspec
 
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import Outcome, Refusal
+from rtc.protocol.outcomes import Outcome, Refusal, StopReason
+from rtc.wording.notes import in_words
 
 MAX_ROWS = 60  # commands that are kept; the oldest that have ended go first
 MAX_SPANS = 200  # per command; the oldest go first
 MAX_LOG = 200  # lines that are kept of halts, refusals and reports
 MAX_CHANGES = 400  # messages that a page may ask for again
-STARTED, ENDED = "started", "ended: "
 
 
 class Span(msgspec.Struct, kw_only=True):
-    """A step while a subsystem executed it. `reason`: with which it ended; empty: it is executed now."""
+    """A step while a subsystem executed it. `reason`, `message`: with which it ended; no reason: it is executed now."""
 
     step: str
     node: str
     from_s: float
     to_s: float | None = None
-    reason: str = ""
+    reason: StopReason | None = None
+    message: str = ""
     expected_s: float = 0.0
 
 
@@ -50,7 +51,6 @@ class Row(msgspec.Struct, kw_only=True):
     accepted_at_s: float
     phase: str
     step: str = ""
-    note: str = ""
     expected_s: float = 0.0  # planned duration of the step that was bound last
     phases: list[tuple[str, float]] = []  # each phase, and when it began
     spans: list[Span] = []
@@ -105,7 +105,9 @@ class Story:
     def take(self, event: m.Event) -> None:
         match event:
             case m.ProgressNote() if event.seq == 0:
-                self._add(Line(at_s=event.at_s, kind="report", words=event.note or event.step, measured=event.measured))
+                self._add(
+                    Line(at_s=event.at_s, kind="report", words=in_words(event) or event.step, measured=event.measured)
+                )
             case m.ProgressNote() if event.command:
                 self._note(self._row(event.command, event), event)
             case m.CommandEnded() if event.command:
@@ -190,16 +192,17 @@ class Story:
         if not row.phases or row.phases[-1][0] != note.phase:
             row.phases.append((note.phase, note.at_s))
             del row.phases[:-MAX_SPANS]
-        if note.note == STARTED:
+        if note.kind is m.NoteKind.STARTED:
             row.spans.append(Span(step=note.step, node=note.node, from_s=note.at_s, expected_s=row.expected_s))
             del row.spans[:-MAX_SPANS]
-        elif note.note.startswith(ENDED) and row.spans:
-            row.spans[-1].to_s, row.spans[-1].reason = note.at_s, note.note.removeprefix(ENDED)
+        elif note.kind is m.NoteKind.STEP_ENDED and row.spans:
+            row.spans[-1].to_s, row.spans[-1].reason = note.at_s, note.reason
+            row.spans[-1].message = note.message
         if note.trim:
-            row.marks.append(Mark(at_s=note.at_s, kind="trim", words=note.note))
+            row.marks.append(Mark(at_s=note.at_s, kind="trim", words=in_words(note)))
         if note.warning:
-            row.marks.append(Mark(at_s=note.at_s, kind="warning", words=note.note))
-        row.phase, row.step, row.note = note.phase, note.step, note.note
+            row.marks.append(Mark(at_s=note.at_s, kind="warning", words=in_words(note)))
+        row.phase, row.step = note.phase, note.step
         self._touch(row)
 
     def _named(self, row: Row) -> None:

@@ -18,6 +18,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from rtc.apps.observers.recording import HEADER
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
+from rtc.wording import notes as wording
 
 ARM_TOPIC = "/rtc/arms/"
 RECORD_BYTES = 64 << 20  # maximum length of one record
@@ -168,7 +169,8 @@ def in_words(run: RecordedRun) -> Iterator[str]:
 def _progress(note: m.ProgressNote, *, begins: bool) -> str:
     """`begins`: this is the first note of its phase. Otherwise phase and step are left out, and the line is empty if
     nothing else is new."""
-    words = note.note if note.note != note.step.partition(": ")[2] else ""  # analyzers repeat the step
+    repeats = note.kind is m.NoteKind.JUDGED and not (note.found or note.drift)  # the step, which is shown already
+    words = "" if repeats else wording.in_words(note)
     took = f", {_duration(note.took_s)}" if note.took_s else ""
     result = f"({note.node}{took}{': ' + words if words else ''})" if note.node else words
     parts = [f"{note.phase.value:<11}", note.step, result] if begins else [" " * 11, result]

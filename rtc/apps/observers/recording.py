@@ -45,6 +45,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.runtime.process import Every
+from rtc.wording.notes import in_words
 
 CHUNK_BYTES = 64 << 10  # of a chunk before compression
 FLUSH_S = 0.5  # longest time that a received message is only in memory
@@ -129,7 +130,7 @@ class Recording:
     def _take_note(self, at_s: float, note: m.ProgressNote) -> None:
         self.events += 1
         self._write_json("/rtc/progress", note, at_s, note.at_s)
-        words = ": ".join(filter(None, [note.phase.value, note.step, note.note]))
+        words = ": ".join(filter(None, [note.phase.value, note.step, in_words(note)]))
         self.log(self._own(at_s, note.at_s), words, name=note.command, level=Log.WARNING if note.warning else Log.INFO)
 
     def _take_end(self, at_s: float, ended: m.CommandEnded) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -25,17 +24,16 @@ from opentelemetry.trace import Link, SpanContext, SpanKind, Status, StatusCode,
 
 from rtc.apps.observers.feed import Received
 from rtc.protocol import messages as m
-from rtc.protocol.messages import Phase
+from rtc.protocol.messages import NoteKind, Phase
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.traceparent import TraceParent, traceparent_of
+from rtc.wording.notes import in_words
 
 LOG = logging.getLogger("rtc observe")
 SCOPE = InstrumentationScope("rtc")
 EXPORT_S = 5.0  # limit for one request to the collector
 DELAY_S = 1.0  # longest time that a span waits for others
 MAX_COMMANDS = 10_000  # commands in progress whose notes are kept, and ended ones whose trace context is kept
-HALT = re.compile(r"halt (.+)")  # first note of a HALT sentence: its scope
-HALTED = re.compile(r"halted \((.+)\)")  # note of a command that a halt of this scope has stopped
 PATH = "/v1/traces"  # of an OTLP collector
 
 
@@ -124,11 +122,11 @@ class Traces:
 
     def _take_note(self, note: m.ProgressNote) -> None:
         command = self._commands.setdefault(note.command, TracedCommand())
-        if not command.notes and note.phase is Phase.HALTING and (scope := HALT.fullmatch(note.note)):
-            command.halts = scope[1]
-            self._last_halt[scope[1]] = note.command
-        elif note.phase is Phase.HALTING and (scope := HALTED.fullmatch(note.note)):
-            self._link(note.command, self._last_halt.get(scope[1], ""))
+        if note.kind is NoteKind.HALT:
+            command.halts = note.about
+            self._last_halt[note.about] = note.command
+        elif note.kind is NoteKind.STOPPING and note.about:
+            self._link(note.command, self._last_halt.get(note.about, ""))
         command.notes.append(note)
         while len(self._commands) > MAX_COMMANDS:
             del self._commands[next(iter(self._commands))]
@@ -186,10 +184,11 @@ class Traces:
 
     def _events(self, notes: list[m.ProgressNote]) -> Iterator[Event]:
         for note in notes:
-            if note.phase is Phase.HALTING and note.note:
-                yield Event("halt", {"rtc.note": note.note}, self._ns(note.at_s))
+            words = {"rtc.note": in_words(note)}
+            if note.kind in (NoteKind.HALT, NoteKind.STOPPING):
+                yield Event("halt", words, self._ns(note.at_s))
             if note.warning:
-                yield Event("warning", {"rtc.note": note.note}, self._ns(note.at_s))
+                yield Event("warning", words, self._ns(note.at_s))
 
     def _export_step(self, root: SpanContext, step: str, parts: list[PhaseSpan]) -> None:
         """The phases of a step, below its span; phases without a step are below the command."""
@@ -223,11 +222,11 @@ def segments(notes: list[m.ProgressNote], end_s: float) -> Iterator[PhaseSpan]:
     words = ""
     for note in notes:
         if begin is not None and (note.phase, note.step) != (begin.phase, begin.step):
-            yield PhaseSpan(begin.phase, begin.step, begin.at_s, note.at_s, note.node, note.note or words)
+            yield PhaseSpan(begin.phase, begin.step, begin.at_s, note.at_s, note.node, in_words(note) or words)
             begin = None
         if begin is None and note.phase is not Phase.ENDED:
             begin, words = note, ""
         else:
-            words = note.note or words
+            words = in_words(note) or words
     if begin is not None:  # its last note is missing
         yield PhaseSpan(begin.phase, begin.step, begin.at_s, end_s, "", words)

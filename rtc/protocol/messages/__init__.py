@@ -1,8 +1,8 @@
 """All messages between processes: read this package first. Other packages import the messages from here.
 
-The modules in the order to read them, that of a command's path: `client`, `worker`, `payloads` (what jobs carry),
-`step`, `subsystem`, `world`, `saved`, `supervisor`, `simulator`, `recorded`. `shared` has what several of them use.
-A module ends with the unions of its messages, one per socket and direction.
+The modules in the order to read them, that of a command's path: `client`, `progress`, `worker`, `payloads` (what jobs
+carry), `step`, `subsystem`, `world`, `saved`, `supervisor`, `simulator`, `recorded`. `shared` has what several of them
+use. A module ends with the unions of its messages, one per socket and direction.
 
 Every message is a frozen struct. On the wire it is a MessagePack map whose key "type" holds the name of the class; only
 `rtc.protocol.wire` encodes. Unknown keys are ignored and missing keys take their defaults, so that different versions
@@ -16,6 +16,7 @@ at the tcp. Names are upper case.
 
 from rtc.protocol.messages.client import *
 from rtc.protocol.messages.payloads import *
+from rtc.protocol.messages.progress import *
 from rtc.protocol.messages.recorded import *
 from rtc.protocol.messages.saved import *
 from rtc.protocol.messages.shared import *

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import Annotated, Any, Literal
 
 import msgspec
 
+from rtc.protocol.messages.progress import Phase, ProgressNote
 from rtc.protocol.messages.saved import SavedWorld
 from rtc.protocol.messages.shared import PROGRAM_BYTES, Heartbeat, Hello, Message, Name, Shutdown, WorkerKind
-from rtc.protocol.outcomes import Compared, Measured, NotSucceeded, Outcome, OutcomeKind, Refusal
+from rtc.protocol.outcomes import NotSucceeded, Outcome, OutcomeKind, Refusal
 
 SHOWN = 60  # characters of a sentence in `repr`
 
@@ -113,45 +113,6 @@ class Declined(Message, frozen=True, kw_only=True):
 
     request: str
     refusal: Refusal
-
-
-class Phase(StrEnum):
-    """Phase of a command. ENDED is final; HALTING and CLOSING lead only to ENDED."""
-
-    PARSING = "parsing"
-    REHEARSING = "rehearsing"  # a TEST sentence is performed on paper
-    ELABORATING = "elaborating"
-    HELD = "held"  # waits for its resources
-    WAITING = "waiting"  # waits until another arm leaves the space that it needs
-    BINDING = "binding"
-    EXECUTING = "executing"
-    ANALYZING = "analyzing"
-    PAUSED = "paused"  # between two steps; in replies to queries also on the path of a motion
-    HALTING = "halting"  # halted; waits until rest is confirmed
-    CLOSING = "closing"  # a last analysis, whose advice is ignored; facts about what was touched become suspect
-    ENDED = "ended"
-
-
-class ProgressNote(Message, frozen=True, kw_only=True):
-    """One event in the journey of a command; also one line of a trace."""
-
-    seq: int  # number in the broker's event stream; 0: a report of EVERY or WHEN, outside that stream
-    at_s: float
-    command: str
-    phase: Phase  # the phase it is in now
-    step: str = ""  # "5 of 9: feel GP1"
-    node: str = ""  # process that did the work that just ended: "binder@2", "MCM"
-    took_s: float = 0  # duration of that work, from dispatch to answer; 0, which is left out, not 0.0, which is not
-    note: str = ""  # its result, in words
-    expected_s: float = 0  # planned duration of the current step; 0 = unknown
-    measured: Measured | None = None  # what REPORT requests
-    compared: Compared | None = None  # prediction and report of the step that was judged
-    trim: int = 0  # entry of the trimming stack that was pushed
-    warning: bool = False  # needs a person's attention although the command continues
-
-    def __repr__(self) -> str:
-        words = " ".join(filter(None, (self.command, self.phase.value, self.step, self.note and f"({self.note})")))
-        return f"<ProgressNote {words}>"
 
 
 class CommandEnded(Message, frozen=True, kw_only=True):

@@ -238,4 +238,5 @@ class Assessment(Message, frozen=True, kw_only=True):
     by_operator: str = ""  # after a failure: the sentence that asks the operator for the same (R81)
     remark: str = ""  # what the result of the command states after a success of its last step, or after a halt
     compared: Compared | None = None  # prediction and report; None: nothing was predicted
+    found: str = ""  # in words: what an expected report says beyond that
     drift: str = ""  # in words: what left its band although the step ended as expected

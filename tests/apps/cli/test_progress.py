@@ -60,7 +60,15 @@ def test_a_condition_that_was_met_is_a_line_and_old_reports_are_counted() -> Non
     out, text = plain()
     measured = Measured(arm="LEFT-ARM", joints=[0.0])
     note = m.ProgressNote(
-        seq=0, at_s=0.0, command="C-7", phase=m.Phase.EXECUTING, note="FORCE EXCEEDS 5 N: 6 N", measured=measured
+        seq=0,
+        at_s=0.0,
+        command="C-7",
+        phase=m.Phase.EXECUTING,
+        kind=m.NoteKind.CONDITION,
+        message="FORCE EXCEEDS 5 N",
+        value=6.0,
+        unit="N",
+        measured=measured,
     )
     with Board(["X"], out=out) as board:
         board.accepted(0, "C-7")
@@ -80,8 +88,10 @@ def test_a_warning_is_a_line_although_the_phase_passes() -> None:
     note = {"seq": 1, "at_s": 0.0, "command": "C-7", "phase": m.Phase.ELABORATING}
     with Board(["LIFT X"], out=out) as board:
         board.accepted(0, "C-7")
-        board.progress(m.ProgressNote(**note, note="the new program failed its first job", warning=True))
-    assert text.getvalue().splitlines()[1:] == ["C-7  warning: the new program failed its first job"]
+        board.progress(
+            m.ProgressNote(**note, kind=m.NoteKind.PROGRAM_FAILED, message="the new program failed", warning=True)
+        )
+    assert text.getvalue().splitlines()[1:] == ["C-7  warning: the new program failed"]
 
 
 def test_what_was_measured_stands_below_the_result() -> None:

@@ -6,14 +6,28 @@ from typing import Any
 
 import msgspec
 
-from rtc.apps.cli.feedback import in_words, stages
 from rtc.apps.cli.trace import address, as_json, chain, link, trace_lines, waits_for
 from rtc.protocol import messages as m
+from rtc.protocol.messages import NoteKind
 from rtc.protocol.outcomes import Compared, Figure, Outcome, OutcomeKind, StopReason
+from rtc.wording.feedback import in_words, stages
 
 
 def note(phase: m.Phase, **fields: Any) -> m.ProgressNote:
     return m.ProgressNote(seq=1, at_s=10.5, command="C-7", phase=phase, **fields)
+
+
+def ended(reason: StopReason) -> dict[str, Any]:
+    return {"kind": NoteKind.STEP_ENDED, "reason": reason}
+
+
+GOAL, FORCED = ended(StopReason.GOAL), ended(StopReason.FORCE_LIMIT)
+AS_EXPECTED: dict[str, Any] = {"kind": NoteKind.JUDGED, "reason": StopReason.GOAL}
+FAILED: dict[str, Any] = {
+    "kind": NoteKind.OUTCOME,
+    "outcome": OutcomeKind.FAILED,
+    "message": "a finger landed on the handle",
+}
 
 
 def failed_in_step_2() -> m.CommandRecord:
@@ -22,16 +36,22 @@ def failed_in_step_2() -> m.CommandRecord:
     notes = [
         note(m.Phase.PARSING),
         note(m.Phase.ELABORATING, node="parser@0", took_s=0.001),
-        note(m.Phase.ELABORATING, node="elaborator@1", took_s=0.002, note="grasp-centering of 2 candidates"),
+        note(
+            m.Phase.ELABORATING,
+            node="elaborator@1",
+            took_s=0.002,
+            kind=NoteKind.PLANNED,
+            message="grasp-centering of 2 candidates",
+        ),
         note(m.Phase.BINDING, node="elaborator@1", took_s=0.002, step=one),
         note(m.Phase.EXECUTING, node="binder@2", took_s=0.02, step=one),
-        note(m.Phase.EXECUTING, node="MCM", step=one, note="started"),
-        note(m.Phase.ANALYZING, node="MCM", took_s=2.5, step=one, note="ended: goal"),
-        note(m.Phase.ANALYZING, node="analyzer@3", took_s=0.001, step=one, note="goal: as expected"),
+        note(m.Phase.EXECUTING, node="MCM", step=one, kind=NoteKind.STARTED),
+        note(m.Phase.ANALYZING, node="MCM", took_s=2.5, step=one, **GOAL),
+        note(m.Phase.ANALYZING, node="analyzer@3", took_s=0.001, step=one, **AS_EXPECTED),
         note(m.Phase.BINDING, node="analyzer@3", took_s=0.001, step=two),
-        note(m.Phase.EXECUTING, node="binder@2", took_s=0.01, step=two, note="0.8 s predicted"),
-        note(m.Phase.ANALYZING, node="MCM", took_s=1.0, step=two, note="ended: force_limit"),
-        note(m.Phase.ENDED, node="analyzer@3", took_s=0.001, step=two, note="failed: a finger landed on the handle"),
+        note(m.Phase.EXECUTING, node="binder@2", took_s=0.01, step=two, kind=NoteKind.BOUND, message="0.8 s predicted"),
+        note(m.Phase.ANALYZING, node="MCM", took_s=1.0, step=two, **FORCED),
+        note(m.Phase.ENDED, node="analyzer@3", took_s=0.001, step=two, **FAILED),
     ]
     outcome = Outcome(kind=OutcomeKind.FAILED, message="a finger landed on the handle", stop=StopReason.FORCE_LIMIT)
     return m.CommandRecord(
@@ -61,7 +81,7 @@ def test_a_failure_has_every_link_of_its_last_step_and_one_line_for_the_others()
 
 
 def test_the_start_of_a_motion_has_no_duration() -> None:
-    assert link(note(m.Phase.EXECUTING, node="MCM", note="started")) == "started by MCM"
+    assert link(note(m.Phase.EXECUTING, node="MCM", kind=NoteKind.STARTED)) == "started by MCM"
 
 
 def test_a_held_command_says_for_whom_it_waits() -> None:
@@ -72,13 +92,13 @@ def test_a_held_command_says_for_whom_it_waits() -> None:
         request="r",
         accepted_at_s=10.0,
         phase=m.Phase.HELD,
-        notes=[note(m.Phase.HELD, note="RIGHT-ARM is in use by C-7")],
+        notes=[note(m.Phase.HELD, kind=NoteKind.IN_USE, about="RIGHT-ARM", owner="C-7")],
     )
     assert chain(record)[-1] == "held: RIGHT-ARM is in use by C-7"
 
 
-def held(words: str) -> m.CommandRecord:
-    notes = [note(m.Phase.HELD, note=words)]
+def held(kind: NoteKind, **facts: Any) -> m.CommandRecord:
+    notes = [note(m.Phase.HELD, kind=kind, **facts)]
     return m.CommandRecord(
         command="C-8", text="X", source="operator", request="r", accepted_at_s=10.0, phase=m.Phase.HELD, notes=notes
     )
@@ -96,7 +116,7 @@ def test_a_held_command_shows_its_present_owner_the_line_before_it_and_what_clea
             for name in ("C-1", "C-6", "C-7", "C-8")
         ],
     }
-    waits, clears = waits_for(status, held("RIGHT-ARM is in use by C-5"))
+    waits, clears = waits_for(status, held(NoteKind.IN_USE, about="RIGHT-ARM", owner="C-5"))
     assert all(word in waits for word in ("RIGHT-ARM", "C-6", "executing", "text of C-6", "C-7"))
     assert "C-5" not in waits
     assert "C-1" not in waits
@@ -104,14 +124,16 @@ def test_a_held_command_shows_its_present_owner_the_line_before_it_and_what_clea
 
 
 def test_a_command_that_waits_for_another_shows_that() -> None:
-    waits, clears = waits_for({"resources": [], "commands": []}, held("waits for C-5 to succeed"))
+    waits, clears = waits_for({"resources": [], "commands": []}, held(NoteKind.AFTER, owner="C-5"))
     assert waits == "waits for C-5 to succeed"
     assert clears.endswith("ABORT C-8")
 
 
 def test_a_closed_resource_has_no_owner_to_abort() -> None:
     resources = [{"name": "RIGHT-ARM", "owner": "quarantine: MCM", "waiting": ["C-8"]}]
-    (waits,) = waits_for({"resources": resources, "commands": []}, held("RIGHT-ARM is in use by MCM"))
+    (waits,) = waits_for(
+        {"resources": resources, "commands": []}, held(NoteKind.IN_USE, about="RIGHT-ARM", owner="MCM")
+    )
     assert "rtc status" in waits
 
 
@@ -129,9 +151,14 @@ def test_json_has_times_since_acceptance_and_addresses() -> None:
 def test_what_the_analyzer_found_in_a_report_is_in_the_line_of_its_step() -> None:
     step = "1 of 1: look for MACS-OLD with CAMERA-2"
     notes = [
-        note(m.Phase.ANALYZING, node="S&P", took_s=0.4, step=step, note="ended: found"),
+        note(m.Phase.ANALYZING, node="S&P", took_s=0.4, step=step, **ended(StopReason.FOUND)),
         note(
-            m.Phase.ENDED, node="analyzer@3", step=step, note="look for MACS-OLD with CAMERA-2; 20.0 mm off; tags 8, 9"
+            m.Phase.ANALYZING,
+            node="analyzer@3",
+            step=step,
+            kind=NoteKind.JUDGED,
+            message="look for MACS-OLD",
+            found="20.0 mm off; tags 8, 9",
         ),
     ]
     record = msgspec.structs.replace(
@@ -148,16 +175,16 @@ def judged(**fields: Any) -> m.ProgressNote:
 
 
 def test_the_stages_of_the_feedback_loop_are_named() -> None:
-    (monitor,) = stages(note(m.Phase.ANALYZING, node="MCM", note="ended: goal"))
+    (monitor,) = stages(note(m.Phase.ANALYZING, node="MCM", **GOAL))
     assert monitor == ("monitor", "ended: goal")
-    found = stages(judged(note="lift MACS-NEW: trim 2, regrasp MACS-NEW", trim=2))
+    found = stages(judged(kind=NoteKind.TRIM, message="lift MACS-NEW", trim=2, pieces=["regrasp MACS-NEW"]))
     assert [stage for stage, _ in found] == ["predictor", "evaluator", "trimmer"]
     assert found[1:] == [("evaluator", "lift MACS-NEW"), ("trimmer", "trim 2, regrasp MACS-NEW")]
     assert stages(note(m.Phase.EXECUTING, node="binder@2")) == []  # of the forward loop
 
 
 def test_each_stage_has_a_line_of_the_trace() -> None:
-    lines = trace_lines(judged(note="lift MACS-NEW"), 10.0)
+    lines = trace_lines(judged(kind=NoteKind.JUDGED, message="lift MACS-NEW"), 10.0)
     assert len(lines) == 2
     assert "predictor: duration 2.5 s (1.8 +- 0.2) DRIFTS, off goal 1 mm (0 +- 1.5)" in lines[0]
     assert lines[1].strip() == "evaluator: lift MACS-NEW"

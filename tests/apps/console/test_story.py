@@ -6,7 +6,7 @@ import msgspec
 
 from rtc.apps.console.story import MAX_CHANGES, MAX_ROWS, Story
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason
+from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 
 
 def story() -> Story:
@@ -27,8 +27,17 @@ def ended(seq: int, at_s: float, command: str = "C-1") -> m.CommandEnded:
 STEP = [
     note(1, 10.0, m.Phase.PARSING),
     note(2, 10.1, m.Phase.EXECUTING, "1 of 1: go", node="binder@2", expected_s=2.5),
-    note(3, 10.2, m.Phase.EXECUTING, "1 of 1: go", node="MCM", note="started"),
-    note(4, 12.6, m.Phase.ANALYZING, "1 of 1: go", node="MCM", note="ended: goal", took_s=2.4),
+    note(3, 10.2, m.Phase.EXECUTING, "1 of 1: go", node="MCM", kind=m.NoteKind.STARTED),
+    note(
+        4,
+        12.6,
+        m.Phase.ANALYZING,
+        "1 of 1: go",
+        node="MCM",
+        kind=m.NoteKind.STEP_ENDED,
+        reason=StopReason.GOAL,
+        took_s=2.4,
+    ),
 ]
 
 
@@ -66,8 +75,8 @@ def test_a_halt_in_a_step_ends_its_span():
 
 def test_trims_and_warnings_are_marks():
     made = story()
-    made.take(note(1, 1.0, m.Phase.ANALYZING, note="off: trim again", trim=1))
-    made.take(note(2, 2.0, m.Phase.EXECUTING, note="drifts", warning=True))
+    made.take(note(1, 1.0, m.Phase.ANALYZING, kind=m.NoteKind.TRIM, message="off", trim=1, pieces=["again"]))
+    made.take(note(2, 2.0, m.Phase.EXECUTING, kind=m.NoteKind.JUDGED, drift="drifts", warning=True))
     assert [(mark.kind, mark.at_s) for mark in made.rows["C-1"].marks] == [("trim", 1.0), ("warning", 2.0)]
 
 

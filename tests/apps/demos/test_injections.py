@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -14,6 +15,7 @@ from rtc.apps.demos.injections import CELL, HALFWAY, Scene
 from rtc.apps.demos.narrator import Narrator
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
+from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.world.model import World, initial_facts
 from tests.campaigns import injections
@@ -67,21 +69,24 @@ def test_a_binder_is_killed_once_in_a_step_and_not_again_once_its_loss_is_known(
     for step in ("1 of 3", "1 of 3", "2 of 3"):
         o7.notes(scene, line, m.ProgressNote(seq=1, at_s=0.0, command="C-1", phase=m.Phase.BINDING, step=step))
     assert len(killed) == 2
-    known.append(note("2 of 3", "binder@2 lost (exit status -9); job again"))
+    known.append(note("2 of 3", kind=m.NoteKind.WORKER_LOST, about="binder@2"))
     o7.notes(scene, line, m.ProgressNote(seq=1, at_s=0.0, command="C-1", phase=m.Phase.BINDING, step="3 of 3"))
     assert len(killed) == 2
 
 
-def note(step: str, words: str = "", trim: int = 0, warning: bool = False, node: str = "analyzer@3") -> m.ProgressNote:
-    return m.ProgressNote(
-        seq=1, at_s=0.0, command="C-1", phase=m.Phase.ANALYZING, step=step, note=words, trim=trim, warning=warning,
-        node=node,
-    )  # fmt: skip
+def note(step: str, node: str = "analyzer@3", **facts: Any) -> m.ProgressNote:
+    kind = m.NoteKind.TRIM if "trim" in facts else m.NoteKind.JUDGED
+    facts = {"kind": kind, **facts}
+    return m.ProgressNote(seq=1, at_s=0.0, command="C-1", phase=m.Phase.ANALYZING, step=step, node=node, **facts)
 
 
-FLAGGED = note("bring MACS-NEW to CLEAR-POINT-1", "weaker", trim=4, warning=True)
-AGAIN = [note("close again on MACS-NEW"), note("carry MACS-NEW with both arms", "ended: goal", node="MCM")]
-SLIPPED = note("carry MACS-NEW with both arms", "ended: slip", node="MCM")
+def step_ended(reason: StopReason) -> m.ProgressNote:
+    return note("carry MACS-NEW with both arms", node="MCM", kind=m.NoteKind.STEP_ENDED, reason=reason)
+
+
+FLAGGED = note("bring MACS-NEW to CLEAR-POINT-1", message="weaker", trim=4, warning=True)
+AGAIN = [note("close again on MACS-NEW"), step_ended(StopReason.GOAL)]
+SLIPPED = step_ended(StopReason.SLIP)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +96,7 @@ SLIPPED = note("carry MACS-NEW with both arms", "ended: slip", node="MCM")
         (AGAIN, False),  # nothing was flagged
         ([FLAGGED, *AGAIN, SLIPPED], False),
         ([FLAGGED, AGAIN[1]], False),  # it did not close again
-        ([note("bring MACS-NEW", "slip", trim=1), *AGAIN], False),  # a failure, not a drift
+        ([note("bring MACS-NEW", message="slip", trim=1), *AGAIN], False),  # a failure, not a drift
     ],
 )
 def test_a_weak_grip_must_be_flagged_before_it_is_lost(notes, passes):

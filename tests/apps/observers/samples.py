@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from rtc.apps.observers.feed import Received
 from rtc.protocol import messages as m
-from rtc.protocol.messages import Phase
-from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason
+from rtc.protocol.messages import NoteKind, Phase
+from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 
 T0 = 1000.0  # s, CLOCK_MONOTONIC
 STEP = "1 of 1: stow LEFT-ARM"
@@ -43,16 +43,27 @@ REFUSED = Outcome(
     message="GRAPS is not a verb",
     refusal=Refusal(reason=RefusalReason.SENTENCE, message="GRAPS is not a verb", nearest=["GRASP"]),
 )
+ENDED = {"kind": NoteKind.STEP_ENDED, "reason": StopReason.GOAL}
+DONE = {"kind": NoteKind.OUTCOME, "outcome": OutcomeKind.SUCCEEDED}
 STOWED = (
     note(1, 0.0, Phase.PARSING),
     note(2, 0.01, Phase.ELABORATING, node="parser@0", took_s=0.01),
     note(3, 0.03, Phase.BINDING, step=STEP, node="elaborator@1", took_s=0.02),
     note(4, 0.04, Phase.EXECUTING, step=STEP, node="binder@2", took_s=0.01),
-    note(5, 1.04, Phase.ANALYZING, step=STEP, node="MCM", took_s=1.0, note="ended: goal"),
-    note(6, 1.05, Phase.ENDED, step=STEP, node="analyzer@3", took_s=0.01, note="succeeded"),
+    note(5, 1.04, Phase.ANALYZING, step=STEP, node="MCM", took_s=1.0, **ENDED),
+    note(
+        6,
+        1.05,
+        Phase.ENDED,
+        step=STEP,
+        node="analyzer@3",
+        took_s=0.01,
+        kind=NoteKind.OUTCOME,
+        outcome=OutcomeKind.SUCCEEDED,
+    ),
     ended(7, 1.05, SUCCEEDED),
     note(8, 1.2, Phase.PARSING, "C-2"),
-    note(9, 1.21, Phase.ENDED, "C-2", note="refused", node="parser@0", took_s=0.01),
+    note(9, 1.21, Phase.ENDED, "C-2", kind=NoteKind.OUTCOME, outcome=OutcomeKind.REFUSED, node="parser@0", took_s=0.01),
     ended(10, 1.21, REFUSED, "C-2", "GRAPS", took_s=0.01),
 )
 

@@ -10,7 +10,7 @@ from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanE
 from rtc.apps.observers.feed import Received
 from rtc.apps.observers.traces import ReportingExporter, Traces
 from rtc.protocol import messages as m
-from rtc.protocol.messages import Phase
+from rtc.protocol.messages import NoteKind, Phase
 from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
 from rtc.protocol.traceparent import traceparent_of, with_traceparent
 from tests.apps.observers.samples import STEP, STOWED, SUCCEEDED, ended, note, received
@@ -65,11 +65,11 @@ def test_two_commands_are_two_traces_and_a_refusal_is_an_error():
 def test_a_halt_is_an_event_and_a_link_in_both_directions():
     messages = [
         *STOWED[:4],
-        note(5, 0.5, Phase.HALTING, "C-2", note="halt LEFT-ARM"),
-        note(6, 0.5, Phase.HALTING, step=STEP, note="halted (LEFT-ARM)"),
-        note(7, 0.6, Phase.ENDED, "C-2", note="succeeded", node="MCM"),
+        note(5, 0.5, Phase.HALTING, "C-2", kind=NoteKind.HALT, about="LEFT-ARM"),
+        note(6, 0.5, Phase.HALTING, step=STEP, kind=NoteKind.STOPPING, about="LEFT-ARM"),
+        note(7, 0.6, Phase.ENDED, "C-2", kind=NoteKind.OUTCOME, node="MCM"),
         ended(8, 0.6, SUCCEEDED, "C-2", "HALT LEFT-ARM", took_s=0.1),
-        note(9, 0.61, Phase.ENDED, note="halted"),
+        note(9, 0.61, Phase.ENDED, kind=NoteKind.OUTCOME),
         ended(10, 0.61, HALTED),
     ]
     found = roots(spans_of(messages))
@@ -82,8 +82,8 @@ def test_a_halt_is_an_event_and_a_link_in_both_directions():
 def test_a_halt_of_another_scope_is_not_linked():
     messages = [
         *STOWED[:4],
-        note(5, 0.5, Phase.HALTING, "C-2", note="halt RIGHT-ARM"),
-        note(6, 0.5, Phase.HALTING, step=STEP, note="halted (LEFT-ARM)"),
+        note(5, 0.5, Phase.HALTING, "C-2", kind=NoteKind.HALT, about="RIGHT-ARM"),
+        note(6, 0.5, Phase.HALTING, step=STEP, kind=NoteKind.STOPPING, about="LEFT-ARM"),
         ended(7, 0.6, HALTED),
     ]
     command = roots(spans_of(messages))["C-1"]
@@ -113,9 +113,9 @@ def test_a_link_to_a_command_of_a_caller_names_the_trace_of_the_caller():
     traces = Traces("run1", exporter=exporter)
     for message in (
         *STOWED[:4],
-        note(5, 0.5, Phase.HALTING, "C-2", note="halt LEFT-ARM"),
+        note(5, 0.5, Phase.HALTING, "C-2", kind=NoteKind.HALT, about="LEFT-ARM"),
         record,
-        note(6, 0.5, Phase.HALTING, step=STEP, note="halted (LEFT-ARM)"),
+        note(6, 0.5, Phase.HALTING, step=STEP, kind=NoteKind.STOPPING, about="LEFT-ARM"),
         ended(7, 0.6, HALTED),
     ):
         traces.take(received(message) if message is not record else Received(1000.5, record))

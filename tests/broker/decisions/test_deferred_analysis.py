@@ -11,6 +11,7 @@ from broker.decisions.events import (
 from broker.decisions.resources import WORLD
 from broker.decisions.state import State
 from rtc.protocol import wire
+from rtc.protocol.messages import NoteKind
 from rtc.protocol.outcomes import RefusalReason
 from tests.broker.harness import Harness, go_on, script
 
@@ -56,9 +57,9 @@ def test_after_a_minute_the_command_fails_and_what_it_touched_is_closed_until_th
     assert s.outcome("C-1").refusal.message.endswith("stay quarantined until the world database is updated")
     assert s.state.resources.quarantine == dict.fromkeys(("RIGHT-ARM", "MODULE"), (WORLD, "C-1"))
     s.parsed()
-    assert s.state.commands["C-2"].notes[-1].note == (
-        "RIGHT-ARM is in use by the world database, which does not have the changes of C-1 yet"
-    )
+    waits = s.state.commands["C-2"].notes[-1]
+    assert (waits.kind, waits.about) == (NoteKind.IN_USE, "RIGHT-ARM")
+    assert waits.owner == "the world database, which does not have the changes of C-1 yet"
     s.halts("RIGHT-ARM")
     s.rests("h1")  # rest is not a fact for the world
     assert set(s.state.resources.quarantine) == {"RIGHT-ARM", "MODULE"}

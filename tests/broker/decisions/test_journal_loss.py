@@ -9,7 +9,7 @@ from broker.decisions import events as received
 from broker.decisions.effects import PublishNote, ReportEnd, SendPrimitive, TellClient
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
-from rtc.protocol.messages import Accepted, Declined
+from rtc.protocol.messages import Accepted, Declined, NoteKind
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.runtime.handover import Handover
 from rtc.runtime.settings import Settings
@@ -141,7 +141,7 @@ def test_listeners_of_the_events_are_informed():
     loses(s)
     s.handle(received.ListenersChanged, listening=True)
     (note,) = [e.note for e in s.log if isinstance(e, PublishNote) and not e.note.command]
-    assert note.note == "the journal was lost"
+    assert (note.kind, note.message) == (NoteKind.JOURNAL_LOST, "the journal was lost")
 
 
 # --- noticing it ------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from broker.decisions.events import (
 )
 from broker.decisions.program_rollout import taken
 from broker.decisions.state import RolloutPhase
-from rtc.protocol.messages import WorkerKind
+from rtc.protocol.messages import NoteKind, WorkerKind
 from rtc.protocol.outcomes import RefusalReason
 from tests.broker.harness import Harness, bound, record, script
 
@@ -23,10 +23,9 @@ def test_a_new_program_whose_first_job_fails_is_rolled_back():
     assert s.loses_worker("C-1") == ["note C-1 parsing", "job C-1/1 parser #2"]
     assert s.state.commands["C-1"].job.program == "old"
     assert s.state.programs["parser"] == "old"
-    stated, warning = s.state.commands["C-1"].notes[-1].note, s.state.commands["C-1"].notes[-1].warning
-    assert warning
-    assert stated.startswith("the new parser program new failed its first job (")
-    assert s.state.rollouts["parser"].why == f"{stated}. The job was of C-1"
+    stated = s.state.commands["C-1"].notes[-1]
+    assert (stated.kind, stated.about, stated.warning) == (NoteKind.PROGRAM_FAILED, "parser", True)
+    assert s.state.rollouts["parser"].why == f"{stated.message}. The job was of C-1"
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="newer")
     assert not s.state.rollouts["parser"].why
 

@@ -11,6 +11,7 @@ from rtc.apps.cli.measured import in_words
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured, StopReason
 from rtc.protocol.sentence import Condition, Report
+from rtc.wording import notes
 from tests.broker.harness import Harness, bound, go_on, record, report
 
 READING = Measured(arm="RIGHT-ARM", tcp_pose=[0, 0, 0, 0, 0, 0, 1], others={"TEMPERATURE": {"motor_c": [41.5]}})
@@ -49,7 +50,8 @@ def test_a_condition_that_is_true_has_its_figure_without_an_exponent():
     s = Harness()
     s.executing(report=Report(when=[Condition(event="CONTACT")]))
     met = m.ProgressReport(primitive="C-1.1", at_s=1.0, reading=READING, condition=0, measured=1240.4)
-    assert reporting.note_of(s.state.commands["C-1"], met, 1.0).note.split()[-1] == "1240"
+    note = reporting.note_of(s.state.commands["C-1"], met, 1.0)
+    assert notes.in_words(note) == "CONTACT: 1240"
 
 
 def test_without_report_nothing_is_added():

@@ -8,9 +8,10 @@ import pytest
 from broker.decisions.effects import DispatchJob
 from broker.decisions.state import SPACES_KEPT
 from rtc.protocol import wire
-from rtc.protocol.messages import BinderInput, BoundStep, WorkerKind
+from rtc.protocol.messages import BinderInput, BoundStep, NoteKind, WorkerKind
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.protocol.primitive import ControlLaw, Partner
+from rtc.wording.notes import in_words
 from tests.broker.harness import PATH, F, Harness, bound, give_up, go_on, script
 from tests.simulation.invariants import violations
 
@@ -113,9 +114,9 @@ def test_a_command_waits_for_the_space_of_an_arm_and_names_its_owner():
     right_moves(s)
     s.is_blocked(left_binds(s), "RIGHT-ARM")
     assert s.phase("C-2") == "waiting"
-    assert s.state.commands["C-2"].notes[-1].note == (
-        "waits for space of RIGHT-ARM, which C-1 moves: RIGHT-ARM is in the way"
-    )
+    waits = s.state.commands["C-2"].notes[-1]
+    assert (waits.kind, waits.arm, waits.owner) == (NoteKind.SPACE, "RIGHT-ARM", "C-1")
+    assert in_words(waits) == "waits for space of RIGHT-ARM, which C-1 moves: RIGHT-ARM is in the way"
     s.reports("C-1")
     assert "job C-2/4 binder #1" in s.answers("C-1", go_on())
     assert violations(s.state) == []

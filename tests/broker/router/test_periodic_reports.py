@@ -11,6 +11,7 @@ from broker.router.recent_reports import COMMANDS, REPORTS, RecentReports
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured
 from rtc.protocol.sentence import Condition, Quantity
+from rtc.wording.notes import in_words
 from tests.broker.router.bench import Bench, forwarded
 
 
@@ -60,7 +61,7 @@ def test_a_condition_goes_to_the_client_in_the_words_of_its_sentence(reporting: 
     reports = [msgspec.structs.replace(progress(), condition=n, **met) for n in (1, 0, 2)]
     reporting.send("subsystems", b"MCM", *reports)
 
-    assert [note.note for note in forwarded(reporting)] == ["FORCE EXCEEDS 5 N: 6 N", "CONTACT: 6"]
+    assert [in_words(note) for note in forwarded(reporting)] == ["FORCE EXCEEDS 5 N: 6 N", "CONTACT: 6"]
 
 
 def test_the_latest_reports_are_in_the_trace_and_older_ones_counted(reporting: Bench) -> None:

@@ -3,7 +3,7 @@ import { element, emit, nowS, on, state } from './store.js';
 
 const WINDOW_S = 45, AHEAD_S = 8;
 const SYMBOL = { succeeded: '✓', failed: '✕', refused: '⊘', halted: '■', halt_not_confirmed: '■', aborted: '■', lost_subsystem: '✕' };
-const GOOD_ENDS = new Set(['goal', 'contact', 'found', 'operator_done', '']);
+const GOOD_ENDS = new Set(['goal', 'contact', 'found', 'operator_done', null]);
 const holder = document.getElementById('tracks');
 let lanes = [], bars = new Map();
 
@@ -98,7 +98,7 @@ function drawBar(key, lane, row, now) {
       if (end < begin) continue;
       const step = element('i', {
         class: `step ${span.to_s == null ? 'running' : isOff(row, span) ? 'off' : ''} ${!cameras && ofCamera(span) ? 'seen' : ''}`,
-        title: `${span.step}${span.reason ? `: ${span.reason}` : ''}` });
+        title: [span.step, span.reason, span.message].filter(Boolean).join(': ') });
       step.style.left = part(span.from_s);
       step.style.width = `${(100 * (end - Math.max(begin, span.from_s))) / wide}%`;
       strip.append(step);

@@ -7,6 +7,7 @@ import pytest
 from broker.decisions.events import (
     PrimitivePaced,
 )
+from rtc.protocol.messages import NoteKind
 from rtc.protocol.outcomes import OutcomeKind, RefusalReason, StopReason
 from tests.broker.harness import Harness, go_on, record, script
 
@@ -89,7 +90,8 @@ def test_a_motion_pauses_on_its_path_and_goes_on_even_in_the_last_step():
     assert s.outcome("C-2").kind is OutcomeKind.SUCCEEDED
     assert "step 1 of 1" in s.outcome("C-2").message
     s.handle(PrimitivePaced, subsystem="MCM", primitive="C-1.1", paused=True, done=0.4)
-    assert s.state.commands["C-1"].notes[-1].note == "stands on its path, 40% done"
+    stands = s.state.commands["C-1"].notes[-1]
+    assert (stands.kind, stands.value) == (NoteKind.STANDS, 0.4)
     s.says("RESUME C-1")
     answers = s.answers("C-3", record(kind="control", verb="RESUME", object="C-1"))
     assert answers[2:] == ["timer C-1", "go on C-1.1 at MCM"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from rtc.protocol.messages import NoteKind
 from rtc.protocol.outcomes import Compared, Figure, OutcomeKind, StopReason
 from tests.broker.harness import Harness, bound, give_up, go_on, mend, script, trim
 
@@ -107,7 +108,7 @@ def test_a_drift_is_a_warning_with_its_figures_and_the_command_goes_on():
     s.answers("C-1", msgspec.structs.replace(go_on(), compared=found, drift="took 2.50 s"))
     note = next(one for one in s.state.commands["C-1"].notes if one.compared)
     assert (note.compared, note.warning) == (found, True)
-    assert "took 2.50 s" in note.note
+    assert (note.kind, note.drift) == (NoteKind.JUDGED, "took 2.50 s")
     assert s.state.commands["C-1"].steps_done == 1
 
 

@@ -8,24 +8,24 @@ from __future__ import annotations
 
 import math
 
-from rtc.protocol.messages import ProgressNote
+from rtc.protocol.messages import NoteKind, ProgressNote
 from rtc.protocol.outcomes import Compared, Figure
+from rtc.wording import notes
 
 MONITOR, PREDICTOR, EVALUATOR, TRIMMER = "monitor", "predictor", "evaluator", "trimmer"
-TRIM = ": trim "  # before the words of a trim in a note
 
 
 def stages(note: ProgressNote) -> list[tuple[str, str]]:
     """The stages whose work the note tells of, with their results in words; empty for a note of the forward loop."""
     kind, at, _ = note.node.partition("@")
     if kind and not at:
-        return [(MONITOR, note.note)]
+        return [(MONITOR, notes.in_words(note))]
     if kind != "analyzer":
         return []
     found = [(PREDICTOR, in_words(note.compared))] if note.compared is not None else []
-    words, _, trim = note.note.partition(TRIM) if note.trim else (note.note, "", "")
-    found.append((EVALUATOR, words))
-    return [*found, (TRIMMER, f"trim {trim}")] if note.trim else found
+    if note.kind is NoteKind.TRIM:
+        return [*found, (EVALUATOR, notes.judged(note)), (TRIMMER, notes.trim(note))]
+    return [*found, (EVALUATOR, notes.in_words(note))]
 
 
 def in_words(compared: Compared) -> str:
