@@ -15,6 +15,7 @@ from broker.decisions.state import State
 from broker.persistence.journal import Journal
 from broker.persistence.program_store import ProgramStore
 from broker.persistence.replay import replay
+from broker.router.core import Core
 from broker.router.loop import ORPHAN_LIMIT_S, Router
 from rtc.programs import sandbox
 from rtc.protocol.messages import CommandRecord, WorkerKind
@@ -69,7 +70,8 @@ def _serve(
     lost = lost_batches(journal, state, given, now, secrets.token_hex(2))
     store = ProgramStore(journal, state.programs)
     journal.written = lambda batch: given.save_counters("broker", state.life.encode(), batch, state.accepted)
-    router = Router(me, settings, journal, state, store, given, start_check=sandbox.CheckProcess, guard=MemoryGuard())
+    core = Core(me, settings, journal, state, store, given, start_check=sandbox.CheckProcess)
+    router = Router(core, MemoryGuard())
     if given.fd >= 0:  # started by a supervisor
         me.end_with_parent(ORPHAN_LIMIT_S * settings.timeout_scale + LAST_S)
     restarted = bool(state.programs)

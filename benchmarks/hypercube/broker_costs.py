@@ -33,6 +33,7 @@ from broker.dispatch.autoscaler import Autoscaler
 from broker.dispatch.worker_registry import WorkerRegistry
 from broker.persistence.journal import Journal
 from broker.persistence.program_store import ProgramStore
+from broker.router.core import Core
 from broker.router.loop import SNAPSHOT_EVENTS, Router
 from rtc.protocol import messages as m
 from rtc.protocol import wire
@@ -81,15 +82,11 @@ class BrokerBench:
         self.journal = Journal.open(run_dir / "journal.db", settings.run, state)
         store = ProgramStore(self.journal, state.programs)
         began_s, handed = time.monotonic(), Handover(settings, secrets.token_bytes(KEY_BYTES))
-        self.router = Router(  # its clock is slow, so that commands in progress do not reach their limit
-            self.me,
-            settings,
-            self.journal,
-            state,
-            store,
-            handed,
-            lambda: began_s + CLOCK * (time.monotonic() - began_s),
-        )
+
+        def clock() -> float:  # it is slow, so that commands in progress do not reach their limit
+            return began_s + CLOCK * (time.monotonic() - began_s)
+
+        self.router = Router(Core(self.me, settings, self.journal, state, store, handed, clock))
         self.router._checks = Every(NEVER_S, time.monotonic() + NEVER_S)  # the health checks are timed apart
         for installed in _first_programs(settings, store, time.monotonic()):
             self.router.enqueue(installed)

@@ -5,6 +5,7 @@ Must not know any message. The parts around it receive (ingress), send (egress),
 
 from __future__ import annotations
 
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -42,7 +43,7 @@ class Core:
         state: State,
         store: ProgramStore,
         given: Handover,
-        clock: Callable[[], float],
+        clock: Callable[[], float] = time.monotonic,
         start_check: Callable[[sandbox.CheckRequest], Check] = InProcessCheck,
     ) -> None:
         self.me, self.settings, self.journal, self.state = me, settings, journal, state

@@ -7,17 +7,12 @@ journalled in one transaction before any of its effects is performed (ARCHITECTU
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from typing import Any
 
 from broker.decisions import effects as do
 from broker.decisions.decide import decide_batch
 from broker.decisions.events import Event, JobDeclined, ProgramInstalled, SubsystemGone, TimerFired
-from broker.decisions.state import State
-from broker.persistence.journal import Journal
-from broker.persistence.program_loads import Check, InProcessCheck
-from broker.persistence.program_store import ProgramStore
 from broker.router import part_loads
 from broker.router.arms_in_motion import ArmsInMotion
 from broker.router.core import Core
@@ -26,13 +21,10 @@ from broker.router.halts import Halts
 from broker.router.health import Health
 from broker.router.ingress import Ingress
 from broker.router.shutdown import Shutdown
-from rtc.programs.sandbox import CheckRequest
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.runtime.handover import Handover
 from rtc.runtime.memory_guard import MemoryGuard
-from rtc.runtime.process import Every, Process
-from rtc.runtime.settings import Settings
+from rtc.runtime.process import Every
 
 ORPHAN_LIMIT_S = 1.2  # time limit for the outcomes of all commands after the supervisor's death, at full speed
 STALL_S = 1.0  # a gap between two iterations that shows that this process or the machine was suspended
@@ -42,20 +34,8 @@ SNAPSHOT_EVENTS = 30_000  # a restarted broker replays so many events in well un
 
 
 class Router:
-    def __init__(
-        self,
-        me: Process,
-        settings: Settings,
-        journal: Journal,
-        state: State,
-        store: ProgramStore,
-        given: Handover,
-        clock: Callable[[], float] = time.monotonic,
-        *,
-        start_check: Callable[[CheckRequest], Check] = InProcessCheck,
-        guard: MemoryGuard | None = None,
-    ) -> None:
-        self.core = Core(me, settings, journal, state, store, given, clock, start_check)
+    def __init__(self, core: Core, guard: MemoryGuard | None = None) -> None:
+        self.core = core
         self.egress = Egress(self.core)
         self.halts = Halts(self.core)
         self._arms_in_motion = ArmsInMotion(self.core)

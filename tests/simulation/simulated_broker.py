@@ -14,6 +14,7 @@ from broker.decisions.events import BrokerRestarted, Event, ProgramInstalled
 from broker.persistence.journal import Journal
 from broker.persistence.program_store import ProgramStore
 from broker.persistence.replay import replay
+from broker.router.core import Core
 from broker.router.loop import Router
 from rtc.protocol import messages as m
 from rtc.runtime.settings import Settings
@@ -45,7 +46,9 @@ class Broker:
         state, _ = replay(journal)
         self.state = state
         me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
-        self.router = Router(me, SETTINGS, journal, state, ProgramStore(journal), cluster.handed, cluster.clock)  # type: ignore[arg-type]
+        self.router = Router(
+            Core(me, SETTINGS, journal, state, ProgramStore(journal), cluster.handed, cluster.clock)  # type: ignore[arg-type]
+        )
         now_s = cluster.clock.now_s
         if state.programs:
             self.router.enqueue(BrokerRestarted(at_s=now_s))

@@ -15,6 +15,7 @@ from broker.decisions.state import State
 from broker.persistence import journal as journals
 from broker.persistence.journal import Journal
 from broker.persistence.program_store import ProgramStore
+from broker.router.core import Core
 from broker.router.loop import Router
 from rtc.programs import loader
 from rtc.protocol import messages as m
@@ -76,15 +77,9 @@ class Bench:
         me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
         state = State()
         store = ProgramStore(journal, state.programs)
-        self.router = Router(
-            me,  # type: ignore[arg-type]
-            SETTINGS,
-            journal,
-            state,
-            store,
-            given or Handover(SETTINGS, b"k" * 32),
-            lambda: self.now,
-        )
+        given = given or Handover(SETTINGS, b"k" * 32)
+        core = Core(me, SETTINGS, journal, state, store, given, lambda: self.now)  # type: ignore[arg-type]
+        self.router = Router(core)
         for kind in m.WorkerKind:
             digest = store.keep(loader.default(kind))
             self.router.enqueue(ProgramInstalled(at_s=self.now, kind=kind, digest=digest))
