@@ -127,7 +127,7 @@ def _read(socket: ClientConnection, over: threading.Event, ages_s: list[float]) 
 
 def measure(client: Client, for_s: float, gateway: Gateway | None) -> Iterator[tuple[str, float]]:
     """Processor time per second of broker, MCM and gateway while the arms move."""
-    pids = {row["name"]: int(row["pid"]) for row in client.status()["processes"] if row["name"] in PROCESSES}
+    pids = {row.name: int(row.pid) for row in client.status().processes if row.name in PROCESSES}
     if gateway is not None:
         pids["gateway"] = gateway.process.pid
     before, began_s = {name: processor_s(pid) for name, pid in pids.items()}, time.monotonic()
@@ -151,7 +151,7 @@ def moving(client: Client, number: int) -> CommandHandle:
     while True:
         handle = client.submit(MOVES[number % len(MOVES)])
         while handle.ended is None:
-            if any(motion["started_ago_s"] for motion in client.status()["motions"]):
+            if any(motion.started_ago_s for motion in client.status().motions):
                 return handle
         number += 1
 

@@ -230,7 +230,7 @@ def compliant(rtc: Client) -> Iterator[Holds]:
 
 
 def _executes(rtc: Client, command: CommandHandle) -> bool:
-    return any(name.startswith(f"{command}.") for row in rtc.status()["subsystems"] for name in row["executing"])
+    return any(name.startswith(f"{command}.") for row in rtc.status().subsystems for name in row.executing)
 
 
 @contextmanager
@@ -255,7 +255,7 @@ def _is_stopped(pid: int) -> bool:
 
 def _who_has(rtc: Client, command: CommandHandle, names: Iterable[str]) -> str:
     """The worker among these that has a job of this command; empty if there is none."""
-    busy = {worker["name"]: str(worker["busy_with"]) for worker in rtc.status()["workers"]}
+    busy = {worker.name: str(worker.busy_with) for worker in rtc.status().workers}
     return next((name for name in names if busy.get(name, "").startswith(f"{command}/")), "")
 
 

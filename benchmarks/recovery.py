@@ -97,7 +97,7 @@ class Bench:
                 pid = self.hosts.workers[holder]
                 strike = Strike(name=holder, pid=pid, at_s=self.hosts.kill(holder))
                 self.chaos.strikes.append(strike)
-                while holder in {row["name"] for row in asking.status()["workers"]}:
+                while holder in {row.name for row in asking.status().workers}:
                     time.sleep(LOOK_S)
                 time.sleep(LOOK_S)  # the broker has journalled the loss
                 took_s = list(self._begun_by_another(strike))
@@ -114,7 +114,7 @@ class Bench:
         assert self.hosts is not None
         names = {self.hosts.fork_worker(self._run_dir, node) for node in nodes}
         limit_s = time.monotonic() + LIMIT_S
-        while not names <= {row["name"] for row in rtc.status()["workers"]}:
+        while not names <= {row.name for row in rtc.status().workers}:
             if time.monotonic() > limit_s:
                 raise SystemExit(f"{', '.join(names)} did not register within {LIMIT_S} s")
             self.journal.read()
@@ -132,9 +132,9 @@ class Bench:
                     yield holder
 
     def _holder(self, rtc: Client, note: m.ProgressNote) -> str | None:
-        for worker in rtc.status()["workers"]:
-            if worker["kind"] == PHASES[note.phase] and worker["busy_with"].partition("/")[0] == note.command:
-                return str(worker["name"])
+        for worker in rtc.status().workers:
+            if worker.kind == PHASES[note.phase] and worker.busy_with.partition("/")[0] == note.command:
+                return str(worker.name)
         return None
 
     def _begun_by_another(self, strike: Strike) -> Iterator[float]:

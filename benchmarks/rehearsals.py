@@ -58,7 +58,7 @@ def the_list(run_dir: Path) -> dict[str, float | None]:
     wall_s, processor_s = [], []
     with Client(run_dir) as rtc:
         rtc.run(f"TEST {MOTIONS[0]}")
-        pid = next(int(row["pid"]) for row in rtc.status()["processes"] if row["name"] == "rehearser@0")
+        pid = next(int(row.pid) for row in rtc.status().processes if row.name == "rehearser@0")
         version = rtc.world.view().version
         for _ in range(REPEATED):
             began_s, before_s = time.monotonic(), _processor_s(pid)

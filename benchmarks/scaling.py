@@ -32,7 +32,7 @@ from benchmarks.load.cluster import cluster
 from benchmarks.load.trivial import PERFORMERS, performer, sentence
 from benchmarks.report import RESULTS, finish, percentile, question
 from benchmarks.throughput import PLANNERS, motion
-from rtc.protocol.messages import WorkerKind
+from rtc.protocol.messages import WorkerKind, WorkerRow
 from rtc.protocol.outcomes import OutcomeKind
 
 WARM_UP_S = 1.0
@@ -119,7 +119,7 @@ def measure(case: Case, for_s: float) -> Measurement:
         after = running.cpu_s()
         latencies_ms = [1e3 * latency_s for latency_s in client.latencies_s]
         client.drain()
-        service_ms = _service_ms(client.status()["workers"])
+        service_ms = _service_ms(client.status().workers)
         halts_ms = _halts_ms(halter)
         if set(client.outcomes) != {OutcomeKind.SUCCEEDED}:
             raise SystemExit(f"{case.label}: not every command succeeded: {dict(client.outcomes)}")
@@ -140,17 +140,17 @@ def measure(case: Case, for_s: float) -> Measurement:
 
 def _wait_for_workers(client: LoadClient, how_many: int) -> None:
     limit_s = time.monotonic() + JOIN_LIMIT_S
-    while len(client.status()["workers"]) < how_many:
+    while len(client.status().workers) < how_many:
         if time.monotonic() > limit_s:
             raise SystemExit(f"not all of {how_many} workers have registered within {JOIN_LIMIT_S:g} s")
         time.sleep(0.05)
 
 
-def _service_ms(workers: Iterable[dict[str, Any]]) -> float:
+def _service_ms(workers: Iterable[WorkerRow]) -> float:
     """Sum over the kinds of the mean service time (ms)."""
     by_kind: dict[str, list[float]] = {}
     for worker in workers:
-        by_kind.setdefault(worker["kind"], []).append(worker["mean_ms"] or 0.0)
+        by_kind.setdefault(worker.kind, []).append(worker.mean_ms or 0.0)
     return sum(mean(times) for times in by_kind.values())
 
 

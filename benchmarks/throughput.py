@@ -131,7 +131,7 @@ def flood(
         after = running.cpu_s()
         latencies = client.latencies_s.copy()
         client.drain()
-        turn_ms = client.status()["decision_ms"]
+        turn_ms = client.status().decision_ms
         if set(client.outcomes) != {OutcomeKind.SUCCEEDED}:
             raise SystemExit(f"not every command succeeded: {dict(client.outcomes)}")
         return Run(

@@ -21,7 +21,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -85,9 +84,9 @@ def at(truths: list[Truth], at_s: float) -> Array:
     return geometry.interpolate_all(before, after, np.array([(at_s - before_s) / (after_s - before_s)]))[0]
 
 
-def processor_s(status: dict[str, Any]) -> float:
+def processor_s(status: m.Status) -> float:
     """Processor time of S&P and of its drawing process, so far."""
-    (station,) = [row["pid"] for row in status["processes"] if row["name"] == "S&P"]
+    (station,) = [row.pid for row in status.processes if row.name == "S&P"]
     used = 0.0
     for entry in Path("/proc").iterdir():
         try:

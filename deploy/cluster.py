@@ -18,7 +18,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -33,7 +33,7 @@ from deploy.directory import Directory, claim_path
 from deploy.more_workers import MoreCommand
 from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Hooks, Supervisor
 from rtc.client.halt import HaltLine
-from rtc.protocol.messages import REHEARSER
+from rtc.protocol.messages import REHEARSER, ProcessRow
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.protocol.subsystems import ARMS, CAMERAS, Subsystem
 from rtc.runtime import handover, process, process_table
@@ -151,9 +151,8 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
         logs = run_dir / LOGS
         empty = process_table.Table(pid=os.getpid(), cluster=settings.run, started_at=time.time())
 
-        def save(rows: Sequence[Mapping[str, object]]) -> None:
-            processes = msgspec.convert(rows, list[process_table.ProcessRow])
-            msgspec.structs.replace(empty, processes=processes).save(run_dir)
+        def save(rows: list[ProcessRow]) -> None:
+            msgspec.structs.replace(empty, processes=rows).save(run_dir)
 
         try:
             _clean(run_dir)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import signal
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -71,7 +71,7 @@ class Hooks:
     new_worker: Callable[[int], Spec | None]  # for this node
     new_rehearser: Callable[[int], Spec | None] = lambda number: None  # of this number
     show: Callable[[str], None] = lambda line: None  # a line for people
-    save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None  # the process table, after each change
+    save: Callable[[list[m.ProcessRow]], None] = lambda table: None  # the process table, after each change
     # The run directory, every second: the files written again, and a reason to end the cluster or "".
     look: Callable[[float], tuple[list[str], str]] = lambda now: ([], "")
     halt: Callable[[], list[str]] = list  # stops the arms, and returns those that were in motion
@@ -392,15 +392,15 @@ class Supervisor:
 
     def table(self) -> list[m.ProcessRow]:
         return [
-            {
-                "name": child.spec.name,
-                "pid": child.pid,
-                "state": child.state.value,
-                "restarts": child.restarts,
-                "since_s": child.since_s,
-                "node": child.spec.node,
-                "notes": [*child.notes, *_last_words(child)],
-            }
+            m.ProcessRow(
+                name=child.spec.name,
+                pid=child.pid,
+                state=child.state.value,
+                restarts=child.restarts,
+                since_s=child.since_s,
+                node=child.spec.node,
+                notes=[*child.notes, *_last_words(child)],
+            )
             for child in self._children.values()
         ]
 

@@ -66,7 +66,7 @@ class LoadClient:
         while self._sent_at_s:
             self._receive()
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> m.Status:
         """The broker's status; only while no sentence is in progress."""
         assert not self._sent_at_s
         self._socket.send_multipart(wire.frames(m.StatusQuery(request="status")))

@@ -8,10 +8,9 @@ While a worker of a kind starts, no further one is ordered: on a slow machine mo
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from broker.dispatch.worker_registry import QUEUES, Worker, WorkerRegistry
-from rtc.protocol.messages import REHEARSER, RetireWorker, SpawnWorker, WorkerKind
+from rtc.protocol.messages import REHEARSER, ProcessRow, RetireWorker, SpawnWorker, WorkerKind
 
 WAIT_S = 0.25  # waiting time of a job that shows a shortage of workers
 COMING_S = 5.0  # time limit for the start of a worker; then it is ordered again
@@ -19,7 +18,7 @@ IDLE_S = 20.0  # time without a job after which a worker may retire
 REHEARSERS = 2  # maximum; the first starts with the first TEST sentence, and none is kept for later ones
 COMING = ("pending", "starting", "restarting")  # states of a process that is about to be ready
 
-Processes = Sequence[dict[str, Any]]
+Processes = Sequence[ProcessRow]
 
 
 class Autoscaler:
@@ -48,7 +47,7 @@ class Autoscaler:
     def _surplus(self, queue: str, workers: Sequence[Worker], processes: Processes, now: float) -> Worker | None:
         """A local worker that may retire. Workers on other machines do not count: they may leave at any time, and the
         supervisor does not own them."""
-        names = {row["name"] for row in processes}
+        names = {row.name for row in processes}
         own = [worker for worker in workers if worker.name in names]
         least = 0 if queue == REHEARSER else self._least
         return _idle(own, now) if len(own) > least else None
@@ -69,8 +68,8 @@ def _spawn(queue: str) -> SpawnWorker:
 def _coming(queue: str, workers: Sequence[Worker], processes: Processes) -> bool:
     """True if a process of this kind is starting and has not registered."""
     known = {worker.name for worker in workers}
-    rows = (row for row in processes if row["name"].startswith(f"{queue}@") and row["name"] not in known)
-    return any(row["state"] in COMING for row in rows)
+    rows = (row for row in processes if row.name.startswith(f"{queue}@") and row.name not in known)
+    return any(row.state in COMING for row in rows)
 
 
 def _idle(workers: Sequence[Worker], now: float) -> Worker | None:

@@ -8,10 +8,9 @@ passed. The supervisor's table states what was asked, so that a restarted broker
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from typing import Any
 
 from broker.dispatch.worker_registry import Worker, WorkerRegistry
-from rtc.protocol.messages import RequestWorkers, WorkerKind, WorkerRequest
+from rtc.protocol.messages import ProcessRow, RequestWorkers, WorkerKind, WorkerRequest
 
 WAITED_S = 1.0  # waiting time of a job that shows that this machine alone is too slow
 PAUSE_S = 5.0  # least time between two requests for a kind, so that those that have joined take jobs first
@@ -33,7 +32,7 @@ class MoreWorkers:
     def orders(
         self,
         registry: WorkerRegistry,
-        processes: Sequence[dict[str, Any]],
+        processes: Sequence[ProcessRow],
         asked: Collection[WorkerRequest],
         now: float,
     ) -> Iterator[RequestWorkers]:
@@ -42,7 +41,7 @@ class MoreWorkers:
             return
         if any(now - at_s < ORDER_S for at_s in self._ordered_s.values()):
             return
-        local = {row["name"] for row in processes}
+        local = {row.name for row in processes}
         latest = {one.kind: one for one in asked}
         for kind in WorkerKind:
             workers = [worker for worker in registry.workers.values() if worker.queue == kind and not worker.retiring]

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 import msgspec
 import zmq
@@ -23,7 +22,7 @@ from broker.persistence.program_store import ProgramStore
 from broker.router.recent_reports import RecentReports
 from broker.router.refused_peers import RefusedPeers
 from rtc.programs import sandbox
-from rtc.protocol.messages import PeerRow, WorkerRequest
+from rtc.protocol.messages import PeerRow, ProcessRow, WorkerRequest
 from rtc.runtime.handover import Handover
 from rtc.runtime.process import Process
 from rtc.runtime.settings import BOUNDS, NO_HANDOVER, Settings
@@ -59,7 +58,7 @@ class Core:
         self.reported_drops: dict[str, int] = {}  # the same at sockets of other processes, as they report it
         self.supervisor_peer = peer_of(given.identity("supervisor"))
         self.supervised = False  # the supervisor has sent a message
-        self.processes: list[dict[str, Any]] = []  # the supervisor's latest process table
+        self.processes: list[ProcessRow] = []  # the supervisor's latest process table
         self.processes_at_s = self.began_s  # time of that table
         self.asked: Sequence[WorkerRequest] = ()  # requests for more workers, from the same table
         self.peers: Sequence[PeerRow] = ()  # the gateway's latest report

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from broker.decisions.events import ClientGone, JobDeclined, SubsystemGone
 from broker.decisions.state import LinkState
 from broker.dispatch.autoscaler import Autoscaler
@@ -60,13 +62,13 @@ class Health:
     def _check_unregistered(self, now: float) -> None:
         """Worker processes that are ready and have not registered with this broker."""
         core = self._core
-        for process in core.processes:
-            ready_since_s = max(core.began_s, process.get("since_s", now))
-            if core.refused_peers.is_refused("workers", peer_of(process["name"])):
+        for n, process in enumerate(core.processes):
+            if core.refused_peers.is_refused("workers", peer_of(process.name)):
                 continue  # another process of this version would be refused too
-            if process.get("state") == "ready" and core.registry.never_registered(process["name"], ready_since_s, now):
-                process["state"] = "hung"
-                self._kill(process["name"], process["pid"], "hung: it has not sent anything to this broker")
+            ready_since_s = max(core.began_s, process.since_s)
+            if process.state == "ready" and core.registry.never_registered(process.name, ready_since_s, now):
+                core.processes[n] = msgspec.structs.replace(process, state="hung")
+                self._kill(process.name, process.pid, "hung: it has not sent anything to this broker")
 
     def _scale(self, now: float) -> None:
         if self._core.supervised:
@@ -104,7 +106,7 @@ class Health:
         if self._core.refused_peers.is_refused("subsystems", self._core.subsystem_peer(name)):
             return
         for row in self._core.processes:
-            if row["name"] == name and row["pid"] == pid and row.get("state") == "ready":
+            if (row.name, row.pid, row.state) == (name, pid, "ready"):
                 self.subsystem_seen_s[name] = now  # so that it is ordered once per period
                 self._kill(name, pid, f"lost to the broker for {silent_s:.1f} s, although it runs")
 

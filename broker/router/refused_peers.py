@@ -36,16 +36,16 @@ class RefusedPeers:
     def is_refused(self, socket: str, peer: bytes) -> bool:
         return (socket, peer) in self._refused
 
-    def rows(self, now: float) -> list[dict[str, Any]]:
+    def rows(self, now: float) -> list[m.RefusedPeerRow]:
         """For `rtc status`, the latest first."""
         return [
-            {
-                "name": _name(one.hello),
-                "socket": socket,
-                "protocol": one.hello.protocol,
-                "message": one.refusal.message,
-                "ago_s": now - one.at_s,
-            }
+            m.RefusedPeerRow(
+                name=_name(one.hello),
+                socket=socket,
+                protocol=one.hello.protocol,
+                message=one.refusal.message,
+                ago_s=now - one.at_s,
+            )
             for (socket, _), one in [*reversed(self._refused.items())][:SHOWN]
         ]
 

@@ -57,7 +57,7 @@ class SupervisorMessages:
         self._shutdown.begin(now)
 
     def _replace_table(self, message: m.ProcessTable, now: float) -> None:
-        self._core.processes = [dict(row) for row in message.processes]
+        self._core.processes = message.processes
         self._core.processes_at_s = now
         self._core.asked = message.asked
 

@@ -207,7 +207,7 @@ class Client:
         os.eventfd_write(self._waker, 1)
         return await future
 
-    async def status(self) -> dict[str, Any]:
+    async def status(self) -> m.Status:
         """Processes, workers, queues, resources, commands (see docs/protocol.md)."""
         return await self.call(lambda client: client.status())
 

@@ -330,7 +330,7 @@ class Client:
 
     # --- looking --------------------------------------------------------------------------------------
 
-    def status(self, within_s: float = ANSWER_S) -> dict[str, Any]:
+    def status(self, within_s: float = ANSWER_S) -> m.Status:
         """Processes, workers, queues, resources, commands, subsystems, counters (see docs/protocol.md). Raises TimedOut
         if the broker has not answered within this time."""
         return self._query(m.StatusQuery(request=self._next_request()), m.StatusReply, within_s).status

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import msgspec
 
+from rtc.protocol.messages import ProcessRow
 from rtc.runtime.process import now_s
-from rtc.runtime.process_table import ProcessRow, processes
+from rtc.runtime.process_table import processes
 from rtc.runtime.settings import Settings
 
 #: value of `rtc chaos --kill` -> whether it means a process; called with its row and the names of subsystems of arms

@@ -12,22 +12,11 @@ from pathlib import Path
 
 import msgspec
 
+from rtc.protocol.messages import ProcessRow
 from rtc.protocol.outcomes import NoCluster
 from rtc.runtime.settings import shell_command
 
 FILE = "supervisor.json"  # in the run directory
-
-
-class ProcessRow(msgspec.Struct, frozen=True):
-    """One process, as the supervisor knows it."""
-
-    name: str
-    pid: int  # 0 = it does not run
-    state: str
-    restarts: int
-    since_s: float  # CLOCK_MONOTONIC: start of this state
-    node: int | None = None  # cube address of a worker
-    notes: list[str] = []  # warnings for the operator
 
 
 class Table(msgspec.Struct, frozen=True, kw_only=True):

@@ -27,7 +27,7 @@ def test_many_commands_at_once_all_succeed_and_are_on_record():
         assert client.outcomes == {OutcomeKind.SUCCEEDED: 600}
         assert samples[-1][0] == 600
         assert all(megabytes > 1 for _, megabytes, _ in samples)
-        assert status["commands_live"] == 0
+        assert status.commands_live == 0
         with Client(running.run_dir) as rtc:
             record = rtc.trace("C-300")
         assert [note.phase.value for note in record.notes][::6] == ["parsing", "ended"]

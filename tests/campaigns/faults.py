@@ -198,7 +198,7 @@ class _Faults:
         for row in processes(self.rtc.run_dir).values():
             if row.restarts:
                 self.narrator.line(f"{row.name}: {row.restarts} restart{'s' * (row.restarts > 1)}, {row.state}")
-        live = self.asking.status()["commands_live"]
+        live = self.asking.status().commands_live
         self.narrator.check(f"{live} commands have no end", live == 0)
 
     # --- inside ----------------------------------------------------------------------------------------
@@ -212,9 +212,9 @@ class _Faults:
 
         def on_note(note: m.ProgressNote) -> None:
             if note.phase is m.Phase.BINDING and not struck:
-                for worker in self.asking.status()["workers"]:
-                    if worker["kind"] == "binder" and worker["busy_with"].partition("/")[0] == note.command:
-                        strike = self.chaos.strike("worker", worker["name"])
+                for worker in self.asking.status().workers:
+                    if worker.kind == "binder" and worker.busy_with.partition("/")[0] == note.command:
+                        strike = self.chaos.strike("worker", worker.name)
                         struck.extend([strike] if strike else [])
 
         end = self.rtc.run(text, on_note, COMMAND_S)

@@ -257,7 +257,7 @@ def main() -> int:
             all_noticed.append(noticed)
             rows.append((name, _in_words(noticed)))
             print(f"  {name:<14} {rows[-1][1]}", flush=True)
-        counters = others.rtc.status()["counters"]
+        counters = others.rtc.status().counters
         others.close()
     dropped = {name: n for name, n in counters.items() if name.startswith("dropped_")}
     print(f"  dropped: {dropped}")

@@ -81,7 +81,7 @@ class Campaign:
 
     def stale(self) -> int:
         """Late results that gateway and broker have refused."""
-        counters = self._rtc.status()["counters"]
+        counters = self._rtc.status().counters
         return sum(n for name, n in counters.items() if name.endswith(("_stale", "dropped_results")))
 
     @contextlib.contextmanager
@@ -117,10 +117,10 @@ class Campaign:
             self.halts_s[link].append(result.latency_s)
 
     def _workers(self) -> set[str]:
-        return {row["name"] for row in self._rtc.status()["workers"]}
+        return {row.name for row in self._rtc.status().workers}
 
     def _is_far_worker_busy(self) -> bool:
-        return any(row["busy_with"] and row["name"] in self._far for row in self._rtc.status()["workers"])
+        return any(row.busy_with and row.name in self._far for row in self._rtc.status().workers)
 
     def _wait_until(self, condition: Callable[[], bool]) -> None:
         end_s = time.monotonic() + GIVE_UP_S

@@ -80,9 +80,9 @@ def binder_killer() -> Callable[[Scene], None]:
         nonlocal struck_at
         if scene.step == struck_at or lost(scene):
             return
-        for worker in scene.rtc.status()["workers"]:
-            if worker["kind"] == "binder" and worker["busy_with"].partition("/")[0] == scene.command:
-                hit = Chaos(scene.run_dir, random.Random(7)).strike("worker", worker["name"])
+        for worker in scene.rtc.status().workers:
+            if worker.kind == "binder" and worker.busy_with.partition("/")[0] == scene.command:
+                hit = Chaos(scene.run_dir, random.Random(7)).strike("worker", worker.name)
                 scene.struck += [hit.name] if hit else []
                 struck_at = scene.step
 

@@ -110,7 +110,7 @@ def test_many_commands_are_awaited_at_once_and_each_has_its_end(broker: SmallBro
     async def use(rtc: aio.Client) -> None:
         ends = await rtc.run_many([f"STOW {n}" for n in range(1, 20)])
         assert [end.command for end in ends] == [f"C-{n}" for n in range(1, 20)]
-        assert (await rtc.status())["cluster"] == "test"
+        assert (await rtc.status()).cluster == "test"
 
     run(use, run_dir)
 

@@ -137,7 +137,7 @@ def obliging(message: m.ClientToBroker) -> list[object]:
             note = m.ProgressNote(seq=1, at_s=0.0, command=command, phase=m.Phase.PARSING)
             return [m.Accepted(request=request, command=command), note, ended(request, command, text)]
         case m.StatusQuery(request=request):
-            return [m.StatusReply(request=request, status={"cluster": "test"})]
+            return [m.StatusReply(request=request, status=m.Status(cluster="test"))]
         case m.TraceQuery(request=request, command=command):
             refusal = Refusal(reason=RefusalReason.NAME, message=f"no command {command}")
             return [m.Declined(request=request, refusal=refusal)]
@@ -232,7 +232,7 @@ def test_sentences_and_answers_travel_together_where_the_broker_reads_arrays(run
     with Client(run_dir) as rtc:
         texts = [f"STOW {n}" for n in range(1, 4)]
         outcomes = rtc.run_many(texts, on_progress=lambda note: notes.append(note.command), timeout_s=5)
-        assert rtc.status() == {"cluster": "test"}
+        assert rtc.status().cluster == "test"
     broker.stop()
     assert broker.parcels == [1, 3, 1]
     assert [outcome.text for outcome in outcomes] == texts
@@ -309,7 +309,7 @@ def test_a_question_too_many_is_asked_again(run_dir: Path) -> None:
     broker = SmallBroker(run_dir, busy)
     try:
         with Client(run_dir) as rtc:
-            assert rtc.status() == {"cluster": "test"}
+            assert rtc.status().cluster == "test"
     finally:
         broker.stop()
 
@@ -331,7 +331,7 @@ def test_a_new_broker_receives_the_same_requests_again(run_dir: Path) -> None:
         first.stop()
         second = SmallBroker(run_dir, obliging)
         outcome = command.wait(timeout_s=5)
-        assert rtc.status() == {"cluster": "test"}
+        assert rtc.status().cluster == "test"
 
     assert outcome.outcome.kind == OutcomeKind.SUCCEEDED
     assert {sentence.request for sentence in second.sentences()} == {first.sentences()[0].request}

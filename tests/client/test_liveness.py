@@ -74,7 +74,7 @@ def test_a_broker_that_is_being_restarted_is_waited_for_from_the_start(
         fcntl.flock(lock, fcntl.LOCK_EX)
         with Client(run_dir, on_silence=lambda _: started.append(SmallBroker(run_dir, obliging))) as rtc:
             assert len(started) == 1
-            assert rtc.status() == {"cluster": "test"}
+            assert rtc.status().cluster == "test"
     started[0].stop()
 
 

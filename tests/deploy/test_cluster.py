@@ -213,7 +213,7 @@ def test_a_new_cluster_in_the_directory_does_nothing_of_what_was_sent_to_the_old
 
     with Client(run_dir) as anew:
         status = anew.status()
-        assert (status["commands_accepted"], status["commands"]) == (0, [])
+        assert (status.commands_accepted, status.commands) == (0, [])
         # And: when its supervisor is stopped by a signal, then it still ends in order
         moving = anew.submit("MOVE RIGHT-ARM TO RACK-1-FRONT MAINTAIN SPEED 5 CM/S")
         os.kill(report(run_dir)["pid"], signal.SIGSTOP)

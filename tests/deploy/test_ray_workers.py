@@ -111,14 +111,14 @@ def test_workers_in_actors_end_in_order_and_wait_for_a_free_cpu(
     with Client(run_dir) as rtc:
         fleet = Fleet(ray, key, WorkerKind.PARSER, COUNT + 1, LOST_AFTER_S)
         step_until(fleet, lambda: sum("@" in member.address for member in fleet.members) == COUNT)
-        pids = {row["pid"] for row in rtc.status()["workers"] if row["name"] in ("parser@16", "parser@20")}
+        pids = {row.pid for row in rtc.status().workers if row.name in ("parser@16", "parser@20")}
         assert len(pids) == COUNT
         assert "asked for 3 of kind parser; joined: parser@16, parser@20; 1 wait" in capsys.readouterr().out
 
         fleet.stop()
 
         assert set(re.findall(r"parser@\d+", capsys.readouterr().out)) == {"parser@16", "parser@20"}
-        wait_for(lambda: not any(row["pid"] in pids for row in rtc.status()["workers"]))
+        wait_for(lambda: not any(row.pid in pids for row in rtc.status().workers))
         wait_for(lambda: not any(map(runs, pids)))
 
 
@@ -160,7 +160,7 @@ def test_workers_in_actors_bind_and_their_loss_harms_no_command(run_dir: Path, k
 
 def binders(rtc: Client) -> dict[str, int]:
     """Address -> pid of the remote binders; the cluster may start some of its own."""
-    rows = {row["name"]: row["pid"] for row in rtc.status()["workers"] if row["name"].startswith("binder@")}
+    rows = {row.name: row.pid for row in rtc.status().workers if row.name.startswith("binder@")}
     return {name: pid for name, pid in rows.items() if is_remote(name)}
 
 

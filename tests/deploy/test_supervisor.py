@@ -98,7 +98,7 @@ class Cluster:
         end_s = now_s() + 30
         while True:
             assert now_s() < end_s, self.lines
-            table = {row["name"]: row for row in self.recv(ProcessTable).processes}
+            table = {row.name: row for row in self.recv(ProcessTable).processes}
             if wanted(table):
                 return table
 
@@ -139,19 +139,19 @@ def test_all_are_started_and_the_broker_is_informed(cluster):
     it = cluster(spec("world", GOOD), spec("binder@2", GOOD, 2)).go()
     it.recv(ProcessHello)
     table = it.recv_table(lambda t: True)
-    assert {name: row["state"] for name, row in table.items()} == {"world": "ready", "binder@2": "ready"}
-    assert all(alive(row["pid"]) for row in table.values())
+    assert {name: row.state for name, row in table.items()} == {"world": "ready", "binder@2": "ready"}
+    assert all(alive(row.pid) for row in table.values())
     assert it.saved[-1] == list(table.values())
 
 
 def test_a_killed_process_is_reported_at_once_and_comes_back(cluster):
     it = cluster(spec("world", GOOD), spec("binder@2", GOOD, 2)).go()
-    before = it.recv_table(lambda t: True)["binder@2"]["pid"]
+    before = it.recv_table(lambda t: True)["binder@2"].pid
     os.kill(before, signal.SIGKILL)
     exited = it.recv(ProcessExited)
     assert exited == ProcessExited(name="binder@2", pid=before, status=-9)
-    row = it.recv_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]
-    assert (row["pid"] != before, row["restarts"]) == (True, 1)
+    row = it.recv_table(lambda t: t["binder@2"].state == "ready")["binder@2"]
+    assert (row.pid != before, row.restarts) == (True, 1)
 
 
 FORKS = "import os,signal; os.fork() and print('calls phase ODD\\nready', flush=True); signal.pause()"
@@ -159,7 +159,7 @@ FORKS = "import os,signal; os.fork() and print('calls phase ODD\\nready', flush=
 
 def test_what_a_process_has_forked_ends_with_it_and_its_last_call_is_reported(cluster):
     it = cluster(spec("binder@2", FORKS, 2)).go()
-    pid = it.recv_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["pid"]
+    pid = it.recv_table(lambda t: t["binder@2"].state == "ready")["binder@2"].pid
     (child,) = map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
     pidfd = os.pidfd_open(child)
     os.kill(pid, signal.SIGKILL)
@@ -171,18 +171,18 @@ def test_what_a_process_has_forked_ends_with_it_and_its_last_call_is_reported(cl
 def test_a_process_in_a_crash_loop_is_held_back_reported_as_such_and_goes_on_trying(cluster):
     it = cluster(spec("binder@2", GOOD, 2), policy=Policy(short_s=60.0, spared=1, first_delay_s=0.01)).go()
     for _ in range(2):
-        pid = it.recv_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["pid"]
+        pid = it.recv_table(lambda t: t["binder@2"].state == "ready")["binder@2"].pid
         os.kill(pid, signal.SIGKILL)
         assert it.recv(ProcessExited).pid == pid
-    assert it.recv_table(lambda t: t["binder@2"]["state"] == "crash loop")["binder@2"]["pid"] == 0
-    assert it.recv_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["restarts"] == 2
+    assert it.recv_table(lambda t: t["binder@2"].state == "crash loop")["binder@2"].pid == 0
+    assert it.recv_table(lambda t: t["binder@2"].state == "ready")["binder@2"].restarts == 2
 
 
 def test_what_cannot_start_fails_the_whole_with_the_end_of_its_log(cluster):
     it = cluster(spec("world", GOOD), spec("MCM", BAD))
     with pytest.raises(ClusterError, match=r"(?s)MCM ended with status 1.*no such cell: moon base"):
         it.supervisor.start()
-    pids = [row["pid"] for row in it.supervisor.table() if row["pid"]]
+    pids = [row.pid for row in it.supervisor.table() if row.pid]
     it.supervisor.stop()
     assert not any(alive(pid) for pid in pids)
 
@@ -197,9 +197,9 @@ def test_who_hangs_before_it_is_ready_is_named(cluster, quick):
 def test_the_cluster_waits_for_one_that_works_to_get_ready_and_says_so(cluster, quick):
     it = cluster(spec("world", GOOD), spec("MCM", SLOW)).go()
     assert "waiting for MCM" in it.lines
-    pid = it.recv_table(lambda t: True)["MCM"]["pid"]
+    pid = it.recv_table(lambda t: True)["MCM"].pid
     os.kill(pid, signal.SIGKILL)
-    it.recv_table(lambda t: (t["MCM"]["state"], t["MCM"]["restarts"]) == ("ready", 1))
+    it.recv_table(lambda t: (t["MCM"].state, t["MCM"].restarts) == ("ready", 1))
     assert not any("is killed" in line for line in it.lines)
 
 
@@ -218,11 +218,11 @@ def test_while_a_template_hangs_no_two_workers_start_by_themselves_at_once(clust
     it = cluster(replace(template(), command=hangs), *map(forked, names)).go()
     table = it.recv_table(lambda t: True)
     for row in table.values():
-        os.kill(row["pid"], signal.SIGKILL)
-    it.recv_table(lambda t: all(t[name]["state"] == "ready" and t[name]["restarts"] == 1 for name in names))
+        os.kill(row.pid, signal.SIGKILL)
+    it.recv_table(lambda t: all(t[name].state == "ready" and t[name].restarts == 1 for name in names))
     assert any("template" in line and "hung" in line for line in it.lines)
-    starting = [sum(row["state"] == "starting" and "@" in row["name"] for row in table) for table in it.saved]
-    last = next(n for n, table in enumerate(it.saved) if any(row["restarts"] for row in table))
+    starting = [sum(row.state == "starting" and "@" in row.name for row in table) for table in it.saved]
+    last = next(n for n, table in enumerate(it.saved) if any(row.restarts for row in table))
     assert max(starting[last:]) == 1
 
 
@@ -244,16 +244,16 @@ except FileExistsError:
 
 def test_one_that_will_not_end_is_killed(cluster):
     it = cluster(spec("world", STUBBORN)).go()
-    pid = it.recv_table(lambda t: True)["world"]["pid"]
+    pid = it.recv_table(lambda t: True)["world"].pid
     it.process.stop()
     it.thread.join(10)
     assert not alive(pid)
-    assert it.saved[-1][0]["state"] == "ended"
+    assert it.saved[-1][0].state == "ended"
 
 
 def test_what_a_process_prints_goes_to_its_log(cluster, tmp_path):
     it = cluster(spec("MCM", CHATTY)).go()
-    it.recv_table(lambda t: t["MCM"]["state"] == "ready")
+    it.recv_table(lambda t: t["MCM"].state == "ready")
     it.process.stop()
     it.thread.join(10)
     assert (tmp_path / "MCM.log").read_text() == "build time: today\nmore\n"
@@ -261,11 +261,11 @@ def test_what_a_process_prints_goes_to_its_log(cluster, tmp_path):
 
 def test_the_broker_has_a_hung_process_killed_but_never_its_successor(cluster):
     it = cluster(spec("binder@2", STUBBORN, 2)).go()
-    pid = it.recv_table(lambda t: True)["binder@2"]["pid"]
+    pid = it.recv_table(lambda t: True)["binder@2"].pid
     it.send(KillProcess(name="binder@2", pid=pid + 100_000, why="an old story"))
     it.send(KillProcess(name="binder@2", pid=pid, why="no answer for 30 s"))
     assert it.recv(ProcessExited).status == -9
-    assert it.recv_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["restarts"] == 1
+    assert it.recv_table(lambda t: t["binder@2"].state == "ready")["binder@2"].restarts == 1
     assert [line for line in it.lines if "story" in line] == []
 
 
@@ -274,10 +274,10 @@ def test_one_that_should_say_that_it_is_alive_and_does_not_is_killed_and_replace
     monkeypatch.setattr("deploy.supervisor.SILENT_S", 0.3)
     hanging = "import signal\nprint('ready\\nalive', flush=True)\nsignal.pause()"
     it = cluster(Spec("world", (sys.executable, "-S", "-E", "-c", hanging), beats=True), spec("mute", GOOD)).go()
-    pid = it.recv_table(lambda t: True)["world"]["pid"]
+    pid = it.recv_table(lambda t: True)["world"].pid
     assert it.recv(ProcessExited) == ProcessExited(name="world", pid=pid, status=-9)
-    back = it.recv_table(lambda t: t["world"]["state"] == "ready")
-    assert (back["world"]["restarts"], back["mute"]["restarts"]) == (1, 0)
+    back = it.recv_table(lambda t: t["world"].state == "ready")
+    assert (back["world"].restarts, back["mute"].restarts) == (1, 0)
     assert any("world" in line and "hung, silent" in line for line in it.lines)
 
 
@@ -285,19 +285,19 @@ def test_one_that_is_stopped_is_killed_and_replaced(cluster, monkeypatch):
     monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
     monkeypatch.setattr("deploy.supervisor.STOPPED_S", 0.2)
     it = cluster(spec("binder@2", GOOD, 2), spec("binder@6", GOOD, 6)).go()
-    pid = it.recv_table(lambda t: True)["binder@2"]["pid"]
+    pid = it.recv_table(lambda t: True)["binder@2"].pid
     os.kill(pid, signal.SIGSTOP)
     assert it.recv(ProcessExited) == ProcessExited(name="binder@2", pid=pid, status=-9)
-    back = it.recv_table(lambda t: t["binder@2"]["state"] == "ready")
-    assert (back["binder@2"]["restarts"], back["binder@6"]["restarts"]) == (1, 0)
+    back = it.recv_table(lambda t: t["binder@2"].state == "ready")
+    assert (back["binder@2"].restarts, back["binder@6"].restarts) == (1, 0)
 
 
 def test_workers_are_added_at_the_next_free_address_and_retired(cluster):
     it = cluster(spec("world", GOOD), spec("binder@2", GOOD, 2)).go()
     it.send(SpawnWorker(kind=WorkerKind.BINDER))
-    row = it.recv_table(lambda t: "new@6" in t and t["new@6"]["state"] == "ready")["new@6"]
+    row = it.recv_table(lambda t: "new@6" in t and t["new@6"].state == "ready")["new@6"]
     it.send(RetireWorker(name="new@6"))
-    assert it.recv(ProcessExited) == ProcessExited(name="new@6", pid=row["pid"], status=-15)
+    assert it.recv(ProcessExited) == ProcessExited(name="new@6", pid=row.pid, status=-15)
     it.recv_table(lambda t: "new@6" not in t)
     it.send(RetireWorker(name="world"))  # not a worker: stays
     it.send(SpawnWorker(kind=WorkerKind.PARSER))
@@ -314,7 +314,7 @@ def test_rubbish_from_the_socket_is_dropped(cluster):
 
 def test_the_broker_can_end_the_cluster(cluster):
     it = cluster(spec("world", GOOD)).go()
-    pid = it.recv_table(lambda t: True)["world"]["pid"]
+    pid = it.recv_table(lambda t: True)["world"].pid
     it.send(Shutdown())
     it.thread.join(10)
     assert not alive(pid)
@@ -324,9 +324,9 @@ def test_a_killed_process_leaves_no_zombie_and_no_open_file(cluster):
     it = cluster(spec("binder@2", GOOD, 2)).go()
     fds = len(os.listdir("/proc/self/fd"))
     for _ in range(5):
-        os.kill(it.recv_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["pid"], signal.SIGKILL)
+        os.kill(it.recv_table(lambda t: t["binder@2"].state == "ready")["binder@2"].pid, signal.SIGKILL)
         it.recv(ProcessExited)
-    it.recv_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 5)
+    it.recv_table(lambda t: t["binder@2"].state == "ready" and t["binder@2"].restarts == 5)
     assert len(os.listdir("/proc/self/fd")) <= fds  # fewer: something older was collected meanwhile
 
 
@@ -362,12 +362,12 @@ def command_line(pid):
 def test_workers_are_forked_from_the_template_and_are_the_supervisors_own_children(cluster, tmp_path):
     it = cluster(forked("binder@2"), forked("parser@0"), template()).go()
     table = it.recv_table(lambda t: True)
-    assert {row["state"] for row in table.values()} == {"ready"}
-    assert b"rtc.runtime.fork_server" in command_line(table["binder@2"]["pid"])
+    assert {row.state for row in table.values()} == {"ready"}
+    assert b"rtc.runtime.fork_server" in command_line(table["binder@2"].pid)
     assert (tmp_path / "binder@2.log").read_text() == f"binder@2 of {os.getpid()}\n"
-    os.kill(table["binder@2"]["pid"], signal.SIGKILL)
+    os.kill(table["binder@2"].pid, signal.SIGKILL)
     assert it.recv(ProcessExited).status == -9
-    it.recv_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
+    it.recv_table(lambda t: t["binder@2"].state == "ready" and t["binder@2"].restarts == 1)
 
 
 def test_a_bug_in_a_forked_worker_is_in_its_log_and_its_status(cluster, tmp_path):
@@ -380,11 +380,11 @@ def test_a_bug_in_a_forked_worker_is_in_its_log_and_its_status(cluster, tmp_path
 def test_a_template_that_does_not_answer_is_replaced_and_then_forks_the_worker(cluster):
     it = cluster(forked("binder@2"), template()).go()
     table = it.recv_table(lambda t: True)
-    os.kill(table["template"]["pid"], signal.SIGSTOP)  # it exists, but does not answer
-    os.kill(table["binder@2"]["pid"], signal.SIGKILL)
-    back = it.recv_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
-    assert back["template"]["restarts"] == 1
-    assert b"rtc.runtime.fork_server" in command_line(back["binder@2"]["pid"])
+    os.kill(table["template"].pid, signal.SIGSTOP)  # it exists, but does not answer
+    os.kill(table["binder@2"].pid, signal.SIGKILL)
+    back = it.recv_table(lambda t: t["binder@2"].state == "ready" and t["binder@2"].restarts == 1)
+    assert back["template"].restarts == 1
+    assert b"rtc.runtime.fork_server" in command_line(back["binder@2"].pid)
 
 
 def test_what_was_forked_too_late_never_begins_and_leaves_no_zombie(cluster, tmp_path, monkeypatch):
@@ -393,8 +393,8 @@ def test_what_was_forked_too_late_never_begins_and_leaves_no_zombie(cluster, tmp
     monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
     late = Spec("template", (sys.executable, "-c", LATE + TEMPLATE), is_fork_server=True)
     it = cluster(forked("broker@0"), late).go()
-    os.kill(it.recv_table(lambda t: t["template"]["state"] == "ready")["broker@0"]["pid"], signal.SIGKILL)
-    it.recv_table(lambda t: t["template"]["restarts"] == 1 and t["broker@0"]["state"] == "ready")
+    os.kill(it.recv_table(lambda t: t["template"].state == "ready")["broker@0"].pid, signal.SIGKILL)
+    it.recv_table(lambda t: t["template"].restarts == 1 and t["broker@0"].state == "ready")
     stray = int((tmp_path / "template.log").read_text().split()[1])
     it.recv_table(lambda t: not alive(stray))
     assert (tmp_path / "broker@0.log").read_text().count("broker@0 of") == 2  # before and after
@@ -417,11 +417,11 @@ def test_without_a_template_workers_start_by_themselves(cluster):
     policy = Policy(short_s=60.0, spared=0, first_delay_s=60.0, longest_delay_s=60.0)
     it = cluster(template(), policy=policy, new_worker=lambda address: forked(f"new@{address}")).go()
     table = it.recv_table(lambda t: True)
-    os.kill(table["template"]["pid"], signal.SIGKILL)
-    it.recv_table(lambda t: t["template"]["state"] == "crash loop")
+    os.kill(table["template"].pid, signal.SIGKILL)
+    it.recv_table(lambda t: t["template"].state == "crash loop")
     it.send(SpawnWorker(kind=WorkerKind.PARSER))
-    now = it.recv_table(lambda t: t.get("new@0", {}).get("state") == "ready")
-    assert b"signal.pause()" in command_line(now["new@0"]["pid"])
+    now = it.recv_table(lambda t: "new@0" in t and t["new@0"].state == "ready")
+    assert b"signal.pause()" in command_line(now["new@0"].pid)
 
 
 def fork_servers():
@@ -433,24 +433,24 @@ def fork_servers():
 def test_a_fork_server_is_forked_from_another_and_from_it_all_else(cluster):
     it = cluster(*fork_servers(), forked("binder@2")).go()
     for n in (1, 2):
-        table = it.recv_table(lambda t: all(row["state"] == "ready" for row in t.values()))
+        table = it.recv_table(lambda t: all(row.state == "ready" for row in t.values()))
         for name in ("template", "binder@2"):
-            os.kill(table[name]["pid"], signal.SIGKILL)
-        back = lambda t: all(row["state"] == "ready" for row in t.values()) and t["binder@2"]["restarts"] == n  # noqa: B023, E731
+            os.kill(table[name].pid, signal.SIGKILL)
+        back = lambda t: all(row.state == "ready" for row in t.values()) and t["binder@2"].restarts == n  # noqa: B023, E731
         it.recv_table(back)
-        os.kill(table["common"]["pid"], signal.SIGKILL)  # the next fork server must come from the new one
-        it.recv_table(lambda t: t["common"]["restarts"] == n and t["common"]["state"] == "ready")  # noqa: B023
+        os.kill(table["common"].pid, signal.SIGKILL)  # the next fork server must come from the new one
+        it.recv_table(lambda t: t["common"].restarts == n and t["common"].state == "ready")  # noqa: B023
 
 
 def test_when_all_are_killed_each_waits_for_its_fork_server(cluster):
     """Each could start by itself; on a slow machine they would then all start for ever."""
     names = [f"binder@{address}" for address in (2, 6, 10)]
     it = cluster(*fork_servers(), *map(forked, names)).go()
-    table = it.recv_table(lambda t: all(row["state"] == "ready" for row in t.values()))
+    table = it.recv_table(lambda t: all(row.state == "ready" for row in t.values()))
     for name in ("template", "common", *names):
-        os.kill(table[name]["pid"], signal.SIGKILL)
-    back = it.recv_table(lambda t: all((row["state"], row["restarts"]) == ("ready", 1) for row in t.values()))
-    assert all(b"rtc.runtime.fork_server" in command_line(back[name]["pid"]) for name in names)
+        os.kill(table[name].pid, signal.SIGKILL)
+    back = it.recv_table(lambda t: all((row.state, row.restarts) == ("ready", 1) for row in t.values()))
+    assert all(b"rtc.runtime.fork_server" in command_line(back[name].pid) for name in names)
 
 
 def test_what_cannot_be_run_later_is_given_up_and_the_rest_goes_on(cluster):
@@ -458,8 +458,8 @@ def test_what_cannot_be_run_later_is_given_up_and_the_rest_goes_on(cluster):
     it = cluster(spec("world", GOOD), policy=Policy(unready_deaths=2), new_worker=lambda address: lost).go()
     it.recv_table(lambda t: True)
     it.send(SpawnWorker(kind=WorkerKind.PARSER))
-    table = it.recv_table(lambda t: t.get("new@0", {}).get("state") == "failed")
-    assert table["world"]["state"] == "ready"
+    table = it.recv_table(lambda t: "new@0" in t and t["new@0"].state == "failed")
+    assert table["world"].state == "ready"
     assert "given up after 2 deaths" in it.lines[-1]
 
 
@@ -467,7 +467,7 @@ def test_a_full_disk_costs_words_but_no_process(cluster, tmp_path, monkeypatch):
     monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
     full = OSError(errno.ENOSPC, "No space left on device")
     it = cluster(spec("binder@2", GOOD, 2), template()).go()
-    table = it.recv_table(lambda t: t["template"]["state"] == "ready")
+    table = it.recv_table(lambda t: t["template"].state == "ready")
     lines = []
 
     def no_room(what):
@@ -478,8 +478,8 @@ def test_a_full_disk_costs_words_but_no_process(cluster, tmp_path, monkeypatch):
     it.supervisor._hooks = replace(hooks, save=no_room, show=no_room)
     (tmp_path / "binder@2.log").unlink()
     (tmp_path / "binder@2.log").symlink_to("/dev/full")
-    os.kill(table["binder@2"]["pid"], signal.SIGKILL)
-    table = it.recv_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
+    os.kill(table["binder@2"].pid, signal.SIGKILL)
+    table = it.recv_table(lambda t: t["binder@2"].state == "ready" and t["binder@2"].restarts == 1)
     for _ in range(3):
         it.recv_table(lambda t: True)
     assert len([line for line in lines if "No space left" in line]) == 1

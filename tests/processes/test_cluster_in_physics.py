@@ -69,8 +69,8 @@ def test_an_arm_that_is_pushed_at_rest_is_braked_and_reported_and_can_leave(run_
         assert ended.outcome.kind is OutcomeKind.FAILED
         arm, other = sorted(before, key=lambda name: name in ended.outcome.message, reverse=True)
         assert ended.outcome.message.startswith(f"{arm} moved without a command")
-        (mcm,) = (row for row in rtc.status()["subsystems"] if row["name"] == "MCM")
-        assert any(arm in words for words in mcm["strayed"])
+        (mcm,) = (row for row in rtc.status().subsystems if row.name == "MCM")
+        assert any(arm in words for words in mcm.strayed)
         facts = {fact.key: fact for fact in rtc.world.view(keys=[arm]).facts}
         assert facts[f"{arm}.joints"].validity is m.Validity.SUSPECT
 
@@ -78,5 +78,5 @@ def test_an_arm_that_is_pushed_at_rest_is_braked_and_reported_and_can_leave(run_
         assert rtc.truth().joints[arm] != pytest.approx(before[arm], abs=0.01)
         for sentence in (f"STOW {other}", f"STOW {arm}"):  # each reads the joints of the arm that was pushed
             assert rtc.run(sentence, timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
-        (mcm,) = (row for row in rtc.status()["subsystems"] if row["name"] == "MCM")
-        assert not mcm["strayed"]
+        (mcm,) = (row for row in rtc.status().subsystems if row.name == "MCM")
+        assert not mcm.strayed

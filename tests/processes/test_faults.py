@@ -84,9 +84,9 @@ def test_the_job_of_a_killed_worker_is_done_by_another(rtc: Client, chaos: Chaos
 
         def kill_holder(note: m.ProgressNote) -> None:
             if note.phase is m.Phase.BINDING and not struck:
-                for worker in asking.status()["workers"]:
-                    if worker["kind"] == "binder" and worker["busy_with"].startswith(f"{note.command}/"):
-                        struck.append(back(chaos, chaos.strike("worker", worker["name"])))
+                for worker in asking.status().workers:
+                    if worker.kind == "binder" and worker.busy_with.startswith(f"{note.command}/"):
+                        struck.append(back(chaos, chaos.strike("worker", worker.name)))
 
         for text in 10 * [AWAY, STOW]:  # until one is met in the milliseconds of a bind
             end = rtc.run(text, kill_holder, LIMIT_S)
@@ -122,8 +122,8 @@ def test_a_motion_goes_on_while_the_broker_is_dead_and_its_result_arrives(
     assert back(chaos, strike).new_pid != strike.pid if strike else False
     with Client(run_dir) as asking:
         status = asking.status()
-        assert status["counters"]["broker_restarts"] >= 1
-        assert 0 < status["broker_uptime_s"] < status["uptime_s"]  # the cluster is older than its broker
+        assert status.counters["broker_restarts"] >= 1
+        assert 0 < status.broker_uptime_s < status.uptime_s  # the cluster is older than its broker
         assert asking.trace(command.number).outcome == end.outcome
 
 
@@ -142,7 +142,7 @@ def test_a_command_keeps_its_programs_when_one_is_loaded_and_the_broker_restarts
     try:
         back(chaos, chaos.strike("broker"))
         with Client(run_dir) as asking:
-            assert first.number in {row["command"] for row in asking.status()["commands"]}  # so the other still waits
+            assert first.number in {row.command for row in asking.status().commands}  # so the other still waits
         later = rtc.submit(f"{STOW} AFTER {waiting}")
         assert rtc.run(f"RESUME {first}", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
         labels = {}
@@ -258,9 +258,9 @@ def test_a_cluster_without_workers_gets_them_with_its_first_command(tmp_path_fac
     subprocess.run([*deploy, "up", "-d", "--mcm", "kinematic", "--least", "0", *where], check=True, timeout=LIMIT_S)
     try:
         with Client(where[1]) as rtc:
-            assert rtc.status()["workers"] == []
+            assert rtc.status().workers == []
             assert rtc.run(STOW, timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
-            names = {worker["name"] for worker in rtc.status()["workers"]}
+            names = {worker.name for worker in rtc.status().workers}
         assert names >= {"parser@0", "elaborator@1", "binder@2", "analyzer@3"}  # more where one was slow to come
     finally:
         subprocess.run([*deploy, "down", *where], check=True, timeout=LIMIT_S)

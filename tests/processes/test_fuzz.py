@@ -140,7 +140,7 @@ def test_after_an_impostor_has_gone_all_is_well(
 
 
 def dropped(rtc: Client, endpoint: str) -> int:
-    return int(rtc.status()["counters"].get(f"dropped_{endpoint}", 0))
+    return int(rtc.status().counters.get(f"dropped_{endpoint}", 0))
 
 
 def wait_for(condition: Any, tries: int = 200) -> None:

@@ -128,7 +128,7 @@ def test_an_operator_does_over_tcp_what_can_be_done_here(new_key: Callable[[str]
         assert ended.outcome.kind is OutcomeKind.SUCCEEDED
         assert notes
         assert rtc.trace(ended.command).text == STOW
-        assert "gate" in {row["name"] for row in rtc.status()["processes"]}
+        assert "gate" in {row.name for row in rtc.status().processes}
         assert rtc.world.view(keys=["RIGHT-ARM"]).facts
         with pytest.raises(RequestDeclined) as declined:  # it is read, and does not check: so it was let through
             rtc.load("binder", Path(__file__))
@@ -155,7 +155,7 @@ def test_an_observer_sees_all_and_commands_nothing(new_key: Callable[[str], Path
         assert "observer" in halted.message
         with pytest.raises(RequestDeclined, match="not allowed"):
             rtc.load("binder", Path(__file__))
-        assert here.status()["halts"]["called"] == 0 or here.status()["commands_live"] == 0
+        assert here.status().halts.called == 0 or here.status().commands_live == 0
 
 
 def test_a_planner_controls_its_own_commands_only(new_key: Callable[[str], Path], run_dir: Path) -> None:
@@ -189,7 +189,7 @@ def test_a_worker_key_serves_and_does_nothing_else(new_key: Callable[[str], Path
     with pytest.raises(Exception, match="role worker"):
         Client(key=key)
     with Client(run_dir) as here, worker(key, 18):
-        wait_for(lambda: "binder@18" in {row["name"] for row in here.status()["workers"]})
+        wait_for(lambda: "binder@18" in {row.name for row in here.status().workers})
         nodes: set[str] = set()
         while "binder@18" not in nodes:
             ended = here.run(STOW, timeout_s=LIMIT_S)
@@ -202,9 +202,9 @@ def test_a_worker_key_serves_and_does_nothing_else(new_key: Callable[[str], Path
 def test_a_killed_worker_from_elsewhere_is_missed_at_once(new_key: Callable[[str], Path], run_dir: Path) -> None:
     with Client(run_dir) as here:
         with worker(new_key("worker"), 18) as process:
-            wait_for(lambda: "binder@18" in {row["name"] for row in here.status()["workers"]})
+            wait_for(lambda: "binder@18" in {row.name for row in here.status().workers})
             process.send_signal(signal.SIGKILL)
-        wait_for(lambda: "binder@18" not in {row["name"] for row in here.status()["workers"]})
+        wait_for(lambda: "binder@18" not in {row.name for row in here.status().workers})
 
 
 def test_a_late_result_of_an_earlier_connection_is_refused_and_counted(
@@ -216,11 +216,11 @@ def test_a_late_result_of_an_earlier_connection_is_refused_and_counted(
     first = Peer(context, key, "workers")
     first.send(hello)
     with Client(run_dir) as here:
-        wait_for(lambda: "binder@18" in {row["name"] for row in here.status()["workers"]})
-        before = here.status()["counters"]
+        wait_for(lambda: "binder@18" in {row.name for row in here.status().workers})
+        before = here.status().counters
         commands, job = [], None
         while job is None:  # the cluster's own binder takes what it can
-            if "binder@18" not in {row["name"] for row in here.status()["workers"]}:
+            if "binder@18" not in {row.name for row in here.status().workers}:
                 first.send(hello)  # a busy machine made it silent for too long
             commands += [here.submit(STOW), here.submit("STOW LEFT-ARM")]
             job = first.job()
@@ -236,7 +236,7 @@ def test_a_late_result_of_an_earlier_connection_is_refused_and_counted(
         second.send(hello)
         second.send(m.ResultBatch(name=hello.name, results=[late]))
         for where in ("dropped_gate_stale", "dropped_results"):
-            wait_for(lambda where=where: here.status()["counters"].get(where, 0) == before.get(where, 0) + 1)
+            wait_for(lambda where=where: here.status().counters.get(where, 0) == before.get(where, 0) + 1)
 
 
 def test_a_worker_gets_no_node_that_is_taken(new_key: Callable[[str], Path]) -> None:
@@ -259,13 +259,13 @@ def test_a_worker_without_an_address_shows_its_engine_that_it_is_ready_and_ends_
             assert systemd.recv(1000) == b"WATCHDOG=1"
             with worker(key, None, kind="parser"), Client(run_dir) as here:
                 addresses = {"parser@16", "parser@20"}
-                wait_for(lambda: addresses <= {row["name"] for row in here.status()["workers"]})
+                wait_for(lambda: addresses <= {row.name for row in here.status().workers})
                 probe = [sys.executable, "-P", "-m", "workers.runtime.health", str(health)]
                 assert subprocess.run(probe, stdout=subprocess.DEVNULL, check=False).returncode == 0
 
                 first.send_signal(signal.SIGTERM)
                 assert first.wait(LIMIT_S) == 0
-                wait_for(lambda: len(addresses & {row["name"] for row in here.status()["workers"]}) == 1)
+                wait_for(lambda: len(addresses & {row.name for row in here.status().workers}) == 1)
                 assert subprocess.run(probe, stdout=subprocess.DEVNULL, check=False).returncode == 1
                 assert here.run(STOW, timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
 
@@ -277,7 +277,7 @@ def test_a_worker_whose_cluster_has_ended_ends_by_itself(tmp_path: Path) -> None
         KeyRing(path).new("w1", Role.WORKER, address, tmp_path / "w1.key")
         with worker(tmp_path / "w1.key", None, "--lost-after", "3", kind="parser") as process:
             with Client(path) as here:
-                wait_for(lambda: "parser@16" in {row["name"] for row in here.status()["workers"]})
+                wait_for(lambda: "parser@16" in {row.name for row in here.status().workers})
             assert process.poll() is None
             cluster.close()
             assert process.wait(LIMIT_S) == 1
@@ -289,17 +289,17 @@ def test_a_worker_whose_key_is_revoked_or_unknown_ends_at_once_with_the_reason(
 ) -> None:
     key, patient = new_key("worker"), ("--lost-after", str(LIMIT_S * 10))
     with worker(key, None, *patient, kind="parser") as process, Client(run_dir) as here:
-        wait_for(lambda: any(row["key"] == key.stem and row["joined"] for row in here.status()["hosts"]))
+        wait_for(lambda: any(row.key == key.stem and row.joined for row in here.status().hosts))
         KeyRing(run_dir).revoke(key.stem)
         assert process.wait(LIMIT_S) == 1
         assert b"or it was revoked" in process.stderr.read()
         late = new_key("worker")
-        wait_for(lambda: any(row["key"] == late.stem for row in here.status()["hosts"]))
+        wait_for(lambda: any(row.key == late.stem for row in here.status().hosts))
         KeyRing(run_dir).revoke(late.stem)
         words = [sys.executable, "-P", "-c", SLOW_WORKER, "--kind", "parser", "--with", str(late), *patient]
         with subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
             try:
-                wait_for(lambda: any(row["key"] == late.stem and row["refused"] for row in here.status()["hosts"]))
+                wait_for(lambda: any(row.key == late.stem and row.refused for row in here.status().hosts))
                 _, errors = process.communicate(b"\n", LIMIT_S)
             finally:
                 process.kill()
@@ -345,9 +345,9 @@ def test_a_subsystem_comes_under_the_name_of_its_key_alone(
         endpoint.send(m.SubsystemHello(protocol=VERSION, name="MCM", pid=1, performers=["LEFT-ARM"]))
         endpoint.send(m.SubsystemHello(protocol=VERSION, name="OTHER", pid=1, performers=[]))
         endpoint.send(m.SubsystemHello(protocol=VERSION, name="TOOLS", pid=1, performers=["CAMERA-4"]))
-        wait_for(lambda: "TOOLS" in {row["name"] for row in here.status()["subsystems"]})
+        wait_for(lambda: "TOOLS" in {row.name for row in here.status().subsystems})
 
-        names = {row["name"]: row["performers"] for row in here.status()["subsystems"]}
+        names = {row.name: row.performers for row in here.status().subsystems}
         assert "OTHER" not in names
         assert len(names["MCM"]) == 2
         assert here.run("STOW LEFT-ARM", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
@@ -407,7 +407,7 @@ def test_a_stranger_gets_nothing_at_any_endpoint(
         after = here.status()
 
     assert answers == dict.fromkeys(TCP_ENDPOINTS)
-    assert (after["commands_accepted"], after["halts"]) == (before["commands_accepted"], before["halts"])
+    assert (after.commands_accepted, after.halts) == (before.commands_accepted, before.halts)
 
 
 def as_dict(key: KeyFile) -> dict[str, Any]:
@@ -446,13 +446,13 @@ def test_a_revoked_key_is_cut_off_in_the_middle_of_its_work(new_key: Callable[[s
             with pytest.raises(NoCluster, match="does not know this key"):
                 command.wait(LIMIT_S)
             assert len(list(samples)) < 10_000  # it ends
-            halts = here.status()["halts"]["called"]
+            halts = here.status().halts.called
             with contextlib.suppress(ClusterError):
                 assert not rtc.halt(timeout_s=0.5).confirmed
-            assert here.status()["halts"]["called"] == halts
+            assert here.status().halts.called == halts
         assert here.trace(command.number).phase is m.Phase.EXECUTING  # any client may halt what it began
         assert here.halt(timeout_s=LIMIT_S).confirmed
-        wait_for(lambda: other.status()["commands_live"] == 0)  # the others are there again
+        wait_for(lambda: other.status().commands_live == 0)  # the others are there again
 
 
 # --- harm ----------------------------------------------------------------------------------------------
@@ -494,7 +494,7 @@ def test_nonsense_from_one_who_has_a_key_hurts_no_one(
         peer._socket.send_multipart([rng.randbytes(rng.choice((0, 4, 300))) for _ in range(rng.choice((1, 2, 5)))])
         peer._socket.send_multipart([wire.PROTOCOL, rng.randbytes(30)])
     peer.send(m.TraceQuery(request="r", command="C-1"))
-    wait_for(lambda: int(others.rtc.status()["counters"].get("dropped_gate_unreadable", 0)) >= 600)
+    wait_for(lambda: int(others.rtc.status().counters.get("dropped_gate_unreadable", 0)) >= 600)
 
     noticed = others.notice(0.3)
     others.close()

@@ -168,8 +168,8 @@ def test_a_paused_motion_stands_on_its_path_and_goes_on(running: Running) -> Non
     command = running.moving()
     assert running.client.run("PAUSE RIGHT-ARM", timeout_s=20).outcome.kind is OutcomeKind.SUCCEEDED
     until(lambda: running.speed() < REST_RAD_S)
-    (mcm,) = [row for row in running.client.status()["subsystems"] if row["name"] == "MCM"]
-    assert [name.partition("@")[0] for name in mcm["executing"]] == [f"{command}.1"]
+    (mcm,) = [row for row in running.client.status().subsystems if row.name == "MCM"]
+    assert [name.partition("@")[0] for name in mcm.executing] == [f"{command}.1"]
     assert running.client.run("RESUME RIGHT-ARM", timeout_s=20).outcome.kind is OutcomeKind.SUCCEEDED
     until(lambda: running.speed() > 0.03)
     assert running.client.run(f"PAUSE {command}", timeout_s=20).outcome.kind is OutcomeKind.SUCCEEDED
@@ -181,10 +181,10 @@ def test_a_paused_motion_stands_on_its_path_and_goes_on(running: Running) -> Non
 def test_two_clients_of_one_name_are_each_served_and_answered(running: Running) -> None:
     with Client(running.run_dir, name="panel") as first:
         with Client(running.run_dir, name="panel") as second:
-            assert first.status()["cluster"] == second.status()["cluster"]
+            assert first.status().cluster == second.status().cluster
             stops(running, lambda: second.halt())
             stops(running, lambda: first.halt())
-        assert first.status()["commands_live"] == 0
+        assert first.status().commands_live == 0
         stops(running, lambda: first.halt())
 
 

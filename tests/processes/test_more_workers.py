@@ -9,12 +9,12 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
+from rtc.protocol.messages import HostRow, MoreWorkersRow
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyRing
@@ -55,29 +55,29 @@ def test_a_script_starts_the_workers_that_the_machine_may_not_have(run_dir: Path
     """The own elaborator is stopped by a signal, so that a job waits for it however fast the machine is."""
     with Client(run_dir) as here, Client(run_dir) as other:
         attempts = 0
-        while not (asked := here.status()["asked_for"]):
+        while not (asked := here.status().asked_for):
             assert (attempts := attempts + 1) <= ATTEMPTS
             _stop_a_new_elaborator(here, run_dir)
             _stow_both(here, other)
-        assert (asked[0]["kind"], asked[0]["asked"]) == ("elaborator", 1)
+        assert (asked[0].kind, asked[0].asked) == ("elaborator", 1)
 
-        wait_for(lambda: _request(here)["joined"] == 1)
+        wait_for(lambda: _request(here).joined == 1)
         wait_for(lambda: _host(here)["round_trip_ms"] is not None)
 
         host = _host(here)
-        assert (host["host"], host["joined"], host["refused"]) == ("127.0.0.1", 1, 0)
+        assert (host.host, host.joined, host.refused) == ("127.0.0.1", 1, 0)
         assert (_request(here)["running"], _request(here)["failed"]) == (False, "")
         end_s = now_s() + LIMIT_S
-        while not _stow_both(here, other) & set(host["workers"]):  # it takes part
+        while not _stow_both(here, other) & set(host.workers):  # it takes part
             assert now_s() < end_s
-        assert _request(here)["ago_s"] >= asked[0]["ago_s"]  # it was asked for once
+        assert _request(here)["ago_s"] >= asked[0].ago_s  # it was asked for once
 
 
 def _stop_a_new_elaborator(rtc: Client, run_dir: Path) -> None:
     """A new worker has no job in hand and takes one at a time. The supervisor kills a stopped one after 2 s."""
     old = processes(run_dir)[OWN].pid
     os.kill(old, signal.SIGKILL)
-    wait_for(lambda: any(row["name"] == OWN and row["pid"] != old for row in rtc.status()["workers"]))
+    wait_for(lambda: any(row.name == OWN and row.pid != old for row in rtc.status().workers))
     os.kill(processes(run_dir)[OWN].pid, signal.SIGSTOP)
 
 
@@ -89,10 +89,10 @@ def _stow_both(first: Client, second: Client) -> set[str]:
     return {note.node for command in commands for note in first.trace(command.number).notes}
 
 
-def _request(rtc: Client) -> dict[str, Any]:
-    (one,) = rtc.status()["asked_for"]
+def _request(rtc: Client) -> MoreWorkersRow:
+    (one,) = rtc.status().asked_for
     return one  # type: ignore[no-any-return]
 
 
-def _host(rtc: Client) -> dict[str, Any]:
-    return next(row for row in rtc.status()["hosts"] if row["key"] == "w1")
+def _host(rtc: Client) -> HostRow:
+    return next(row for row in rtc.status().hosts if row.key == "w1")

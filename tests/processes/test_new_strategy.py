@@ -86,7 +86,7 @@ def test_a_new_grasp_strategy_is_added_while_another_command_runs(rtc: Client, t
     rtc.load("elaborator", strategy)
     assert "close on the bar" not in do(rtc, GRASP)
     assert rtc.program("elaborator").digest == before
-    assert "elaborator" in rtc.status()["rolled_back"]
+    assert "elaborator" in rtc.status().rolled_back
     do(rtc, "RELEASE MACS-NEW")
 
     # The right version: the next GRASP uses it, with the figures of the object.
@@ -94,4 +94,4 @@ def test_a_new_grasp_strategy_is_added_while_another_command_runs(rtc: Client, t
     rtc.load("elaborator", strategy)
     assert "close on the bar" in do(rtc, GRASP)
     assert [entry.file for entry in rtc.program("elaborator").history[:2]] == [strategy.name] * 2
-    assert other.number in {row["command"] for row in rtc.status()["commands"]}  # nothing of it has disturbed the other
+    assert other.number in {row.command for row in rtc.status().commands}  # nothing of it has disturbed the other

@@ -43,7 +43,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def rtc(run_dir: Path) -> Iterator[Client]:
     with Client(run_dir) as rtc:
         for _ in range(500):  # it has just been started
-            if "TRACKER" in {row["name"] for row in rtc.status()["subsystems"]}:
+            if "TRACKER" in {row.name for row in rtc.status().subsystems}:
                 break
         yield rtc
 
@@ -59,7 +59,7 @@ def test_it_performs_a_sentence(rtc: Client) -> None:
 def test_a_halt_reaches_it(rtc: Client) -> None:
     submitted = rtc.submit(SENTENCE)
     for _ in range(2000):
-        if any(row["owner"] for row in rtc.status()["resources"] if row["name"] == "CAMERA-1"):
+        if any(row.owner for row in rtc.status().resources if row.name == "CAMERA-1"):
             break
 
     assert rtc.halt("CAMERA-1").confirmed

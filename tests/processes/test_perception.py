@@ -59,7 +59,7 @@ def follow(rtc: Client, until: int) -> CommandHandle:
 
 def await_connected(rtc: Client) -> None:
     for _ in range(int(LIMIT_S / 0.02)):
-        if any(row["name"] == "S&P" and row["state"] == "connected" for row in rtc.status()["subsystems"]):
+        if any(row.name == "S&P" and row.state == "connected" for row in rtc.status().subsystems):
             return
         zmq.Poller().poll(20)  # leave the processor to it
     raise AssertionError("S&P has not come back")
@@ -143,7 +143,7 @@ def test_the_death_of_perception_is_a_true_outcome_and_cameras_are_soon_back(rtc
 
 def test_a_stopped_process_is_found_and_replaced(rtc: Client, run_dir: Path) -> None:
     await_connected(rtc)
-    (row,) = [row for row in rtc.status()["processes"] if row["name"] == "S&P"]
+    (row,) = [row for row in rtc.status().processes if row.name == "S&P"]
     command = follow(rtc, until=1)
-    os.kill(row["pid"], signal.SIGSTOP)
+    os.kill(row.pid, signal.SIGSTOP)
     assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.LOST_SUBSYSTEM

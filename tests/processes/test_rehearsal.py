@@ -38,7 +38,7 @@ def rtc(run_dir: Path) -> Iterator[Client]:
 
 def rehearser(rtc: Client) -> int:
     """Process id of the rehearser."""
-    return next(int(row["pid"]) for row in rtc.status()["processes"] if row["name"] == "rehearser@0")
+    return next(int(row.pid) for row in rtc.status().processes if row.name == "rehearser@0")
 
 
 def test_a_list_of_sentences_reaches_no_subsystem_and_writes_nothing(rtc: Client, run_dir: Path):

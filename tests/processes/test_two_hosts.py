@@ -67,11 +67,11 @@ def far(hosts: TwoHosts, run_dir: Path, rtc: Client) -> set[str]:
 
 
 def workers(rtc: Client) -> set[str]:
-    return {row["name"] for row in rtc.status()["workers"]}
+    return {row.name for row in rtc.status().workers}
 
 
 def busy(rtc: Client) -> set[str]:
-    return {row["name"] for row in rtc.status()["workers"] if row["busy_with"]}
+    return {row.name for row in rtc.status().workers if row.busy_with}
 
 
 def nodes(rtc: Client, command: str) -> set[str]:
@@ -132,7 +132,7 @@ def test_a_cut_link_delays_jobs_and_loses_nothing(hosts: TwoHosts, far: set[str]
     hosts.restore()
     wait_for(lambda: far <= workers(rtc))
     run_until_served_by(far, rtc)
-    pids = {row["name"]: row["pid"] for row in rtc.status()["workers"]}
+    pids = {row.name: row.pid for row in rtc.status().workers}
     assert {name: pids[name] for name in far} == hosts.workers  # the same processes
 
 

@@ -62,7 +62,7 @@ def until_moving(rtc: Client, *arms: str) -> None:
 
 def test_each_has_its_own_arm(run_dir: Path, rtc: Client) -> None:
     assert {one.name for one in Settings.load(run_dir).subsystems if one.estop} == {FIRST, SECOND}
-    owners = {row["name"]: set(row["performers"]) for row in rtc.status()["subsystems"]}
+    owners = {row.name: set(row.performers) for row in rtc.status().subsystems}
     assert owners[FIRST] == {"RIGHT-ARM"}
     assert owners[SECOND] == {"LEFT-ARM"}
     assert rtc.run("STOW LEFT-ARM", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED

@@ -447,7 +447,7 @@ class Supervisor:
     def send_table(self) -> None:
         """What runs; also after every start."""
         rows = [
-            {"name": worker.name, "pid": worker.pid, "state": "ready", "since_s": worker.since_s}
+            m.ProcessRow(name=worker.name, pid=worker.pid, state="ready", since_s=worker.since_s)
             for worker in self.cluster.workers.values()
             if worker.alive
         ]

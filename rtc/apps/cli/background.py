@@ -64,7 +64,7 @@ class Background:
     def _ask(self, rtc: Client) -> None:
         """Raises NoCluster."""
         try:
-            live = {row["command"] for row in rtc.status()["commands"]}
+            live = {row.command for row in rtc.status().commands}
             with self._changed:
                 over = [command for command in self._waiting if command not in live]
             for command in over:

@@ -35,7 +35,7 @@ def break_(
     """
     named = [_checked(place) for place in places or []]
     with Client(run_dir, key=key) as rtc:
-        found = [_checked(one) for one in rtc.status().get("breakpoints", [])]
+        found = rtc.status().breakpoints
         if clear:
             found = rtc.set_breakpoints([one for one in found if named and one not in named])
         elif named:

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import typer
 from rich.text import Text
@@ -201,29 +200,29 @@ def _of_past(where: Path) -> Iterator[DoctorFinding]:
         return
 
 
-def of_status(status: dict[str, Any]) -> Iterator[DoctorFinding]:
-    """Findings about a `StatusReply.status`."""
-    yield DoctorFinding("cluster", f"{status['cluster']} runs for {status['uptime_s']:.0f} s")
-    if (silent_s := status["supervisor_silent_s"]) > SILENT_S:
+def of_status(status: m.Status) -> Iterator[DoctorFinding]:
+    """Findings about the status of a cluster."""
+    yield DoctorFinding("cluster", f"{status.cluster} runs for {status.uptime_s:.0f} s")
+    if (silent_s := status.supervisor_silent_s) > SILENT_S:
         mend = "dead processes are not started again: `rtc down`, then `rtc up -d`"
         yield DoctorFinding("supervisor", f"silent for {seconds(silent_s)}", mend)
-    rows = status["processes"]
-    bad = [f"{row['name']} {row['state']}" for row in rows if row["state"] not in GOOD]
-    died = [f"{row['name']} {row['restarts']} times" for row in rows if row["restarts"]]
+    rows = status.processes
+    bad = [f"{row.name} {row.state}" for row in rows if row.state not in GOOD]
+    died = [f"{row.name} {row.restarts} times" for row in rows if row.restarts]
     words = "; ".join(filter(None, [", ".join(bad), f"started again: {', '.join(died)}" if died else ""]))
-    mend = f"the cause is in {status['run_dir']}/logs/NAME.log"
+    mend = f"the cause is in {status.run_dir}/logs/NAME.log"
     yield DoctorFinding("processes", words or f"all {len(rows)} run", mend if words else "")
-    for row in status["subsystems"]:
-        if row["state"] != "connected":
-            yield DoctorFinding(row["name"], row["state"], f"wait until `rtc status` shows it connected; {mend}")
-        if row["injected"]:
-            yield DoctorFinding(row["name"], f"injected faults: {'; '.join(row['injected'])}", "rtc inject undo")
-    for row in status["resources"]:
-        if row["owner"].startswith("quarantine"):
+    for subsystem in status.subsystems:
+        if subsystem.state != "connected":
+            yield DoctorFinding(subsystem.name, subsystem.state, f"wait until `rtc status` shows it connected; {mend}")
+        if subsystem.injected:
+            yield DoctorFinding(subsystem.name, f"injected faults: {'; '.join(subsystem.injected)}", "rtc inject undo")
+    for resource in status.resources:
+        if resource.quarantine:
             mend = "`rtc halt` confirms rest, once its subsystem answers"
-            yield DoctorFinding(row["name"], f"closed: {row['owner']}", mend)
-    yield of_broker(status["decision_ms"])
-    waiting = {kind: count for kind, count in status["queues"].items() if count}
+            yield DoctorFinding(resource.name, f"closed: {resource.owner}", mend)
+    yield of_broker(status.decision_ms)
+    waiting = {kind: count for kind, count in status.queues.items() if count}
     words = ", ".join(f"{count} for {kind}" for kind, count in waiting.items()) or "no job waits"
     yield DoctorFinding("queues", words)
 

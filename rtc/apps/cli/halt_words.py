@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from rtc.client.halt import HaltResult, SubsystemHalt
 from rtc.language.refuse import visible
-from rtc.protocol.messages import CommandRecord, Phase
+from rtc.protocol.messages import CommandRecord, CommandRow, Phase
 from rtc.protocol.outcomes import RtcError
 
 Line = list[tuple[str, str]]  # pieces of a line: text, and a key of STYLES
@@ -58,19 +57,19 @@ def state_of(command: str, run_dir: Path | str | None, key: Path | None) -> list
 
     try:
         with Client(run_dir, key=key) as rtc:
-            return [not_reached(rtc.trace(command), rtc.status()["commands"])]
+            return [not_reached(rtc.trace(command), rtc.status().commands)]
     except RtcError:
         return []
 
 
-def not_reached(record: CommandRecord, commands: list[dict[str, Any]]) -> str:
+def not_reached(record: CommandRecord, commands: list[CommandRow]) -> str:
     """The state of a command that moves nothing, and what moves instead. `commands`: rows of the status."""
     if record.outcome is None:
         state = f"{record.command} is {record.phase.value} and moves nothing"
     else:
         state = f"{record.command} has ended: {record.outcome.kind.value.replace('_', ' ')}"
-    others = [row for row in commands if row["phase"] in MOVES and row["command"] != record.command]
-    moving = [f"{row['command']} ({', '.join(row['resources'])}): rtc halt {row['command']}" for row in others]
+    others = [row for row in commands if row.phase in MOVES and row.command != record.command]
+    moving = [f"{row.command} ({', '.join(row.resources)}): rtc halt {row.command}" for row in others]
     return f"{state}; " + (f"in motion: {'; '.join(moving)}" if moving else "no command is in motion")
 
 

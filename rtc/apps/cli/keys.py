@@ -14,6 +14,7 @@ from rtc.apps.cli.hosts import connections_of
 from rtc.apps.cli.measured import duration
 from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, table
 from rtc.client.client import Client
+from rtc.protocol.messages import Status
 from rtc.protocol.outcomes import ClusterError
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyRing, KnownKey, is_everywhere
@@ -83,7 +84,7 @@ def list_keys(run_dir: RunDir = None, json: AsJson = False) -> None:
         return
     out = table("name", "role", "asked>", "connected", "last message", "made", "revoked", "public half")
     for key in keys:
-        now, age_s, hosts = connections_of(report or {}, "" if key.revoked_at else key.name)
+        now, age_s, hosts = connections_of(report or Status(), "" if key.revoked_at else key.name)
         out.add_row(
             key.name,
             key.role,
@@ -99,8 +100,8 @@ def list_keys(run_dir: RunDir = None, json: AsJson = False) -> None:
         console.print(Text("no cluster answers here: connections are not known", style="dim"))
 
 
-def _as_json(key: KnownKey, report: dict[str, Any] | None) -> dict[str, Any]:
-    now, age_s, hosts = connections_of(report or {}, key.name)
+def _as_json(key: KnownKey, report: Status | None) -> dict[str, Any]:
+    now, age_s, hosts = connections_of(report or Status(), key.name)
     found = msgspec.to_builtins(key)
     return found if report is None else {**found, "connections": now, "hosts": hosts, "last_message_ago_s": age_s}
 
@@ -109,7 +110,7 @@ def _date(at: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M", time.localtime(at)) if at else ""
 
 
-def _status(run_dir: Path) -> dict[str, Any] | None:
+def _status(run_dir: Path) -> Status | None:
     """The status of the cluster in this directory; None if it does not answer."""
     try:
         with Client(run_dir) as rtc:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from rtc.client.client import Client
 from rtc.model.cells import taught
+from rtc.protocol.messages import CommandRow, Status
 from rtc.protocol.outcomes import RtcError
 
 ASK_S = 0.5  # pause between two questions
@@ -23,7 +24,7 @@ Words = list[tuple[str, str]]  # of the toolbar: style, text
 class Live(NamedTuple):
     """The latest state. `trouble`: why it is older than usual; empty if it is not."""
 
-    status: Mapping[str, Any] = {}
+    status: Status | None = None
     facts: Mapping[str, Any] = {}  # key -> value
     trouble: str = ""
 
@@ -34,7 +35,7 @@ class Live(NamedTuple):
     @property
     def commands(self) -> list[str]:
         """Numbers of the commands in progress."""
-        return [row["command"] for row in self.status.get("commands", ())]
+        return [row.command for row in self.status.commands] if self.status else []
 
     @property
     def places(self) -> list[str]:
@@ -82,17 +83,17 @@ class LiveState:
 
 def in_words(live: Live) -> Words:
     """The toolbar: the arms and what they hold, commands in progress, trouble."""
-    if not live.status:
+    if (status := live.status) is None:
         return [("bold", live.trouble or "connecting")]
-    parts: list[Words] = [_arms(live), _commands(live.status.get("commands", []))]
-    parts += [[("bold", words)] for words in [*_troubles(live.status), *filter(None, [live.trouble])]]
-    if halts := live.status.get("halts", {}).get("called", 0):
+    parts: list[Words] = [_arms(live, status), _commands(status.commands)]
+    parts += [[("bold", words)] for words in [*_troubles(status), *filter(None, [live.trouble])]]
+    if halts := status.halts.called:
         parts.append([("", f"{halts} halt{'s' if halts > 1 else ''} so far")])
     return [word for n, part in enumerate(parts) for word in ([("", "  |  ")] if n else []) + part]
 
 
-def _arms(live: Live) -> Words:
-    owners = {row["name"]: row["owner"] for row in live.status.get("resources", ())}
+def _arms(live: Live, status: Status) -> Words:
+    owners = {row.name: row.owner for row in status.resources}
     words: Words = []
     for arm in live.arms:
         held, owner = live.facts[f"{arm}.holding"], owners.get(arm, "")
@@ -101,19 +102,19 @@ def _arms(live: Live) -> Words:
     return words
 
 
-def _commands(rows: list[Mapping[str, Any]]) -> Words:
+def _commands(rows: list[CommandRow]) -> Words:
     if not rows:
         return [("", "no command in progress")]
-    shown = [f"{row['command']} {row['phase']} {row['step']}".rstrip() for row in rows[:COMMANDS_SHOWN]]
+    shown = [f"{row.command} {row.phase} {row.step}".rstrip() for row in rows[:COMMANDS_SHOWN]]
     more = len(rows) - len(shown)
     return [("", ", ".join(shown) + (f", and {more} more" if more else ""))]
 
 
-def _troubles(status: Mapping[str, Any]) -> list[str]:
+def _troubles(status: Status) -> list[str]:
     found = []
-    for row in status.get("subsystems", ()):
-        if row["state"] != "connected":
-            found.append(f"{row['name']} is {row['state']}")
-        found += [f"{row['name']}: injected {fault}" for fault in row["injected"]]
-        found += row["strayed"]
+    for row in status.subsystems:
+        if row.state != "connected":
+            found.append(f"{row.name} is {row.state}")
+        found += [f"{row.name}: injected {fault}" for fault in row.injected]
+        found += row.strayed
     return found

@@ -80,7 +80,7 @@ def records_of(
 
 
 def from_cluster(rtc: Client, last: int) -> list[m.CommandRecord]:
-    newest = rtc.status().get("commands_accepted", 0)
+    newest = rtc.status().commands_accepted
     records = []
     for number in range(max(1, newest - last + 1), newest + 1):
         try:

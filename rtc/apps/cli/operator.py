@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.text import Text
@@ -13,7 +13,7 @@ from rtc.client.client import Client
 from rtc.drawing.renderer import ASKED_NICENESS, Renderer
 from rtc.drawing.scene import CameraPicture, Picture, believed, request_camera, true_scene
 from rtc.model.cells.cell import Cell
-from rtc.protocol.messages import ArmSample, Operation, SimTruthReply
+from rtc.protocol.messages import ArmSample, Operation, SimTruthReply, SurrenderRow
 from rtc.protocol.outcomes import OutcomeKind, TimedOut
 from rtc.protocol.units import in_words
 
@@ -61,7 +61,7 @@ def operator(
             _show(name, arm)
             if name in files:
                 console.print(Text(f"  picture: {files[name]}"))
-        surrendered = rtc.status()["surrenders"]
+        surrendered = rtc.status().surrenders
         for one in surrendered:
             _offer(one)
         if not asked and not surrendered:
@@ -113,12 +113,12 @@ def _truth(rtc: Client) -> SimTruthReply | None:
         return None
 
 
-def _offer(surrendered: dict[str, Any]) -> None:
+def _offer(surrendered: SurrenderRow) -> None:
     """A command that has failed, and that he may do instead."""
-    console.print(f"{surrendered['command']} has failed: {surrendered['cause']}")
-    if waiting := ", ".join(surrendered["waiting"]):
+    console.print(f"{surrendered.command} has failed: {surrendered.cause}")
+    if waiting := ", ".join(surrendered.waiting):
         console.print(f"  held until you have done it, or RESUME: {waiting}")
-    console.print(f"  to do it: {surrendered['sentence']}")
+    console.print(f"  to do it: {surrendered.sentence}")
 
 
 def _distance(operation: Operation) -> str:

@@ -162,7 +162,7 @@ def _list(json: bool, run_dir: Path | None, key: Path | None) -> None:
     """The differences from the default programs, kind by kind."""
     with Client(run_dir, key=key) as rtc:
         found = {kind: rtc.program(kind) for kind in WorkerKind}
-        rolled_back = rtc.status()["rolled_back"]
+        rolled_back = rtc.status().rolled_back
     diffs = {kind: changes(kind, default(kind), reply.body) for kind, reply in found.items()}
     if json:
         rows = {kind: {"digest": found[kind].digest, "changes": diffs[kind]} for kind in found}

@@ -6,7 +6,7 @@ import math
 import time
 from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import typer
@@ -31,7 +31,15 @@ from rtc.apps.cli.output import (
 )
 from rtc.client.client import Client
 from rtc.model.robot import collision_checks
-from rtc.protocol.messages import REHEARSER, WorkerKind
+from rtc.protocol.messages import (
+    REHEARSER,
+    CommandRow,
+    ProcessRow,
+    ResourceRow,
+    Status,
+    SubsystemRow,
+    WorkerKind,
+)
 from rtc.protocol.outcomes import NoCluster, TimedOut
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.versions import BOXES
@@ -45,6 +53,7 @@ SILENT = (
 )
 PLANNERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # workers that check collisions
 SUPERVISOR_SILENT_S = 3.0  # maximum age of the process table, which it sends every second
+SUPERVISED = ("run_dir", "cluster", "uptime_s", "processes")  # what is known without the broker
 SAME_AGE_S = 1.0  # maximum age difference of a cluster and a broker that was not restarted
 
 
@@ -71,15 +80,15 @@ def status(
     report, silent = _status(run_dir, key)
     if silent:
         if not json:
-            show_status(report)
-        raise cli_error(SILENT, NO_CLUSTER, **report) from None
+            show_status(report, silent)
+        raise cli_error(SILENT, NO_CLUSTER, **{name: getattr(report, name) for name in SUPERVISED}) from None
     if json:
         emit_json(report)
     else:
         show_status(report)
 
 
-def _status(run_dir: Path | None, key: Path | None) -> tuple[dict[str, Any], bool]:
+def _status(run_dir: Path | None, key: Path | None) -> tuple[Status, bool]:
     """The broker's status and False; if it does not answer, the supervisor's table and True. Raises NoCluster."""
     try:
         with Client(run_dir, key=key) as rtc:
@@ -88,8 +97,8 @@ def _status(run_dir: Path | None, key: Path | None) -> tuple[dict[str, Any], boo
         if key or not (known := as_supervised(run_dir or default_run_dir())):
             raise
         return known, True
-    if not key and not report.get("processes"):  # a new broker has not received the table yet
-        report |= {"processes": (as_supervised(run_dir or default_run_dir()) or {}).get("processes", [])}
+    if not key and not report.processes and (known := as_supervised(run_dir or default_run_dir())):
+        report = msgspec.structs.replace(report, processes=known.processes)  # a new broker has not received them yet
     return report, False
 
 
@@ -101,7 +110,7 @@ def _watch(run_dir: Path | None, key: Path | None, every_s: float, for_s: float)
         while True:
             report, silent = _status(run_dir, key)
             with console.capture() as shown:
-                show_status(report)
+                show_status(report, silent)
                 if silent:
                     console.print(Text(SILENT, style="bold yellow"))
             if live is not None:
@@ -114,71 +123,66 @@ def _watch(run_dir: Path | None, key: Path | None, every_s: float, for_s: float)
             time.sleep(min(every_s, left_s))
 
 
-def as_supervised(run_dir: Path) -> dict[str, Any] | None:
-    """The supervisor's process table in the form of a status; None if no supervisor runs."""
+def as_supervised(run_dir: Path) -> Status | None:
+    """The supervisor's process table as a status, of which only SUPERVISED is known; None if no supervisor runs."""
     found = process_table.Table.load(run_dir)
     if found is None or not supervised(run_dir):
         return None
-    return {
-        "run_dir": str(run_dir),
-        "cluster": found.cluster,
-        "uptime_s": time.time() - found.started_at,
-        "processes": msgspec.to_builtins(found.processes),
-    }
+    up_s = time.time() - found.started_at
+    return Status(run_dir=str(run_dir), cluster=found.cluster, uptime_s=up_s, processes=found.processes)
 
 
-def show_status(report: dict[str, Any]) -> None:
-    """Print a status (layout: docs/protocol.md); absent parts are left out."""
-    up_s, where = report.get("uptime_s", 0.0), report.get("run_dir", "?")
-    broker_s = report.get("broker_uptime_s", up_s)
-    since = f" (its broker {seconds(broker_s)}, after a restart)" if up_s - broker_s > SAME_AGE_S else ""
-    console.print(Text(f"cluster {report.get('cluster', '?')} in {where}, up {seconds(up_s)}{since}", style="bold"))
-    for why in report.get("rolled_back", {}).values():
+def show_status(report: Status, silent: bool = False) -> None:
+    """Print a status; `silent`: only what is known without the broker."""
+    where = f"cluster {report.cluster} in {report.run_dir}, up {seconds(report.uptime_s)}"
+    restarted = not silent and report.uptime_s - report.broker_uptime_s > SAME_AGE_S
+    since = f" (its broker {seconds(report.broker_uptime_s)}, after a restart)" if restarted else ""
+    console.print(Text(where + since, style="bold"))
+    for why in report.rolled_back.values():
         console.print(Text("program taken back: ", style="bold red") + Text(why))
-    if (silent_s := report.get("supervisor_silent_s", 0.0)) > SUPERVISOR_SILENT_S:
+    if report.supervisor_silent_s > SUPERVISOR_SILENT_S:
         words = (
-            f"silent for {seconds(silent_s)}: a process that dies is not started again, and the table below is as old"
+            f"silent for {seconds(report.supervisor_silent_s)}: a process that dies is not started again, "
+            "and the table below is as old"
         )
         console.print(Text("supervisor: ", style="bold red") + Text(words))
-    for row in report.get("refused", []):
-        console.print(Text("refused: ", style="bold red") + Text(f"{row['message']} ({age(row['ago_s'])} ago)"))
-    for row in report.get("processes") or []:
-        for note in row.get("notes") or []:
-            console.print(Text(f"{row['name']}: ", style="bold red") + Text(note))
+    for peer in report.refused:
+        console.print(Text("refused: ", style="bold red") + Text(f"{peer.message} ({age(peer.ago_s)} ago)"))
+    for row in report.processes:
+        for note in row.notes:
+            console.print(Text(f"{row.name}: ", style="bold red") + Text(note))
     _workers_and_processes(report)
+    if not silent:
+        _show_work(report)
+
+
+def _show_work(report: Status) -> None:
     show_hosts(report)
-    if "commands" in report:
-        _commands(report["commands"])
-    _resources(report.get("resources", []))
-    _subsystems(report.get("subsystems", []))
-    if "programs" in report:
-        console.print(Text("programs: ", style="bold") + Text(programs_in_words(report)))
+    _commands(report.commands)
+    _resources(report.resources)
+    _subsystems(report.subsystems)
+    console.print(Text("programs: ", style="bold") + Text(programs_in_words(report)))
     if checks := collision_checks_in_words(report):
         console.print(Text("collision checks: ", style="bold") + Text(checks))
-    for name in ("queues", "halts", "counters"):
-        figures = {key: value for key, value in report.get(name, {}).items() if value not in (0, None, "", [], {})}
-        if name == "counters" and "halts" in report:
-            figures.pop("halts", None)  # shown in the line above
-        if figures:
-            console.print(
-                Text(f"{name}: ", style="bold") + Text(", ".join(f"{k} {_plain(v)}" for k, v in figures.items()))
-            )
+    counters = {name: count for name, count in report.counters.items() if name != "halts"}  # they have their own line
+    for name, counts in (("queues", report.queues), ("halts", {"called": report.halts.called}), ("counters", counters)):
+        if words := ", ".join(f"{key} {count}" for key, count in counts.items() if count):
+            console.print(Text(f"{name}: ", style="bold") + Text(words))
 
 
-def collision_checks_in_words(report: dict[str, Any]) -> str:
+def collision_checks_in_words(report: Status) -> str:
     """What decides on collisions in the workers that plan; empty if there are none."""
-    planners = [row for row in report.get("workers", []) if row.get("kind") in PLANNERS]
-    slower = [row["name"] for row in planners if BOXES not in row.get("abilities", ())]
+    planners = [row for row in report.workers if row.kind in PLANNERS]
+    slower = [row.name for row in planners if BOXES not in row.abilities]
     if not slower:
         return collision_checks(True) if planners else ""
     where = "" if len(slower) == len(planners) else f" ({', '.join(slower)})"
     return collision_checks(False) + where
 
 
-def programs_in_words(report: dict[str, Any]) -> str:
+def programs_in_words(report: Status) -> str:
     """The file loaded last for each kind of worker, and its age."""
-    files = report.get("program_files", {})
-    words = [f"{kind} {one['file']} (loaded {age(one['age_s'])} ago)" for kind, one in files.items()]
+    words = [f"{kind} {one.file} (loaded {age(one.age_s)} ago)" for kind, one in report.program_files.items()]
     rest = "all as they come with rtc" if not words else "the others: default programs"
     return ", ".join([*words, rest])
 
@@ -188,13 +192,13 @@ def age(value_s: float) -> str:
     return duration(max(1.0, round(value_s)))
 
 
-def folded(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def folded(rows: list[ProcessRow]) -> list[ProcessRow]:
     """The rows of the process table, with all ready fork servers in one row."""
-    templates = [row for row in rows if row["name"].endswith("template") and row.get("state") == "ready"]
+    templates = [row for row in rows if row.name.endswith("template") and row.state == "ready"]
     if len(templates) < 2:
         return rows
-    restarts = sum(row.get("restarts") or 0 for row in templates)
-    one = {"name": f"{len(templates)} templates", "state": "ready", "restarts": restarts}
+    restarts = sum(row.restarts for row in templates)
+    one = ProcessRow(name=f"{len(templates)} templates", state="ready", restarts=restarts)
     return [*(row for row in rows if row not in templates), one]
 
 
@@ -202,75 +206,61 @@ def _in_cube(process: str) -> bool:
     return "@" in process and not process.startswith(f"{REHEARSER}@")
 
 
-def _workers_and_processes(report: dict[str, Any]) -> None:
-    workers = {worker["name"]: worker for worker in report.get("workers", [])}
-    rows = folded(report.get("processes") or [])
-    here = {row["name"] for row in rows}
-    elsewhere = {"state": "ready, elsewhere"} if here else {}  # the supervisor knows only local processes
-    rows = [*rows, *({**worker, **elsewhere} for name, worker in workers.items() if name not in here)]
+def _workers_and_processes(report: Status) -> None:
+    workers = {worker.name: worker for worker in report.workers}
+    rows = folded(report.processes)
+    here = {row.name for row in rows}
+    elsewhere = "ready, elsewhere" if here else ""  # the supervisor knows only local processes
+    others = [worker for worker in report.workers if worker.name not in here]
+    rows = [*rows, *(ProcessRow(name=one.name, pid=one.pid, node=one.node, state=elsewhere) for one in others)]
     if not rows:
         return
-    cube = [int(w["node"]) for w in workers.values() if _in_cube(w["name"])]
+    cube = [one.node for one in report.workers if _in_cube(one.name)]
     bits = max((address.bit_length() for address in cube), default=2) or 1
     out = table("process", "address", "pid>", "state", "restarts>", "done>", "waiting>", "busy with")
     for row in rows:
-        worker = workers.get(row["name"], {})
-        node = worker.get("node", row.get("node"))
+        worker = workers.get(row.name)
+        node = worker.node if worker else row.node
         out.add_row(
-            row["name"],
-            format(int(node), f"0{max(bits, 2)}b") if node is not None and _in_cube(row["name"]) else "",
-            str(row.get("pid", "")),
-            str(row.get("state", "")),
-            str(row.get("restarts", "")),
-            str(worker.get("done", "")),
-            str(worker.get("queued", "")),
-            str(worker.get("busy_with", "") or ""),
+            row.name,
+            format(node, f"0{max(bits, 2)}b") if node is not None and _in_cube(row.name) else "",
+            str(row.pid or ""),
+            row.state,
+            str(row.restarts) if row.name in here else "",
+            *((str(worker.done), str(worker.queued), worker.busy_with) if worker else ("", "", "")),
         )
     console.print(out)
 
 
-def _commands(commands: list[dict[str, Any]]) -> None:
+def _commands(commands: list[CommandRow]) -> None:
     if not commands:
         console.print("no command in progress")
         return
     out = table("command", "phase", "step", "age>", "holds", "sentence")
     for row in commands:
-        out.add_row(
-            row["command"],
-            str(row.get("phase", "")),
-            str(row.get("step", "")),
-            seconds(row.get("age_s", 0.0)),
-            ", ".join(row.get("resources", [])),
-            Text(quoted(row.get("text", ""))),
-        )
+        held = ", ".join(row.resources)
+        out.add_row(row.command, row.phase.value, row.step, seconds(row.age_s), held, Text(quoted(row.text)))
     console.print(out)
 
 
-def _resources(resources: list[dict[str, Any]]) -> None:
-    taken = [row for row in resources if row.get("owner") or row.get("waiting")]
+def _resources(resources: list[ResourceRow]) -> None:
+    taken = [row for row in resources if row.owner or row.waiting]
     if not taken:
         return
     out = table("resource", "owner", "waiting")
     for row in taken:
-        out.add_row(row["name"], str(row.get("owner", "")), ", ".join(row.get("waiting", [])))
+        out.add_row(row.name, row.owner, ", ".join(row.waiting))
     console.print(out)
 
 
-def _subsystems(subsystems: list[dict[str, Any]]) -> None:
+def _subsystems(subsystems: list[SubsystemRow]) -> None:
     for row in subsystems:
-        executing = ", ".join(map(command_of, row.get("executing", []))) or "nothing"
-        performers = ", ".join(row.get("performers", []))
+        executing = ", ".join(map(command_of, row.executing)) or "nothing"
         console.print(
-            Text(f"{row['name']}: ", style="bold")
-            + Text(f"{row.get('state', '')}, {performers}; executing {executing}")
+            Text(f"{row.name}: ", style="bold")
+            + Text(f"{row.state}, {', '.join(row.performers)}; executing {executing}")
         )
-        if faults := row.get("injected"):
-            console.print(Text(f"{row['name']}: injected faults: ", style="bold red") + Text("; ".join(faults)))
-        for words in row.get("strayed", []):
-            console.print(Text(f"{row['name']}: ", style="bold red") + Text(words))
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, dict):
-        return "(" + ", ".join(f"{key} {inner}" for key, inner in value.items()) + ")"
-    return str(value)
+        if row.injected:
+            console.print(Text(f"{row.name}: injected faults: ", style="bold red") + Text("; ".join(row.injected)))
+        for words in row.strayed:
+            console.print(Text(f"{row.name}: ", style="bold red") + Text(words))

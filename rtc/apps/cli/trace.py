@@ -105,7 +105,7 @@ def _n(name: str) -> int:
 
 def last_number(rtc: Client) -> str:
     """The number of the newest command of a cluster; empty if there is none."""
-    accepted = rtc.status().get("commands_accepted", 0)
+    accepted = rtc.status().commands_accepted
     return f"C-{accepted}" if accepted else ""
 
 
@@ -215,17 +215,17 @@ def why(
             console.print(Text("    " + line))
 
 
-def waits_for(status: dict[str, Any], record: m.CommandRecord) -> list[str]:
+def waits_for(status: m.Status, record: m.CommandRecord) -> list[str]:
     """What a held command waits for now, and what would clear it. `status`: of the broker."""
-    commands = {row["command"]: row for row in status.get("commands", [])}
+    commands = {row.command: row for row in status.commands}
     lines, owners = [], []
-    for row in status.get("resources", []):
-        if record.command not in row["waiting"]:
+    for row in status.resources:
+        if record.command not in row.waiting:
             continue
-        ahead = row["waiting"][: row["waiting"].index(record.command)]
+        ahead = row.waiting[: row.waiting.index(record.command)]
         queue = f"; before it in the line: {', '.join(ahead)}" if ahead else ""
-        lines.append(f"waits for {row['name']}, {_taken(row['owner'], commands)}{queue}")
-        owners += [name for name in [*row["owner"].split(", "), *ahead] if name in commands]
+        lines.append(f"waits for {row.name}, {_taken(row, commands)}{queue}")
+        owners += [name for name in [*row.owners, *ahead] if name in commands]
     give_up = f"to give this one up: ABORT {record.command}"
     if owners := list(dict.fromkeys(owners)):
         lines.append(f"to clear it: wait for {', '.join(owners)}, or: ABORT {owners[0]}; {give_up}")
@@ -234,14 +234,14 @@ def waits_for(status: dict[str, Any], record: m.CommandRecord) -> list[str]:
     return lines
 
 
-def _taken(owner: str, commands: dict[str, Any]) -> str:
+def _taken(resource: m.ResourceRow, commands: dict[str, m.CommandRow]) -> str:
     """The owner of a resource in words, with its sentence and what it does."""
-    if owner.startswith("quarantine"):
+    if resource.quarantine:
         return "which is closed until rest is confirmed or its facts are written (rtc status)"
-    if (row := commands.get(owner)) is None:
-        return f"in use by {owner}" if owner else "which is not yet granted"
-    now = ": ".join(filter(None, [row["phase"], row["step"]]))
-    return f"in use by {owner} ({now}): {quoted(row['text'])}"
+    if (row := commands.get(resource.owner)) is None:
+        return f"in use by {resource.owner}" if resource.owner else "which is not yet granted"
+    now = ": ".join(filter(None, [row.phase, row.step]))
+    return f"in use by {resource.owner} ({now}): {quoted(row.text)}"
 
 
 def print_why(record: m.CommandRecord) -> None:

@@ -20,7 +20,7 @@ from rtc.drawing.scene import centimetres, degrees
 from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.taught import arm_of
-from rtc.protocol.messages import Fact, Validity, View
+from rtc.protocol.messages import Fact, MotionRow, Status, Validity, View
 from rtc.protocol.outcomes import OutcomeKind, RtcError
 from rtc.world.client import WorldClient
 from rtc.world.spread import in_words
@@ -159,10 +159,10 @@ def at_version(rtc: Client, version: int, now: View) -> dict[str, Fact]:
     return newest
 
 
-def refuse_live(status: Mapping[str, Any]) -> None:
+def refuse_live(status: Status) -> None:
     """Raises typer.Exit, with the reason printed, while a command is in progress."""
-    if live := status["commands"]:
-        running = ", ".join(row["command"] for row in live)
+    if live := status.commands:
+        running = ", ".join(row.command for row in live)
         raise cli_error(f"in progress: {running}; wait for the end, or halt: rtc halt", 2)
 
 
@@ -191,16 +191,15 @@ def reset(json: AsJson = False, run_dir: RunDir = None) -> None:
         console.print(Text(hint))
 
 
-def _motions(rtc: Client) -> list[dict[str, Any]]:
+def _motions(rtc: Client) -> list[MotionRow]:
     """What the arms are doing, as the broker knows it; empty without a broker that answers."""
     try:
-        found: list[dict[str, Any]] = rtc.status(within_s=BROKER_S).get("motions", [])
+        return rtc.status(within_s=BROKER_S).motions
     except RtcError:
         return []
-    return found
 
 
-def with_motions(facts: Iterable[Fact], motions: Sequence[Mapping[str, Any]], now_s: float) -> list[Fact]:
+def with_motions(facts: Iterable[Fact], motions: Sequence[MotionRow], now_s: float) -> list[Fact]:
     """The facts, with a fact ARM.motion for each moving arm among them: its path, and the time since its start."""
     facts = list(facts)
     known = {fact.key.partition(".")[0]: fact.version for fact in facts}
@@ -208,15 +207,15 @@ def with_motions(facts: Iterable[Fact], motions: Sequence[Mapping[str, Any]], no
         *facts,
         *(
             Fact(
-                key=f"{one['arm']}.motion",
-                value={name: one[name] for name in MOTION},
+                key=f"{one.arm}.motion",
+                value={name: getattr(one, name) for name in MOTION},
                 validity=Validity.CHANGING,
-                version=known[one["arm"]],
-                source=one["command"],
-                at_s=now_s - (one["started_ago_s"] or 0.0),
+                version=known[one.arm],
+                source=one.command,
+                at_s=now_s - (one.started_ago_s or 0.0),
             )
             for one in motions
-            if one["arm"] in known
+            if one.arm in known
         ),
     ]
 

@@ -54,7 +54,7 @@ def save(
     Example:  rtc world save before.json
     """
     with Client(run_dir, key=key_file) as rtc:
-        view, cell = rtc.world.view(), rtc.status()["programs"]["cell"]
+        view, cell = rtc.world.view(), rtc.status().programs["cell"]
     saved = SavedWorld(cell=cell, facts=as_saved(view.facts))
     try:
         file.write_bytes(msgspec.json.format(msgspec.json.encode(saved)) + b"\n")
@@ -84,7 +84,7 @@ def restore(
     with Client(run_dir) as client:
         status = client.status()
         refuse_live(status)
-        if saved.cell != status["programs"]["cell"]:
+        if saved.cell != status.programs["cell"]:
             raise cli_error(f"{file} is about another cell than that of this cluster, or another version of it", 2)
         ended = client.submit(RESTORE, saved=saved).wait()
     if ended.outcome.kind is not OutcomeKind.SUCCEEDED:

@@ -221,5 +221,5 @@ def _these(commands: list[str], _: Client) -> list[str]:
 
 
 def _latest(client: Client) -> list[str]:
-    last = int(client.status().get("commands_accepted", 0))
+    last = client.status().commands_accepted
     return [f"C-{n}" for n in range(max(1, last - READ_AGAIN + 1), last + 1)]

@@ -63,7 +63,7 @@ class Hub:
         self.hello = hello
         self.story = Story([arm.name for arm in cell.arms], {arm.end_effector: arm.name for arm in cell.arms})
         self.facts: dict[str, m.Fact] = {}
-        self.status: dict[str, Any] = {}
+        self.status = m.Status()
         self.status_at_s = 0.0
         self._of_pages: dict[str, None] = {}  # the last commands of pages
         self._tests: dict[str, m.CommandEnded] = {}  # the last TESTs of any client that were feasible
@@ -268,7 +268,7 @@ class Hub:
         }
 
     def _status(self) -> dict[str, Any]:
-        return {"status": {key: self.status[key] for key in STATUS if key in self.status}, "at_s": self.status_at_s}
+        return {"status": {key: getattr(self.status, key) for key in STATUS}, "at_s": self.status_at_s}
 
     def _post(self, message: Mapping[str, Any]) -> None:
         if self.boxes:

@@ -67,7 +67,7 @@ def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
     with Renderer() as renderer:
         pictures = Pictures(out, renderer, CELL)
         with own_cluster(cell=CELL, speed=speed) as run_dir, Client(run_dir) as rtc:
-            narrator.line(f"ready; {len(rtc.status().get('workers', []))} workers, run directory {run_dir}")
+            narrator.line(f"ready; {len(rtc.status().workers)} workers, run directory {run_dir}")
             _run(narrator, rtc, pictures)
         narrator.line("everything stopped")
         pictures.check(narrator)

@@ -101,7 +101,7 @@ def _halted(narrator: Narrator, scene: Scene, course: Course) -> None:
     narrator.check("where MACS-NEW is, and how it lies in the hand, is in doubt", doubtful)
     refused = scene.rtc.run(f"RESUME {course.commands['C25']}").outcome
     narrator.check(f"RESUME is refused: {refused.message}", refused.kind is OutcomeKind.REFUSED)
-    held = [row["name"] for row in scene.rtc.status()["resources"] if row["owner"]]
+    held = [row.name for row in scene.rtc.status().resources if row.owner]
     narrator.check(f"nothing is reserved any more: {held or 'nothing'}", not held)
     for text in ("VERIFY MACS-NEW AT RIGHT-ARM", "VERIFY MACS-NEW AT LEFT-ARM", "LOCATE MACS-NEW", course.texts["C25"]):
         outcome = scene.rtc.run(text, timeout_s=1800.0).outcome

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter as Counts
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
@@ -107,7 +107,7 @@ class _Last(Collector):
 
     def __init__(self, lost: Callable[[], int], now: Callable[[], float]) -> None:
         self._lost, self._now = lost, now
-        self.status: dict[str, Any] = {}
+        self.status = m.Status()
         self.status_at_s = -math.inf
         self.telemetry: dict[str, m.Telemetry] = {}  # by subsystem
 
@@ -121,35 +121,34 @@ class _Last(Collector):
             yield from _of_telemetry(list(self.telemetry.values()))
 
 
-def _of_status(status: dict[str, Any]) -> Iterator[Metric]:
-    counters = status.get("counters", {})
-    dropped = sum(n for name, n in counters.items() if name.startswith("dropped_"))
-    restarts = sum(row.get("restarts") or 0 for row in status.get("processes", []))
-    yield GaugeMetricFamily("rtc_cluster_uptime_seconds", "Since the start of the run", status.get("uptime_s", 0.0))
-    yield GaugeMetricFamily("rtc_commands_in_progress", "Commands not ended", status.get("commands_live", 0))
-    yield CounterMetricFamily("rtc_commands_accepted", "Accepted sentences", status.get("commands_accepted", 0))
-    unwatched = counters.get("unwatched", 0)
+def _of_status(status: m.Status) -> Iterator[Metric]:
+    dropped = sum(n for name, n in status.counters.items() if name.startswith("dropped_"))
+    restarts = sum(row.restarts for row in status.processes)
+    yield GaugeMetricFamily("rtc_cluster_uptime_seconds", "Since the start of the run", status.uptime_s)
+    yield GaugeMetricFamily("rtc_commands_in_progress", "Commands not ended", status.commands_live)
+    yield CounterMetricFamily("rtc_commands_accepted", "Accepted sentences", status.commands_accepted)
+    unwatched = status.counters.get("unwatched", 0)
     yield CounterMetricFamily("rtc_commands_unwatched", "Commands whose notes were not published", unwatched)
-    yield CounterMetricFamily("rtc_halts", "Halts received", status.get("halts", {}).get("called", 0))
+    yield CounterMetricFamily("rtc_halts", "Halts received", status.halts.called)
     yield CounterMetricFamily("rtc_messages_dropped", "Unreadable or excessive messages", dropped)
     yield CounterMetricFamily("rtc_process_restarts", "Restarts of all processes", restarts)
-    taken = sum(1 for row in status.get("resources", []) if row.get("owner"))
+    taken = sum(1 for row in status.resources if row.owners or row.quarantine)
     yield GaugeMetricFamily("rtc_resources_taken", "Resources with an owner, or in quarantine", taken)
-    kinds = [worker["kind"] for worker in status.get("workers", [])]
-    yield _labelled("rtc_workers", "Workers", "kind", {kind: kinds.count(kind) for kind in status.get("queues", {})})
-    yield from _of_hosts(status.get("hosts", []))
-    yield _labelled("rtc_jobs_waiting", "Jobs without a worker", "kind", status.get("queues", {}))
-    times = {name: 1e-3 * value for name, value in status.get("decision_ms", {}).items()}
+    kinds = [worker.kind for worker in status.workers]
+    yield _labelled("rtc_workers", "Workers", "kind", {kind: kinds.count(kind) for kind in status.queues})
+    yield from _of_hosts(status.hosts)
+    yield _labelled("rtc_jobs_waiting", "Jobs without a worker", "kind", status.queues)
+    times = {name: 1e-3 * value for name, value in status.decision_ms.items()}
     yield _labelled("rtc_broker_iteration_seconds", "Message to effects, recent iterations", "statistic", times)
 
 
-def _of_hosts(rows: list[dict[str, Any]]) -> Iterator[Metric]:
+def _of_hosts(rows: list[m.HostRow]) -> Iterator[Metric]:
     """Workers and refusals by the name of the key; an empty name stands for this machine and for unknown keys."""
     asked, joined, refused = (Counts[str]() for _ in range(3))
     for row in rows:
-        asked[row["key"]] = max(asked[row["key"]], row["asked"])
-        joined[row["key"]] += row["joined"]
-        refused[row["key"]] += row["refused"] + row["late_results"]
+        asked[row.key] = max(asked[row.key], row.asked)
+        joined[row.key] += row.joined
+        refused[row.key] += row.refused + row.late_results
     yield _labelled("rtc_workers_asked", "Workers that are to use a key", "key", dict(asked))
     yield _labelled("rtc_workers_joined", "Workers that the broker knows", "key", dict(joined))
     yield _labelled("rtc_peer_refusals", "Refusals of the peers that rtc status shows", "key", dict(refused))
@@ -169,7 +168,7 @@ def _of_telemetry(latest: list[m.Telemetry]) -> Iterator[Metric]:
     yield _labelled("rtc_arm_force_newtons", "Force on the hand", "arm", forces)
 
 
-def _labelled(name: str, words: str, label: str, values: dict[str, float]) -> Metric:
+def _labelled(name: str, words: str, label: str, values: Mapping[str, float]) -> Metric:
     family = GaugeMetricFamily(name, words, labels=[label])
     for key, value in values.items():
         family.add_metric([key], value)

@@ -188,7 +188,7 @@ class Recording:
         event = Event(start_time=self._stamp(start_s), end_time=self._stamp(end_s), metadata=metadata)
         self._write_protobuf("/events", event, at_s, end_s)
 
-    def _take_status(self, at_s: float, status: dict[str, Any]) -> None:
+    def _take_status(self, at_s: float, status: m.Status) -> None:
         self._write("/rtc/status", msgspec.json.encode(status), at_s, at_s, "json", lambda: 0)
 
     # --- the file -------------------------------------------------------------------------------------

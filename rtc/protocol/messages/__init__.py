@@ -1,8 +1,8 @@
 """All messages between processes: read this package first. Other packages import the messages from here.
 
-The modules in the order to read them, that of a command's path: `client`, `progress`, `worker`, `payloads` (what jobs
-carry), `step`, `subsystem`, `world`, `saved`, `supervisor`, `simulator`, `recorded`. `shared` has what several of them
-use. A module ends with the unions of its messages, one per socket and direction.
+The modules in the order to read them, that of a command's path: `client`, `progress`, `status`, `worker`, `payloads`
+(what jobs carry), `step`, `subsystem`, `world`, `saved`, `supervisor`, `simulator`, `recorded`. `shared` has what
+several of them use. A module ends with the unions of its messages, one per socket and direction.
 
 Every message is a frozen struct. On the wire it is a MessagePack map whose key "type" holds the name of the class; only
 `rtc.protocol.wire` encodes. Unknown keys are ignored and missing keys take their defaults, so that different versions
@@ -21,6 +21,7 @@ from rtc.protocol.messages.recorded import *
 from rtc.protocol.messages.saved import *
 from rtc.protocol.messages.shared import *
 from rtc.protocol.messages.simulator import *
+from rtc.protocol.messages.status import *
 from rtc.protocol.messages.step import *
 from rtc.protocol.messages.subsystem import *
 from rtc.protocol.messages.supervisor import *

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 
 from rtc.protocol.messages.progress import Phase, ProgressNote
 from rtc.protocol.messages.saved import SavedWorld
-from rtc.protocol.messages.shared import PROGRAM_BYTES, Heartbeat, Hello, Message, Name, Shutdown, WorkerKind
+from rtc.protocol.messages.shared import (
+    PROGRAM_BYTES,
+    Breakpoint,
+    Heartbeat,
+    Hello,
+    Message,
+    Name,
+    Shutdown,
+    WorkerKind,
+)
+from rtc.protocol.messages.status import Status
 from rtc.protocol.outcomes import NotSucceeded, Outcome, OutcomeKind, Refusal
 
 SHOWN = 60  # characters of a sentence in `repr`
@@ -60,16 +70,6 @@ class ProgramQuery(Message, frozen=True, kw_only=True):
 
     request: Name
     kind: WorkerKind | None = None  # None: the document of the cell
-
-
-class Breakpoint(msgspec.Struct, frozen=True):
-    """Before this step of the script of each command of a verb: GRASP:5."""
-
-    verb: Name
-    step: Annotated[int, msgspec.Meta(ge=1)]
-
-    def __str__(self) -> str:
-        return f"{self.verb}:{self.step}"
 
 
 class SetBreakpoints(Message, frozen=True, kw_only=True):
@@ -156,7 +156,7 @@ class HaltRequested(Message, frozen=True, kw_only=True):
 
 class StatusReply(Message, frozen=True, kw_only=True):
     request: str
-    status: dict[str, Any]  # see docs/protocol.md; plain JSON types
+    status: Status
 
 
 class CommandRecord(Message, frozen=True, kw_only=True):

@@ -43,6 +43,16 @@ class WorkerKind(StrEnum):
 REHEARSER = "rehearser"  # in the place of a kind: a worker that performs TEST sentences on paper, with all programs
 
 
+class Breakpoint(msgspec.Struct, frozen=True):
+    """Before this step of the script of each command of a verb: GRASP:5."""
+
+    verb: Name
+    step: Annotated[int, msgspec.Meta(ge=1)]
+
+    def __str__(self) -> str:
+        return f"{self.verb}:{self.step}"
+
+
 class Heartbeat(Message, frozen=True, kw_only=True):
     """Sign of life. From a worker, a subsystem, or a client with `halt_if_lost`.
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NotRequired, TypedDict
+from typing import Annotated
 
 import msgspec
 
 from rtc.protocol.messages.client import Declined
 from rtc.protocol.messages.shared import Hello, Message, Name, Shutdown, UnreadableMessages, WorkerKind
+from rtc.protocol.messages.status import ProcessRow
 
 
 class ProcessHello(Hello, frozen=True, kw_only=True):
@@ -23,18 +24,6 @@ class ProcessExited(Message, frozen=True, kw_only=True):
     pid: int
     status: int  # as from waitpid: negative = signal
     called: str = ""  # the last code of an installed package that it has announced to call
-
-
-class ProcessRow(TypedDict):
-    """A process as the supervisor knows it; a plain map, because `rtc status` passes it on unchanged."""
-
-    name: Name
-    pid: int
-    state: Name
-    since_s: float  # CLOCK_MONOTONIC
-    restarts: NotRequired[int]
-    notes: NotRequired[list[str]]  # warnings: a database set aside, the last output of a crash loop
-    node: NotRequired[int | None]  # a worker's address
 
 
 class WorkerRequest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from PIL import Image
 from prompt_toolkit.application import create_app_session
@@ -251,11 +252,11 @@ def test_a_camera_locates_a_module_that_has_moved(rtc: Run, run_dir: Path, tmp_p
     assert bodies["MACS-NEW"]["cause"] == "out of view"
 
 
-def until_listed(faults: list[str], status: Callable[[], dict[str, Any]]) -> list[str]:
+def until_listed(faults: list[str], status: Callable[[], m.Status]) -> list[str]:
     """The MCM reports faults to the broker after its answer to `rtc inject`."""
     end = os.times().elapsed + LIMIT_S
     while True:
-        listed = next(row for row in status()["subsystems"] if row["name"] == "MCM")["injected"]
+        listed = next(row for row in status().subsystems if row.name == "MCM").injected
         if listed == faults or os.times().elapsed > end:
             return listed
 
@@ -264,7 +265,7 @@ def test_injected_faults_are_in_the_status_until_they_are_undone(rtc: Run, run_d
     assert rtc("inject", "blind", "camera_1").returncode == 0
     active = last_json(rtc("inject", "displace", "MACS-OLD", "--by", "0,0.02,0", "--turn", "0,0,3", "--json"))["active"]
     assert [words.split(" by ")[0] for words in active] == ["blind CAMERA-1", "displace MACS-OLD"]
-    assert until_listed(active, lambda: last_json(rtc("status", "--json"))) == active
+    assert until_listed(active, lambda: msgspec.convert(last_json(rtc("status", "--json")), m.Status)) == active
     picture = rtc("picture", "CAMERA-1", "-o", str(tmp_path / "dark.png"))
     assert picture.returncode == 0, picture.stderr
     assert Image.open(tmp_path / "dark.png").convert("L").getextrema() == (0, 0)
@@ -387,7 +388,7 @@ def test_a_program_ends_with_a_halt(run_dir: Path, tmp_path: Path, words: list[s
         program = subprocess.Popen(
             [*RTC, *words, "--run-dir", str(run_dir)], stdin=given, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
-        until(lambda: [one["text"] for one in client.status()["commands"]] == ["HOLD LEFT-ARM"])
+        until(lambda: [one.text for one in client.status().commands] == ["HOLD LEFT-ARM"])
         client.halt()
         printed = program.communicate(timeout=60)[0].decode()
 

@@ -31,7 +31,7 @@ STATUS: dict[str, Any] = {
 
 
 def warnings(status: dict[str, Any]) -> list[str]:
-    return [one.about for one in doctor.of_status(status) if one.mend]
+    return [one.about for one in doctor.of_status(msgspec.convert(status, m.Status)) if one.mend]
 
 
 def changed(place: str, **values: object) -> dict[str, Any]:
@@ -52,7 +52,7 @@ def test_a_cluster_in_order_has_no_warning():
         (changed("processes", restarts=2), "processes"),
         (changed("subsystems", state="lost"), "MCM"),
         (changed("subsystems", injected=["F-1: joint_2 of LEFT-ARM sticks"]), "MCM"),
-        (changed("resources", owner="quarantine: MCM"), "LEFT-ARM"),
+        (changed("resources", quarantine="MCM"), "LEFT-ARM"),
         (STATUS | {"decision_ms": {"p99": 50.0}}, "broker"),
     ],
 )

@@ -18,7 +18,7 @@ from rtc.apps.cli.halt_at_once import plain
 from rtc.apps.cli.halt_words import not_reached
 from rtc.client.halt import HaltResult, SubsystemHalt
 from rtc.protocol import messages as m
-from rtc.protocol.messages import CommandRecord, Phase
+from rtc.protocol.messages import CommandRecord, CommandRow, Phase
 from rtc.protocol.outcomes import Outcome, OutcomeKind
 from rtc.protocol.wire import frames, reader
 
@@ -56,8 +56,8 @@ def test_a_halt_of_an_ended_command_states_how_it_ended_and_what_moves() -> None
     about = {"text": "X", "source": "operator", "request": "1", "accepted_at_s": 0.0}
     ended = Outcome(kind=OutcomeKind.SUCCEEDED)
     record = CommandRecord(command="C-9", phase=Phase.ENDED, outcome=ended, ended_at_s=1.0, **about)
-    moving = {"command": "C-11", "phase": "executing", "resources": ["MACS-NEW", "RIGHT-ARM"]}
-    waiting = {"command": "C-12", "phase": "held", "resources": []}
+    moving = CommandRow(command="C-11", phase=Phase.EXECUTING, resources=["MACS-NEW", "RIGHT-ARM"])
+    waiting = CommandRow(command="C-12", phase=Phase.HELD)
 
     assert (
         not_reached(record, [moving, waiting])

@@ -8,19 +8,20 @@ import pytest
 
 from rtc.apps.cli.hosts import connections_of, request_in_words, show_hosts
 from rtc.apps.cli.output import console
+from rtc.protocol.messages import HostRow, MoreWorkersRow, Status
 
 
-def row(**about: Any) -> dict[str, Any]:
-    made = {"host": "10.0.0.7", "key": "w1", "role": "worker", "asked": 0, "joined": 0, "missing": 0, "refused": 0}
-    return {**made, "connections": 1, "last_message_ago_s": 0.2, "state": "ready", "late_results": 0, **about}
+def row(**about: Any) -> HostRow:
+    made = {"host": "10.0.0.7", "key": "w1", "role": "worker", "connections": 1, "last_message_ago_s": 0.2}
+    return HostRow(**{**made, "state": "ready", **about})
 
 
 HERE = row(host="this machine", key="", asked=4, joined=4)
 
 
-def shown(*rows: dict[str, Any], **about: Any) -> str:
+def shown(*rows: HostRow, **about: Any) -> str:
     with console.capture() as captured:
-        show_hosts({"hosts": [HERE, *rows], **about})
+        show_hosts(Status(hosts=[HERE, *rows], **about))
     return captured.get()
 
 
@@ -59,13 +60,12 @@ def test_a_silent_gateway_is_stated() -> None:
     ],
 )
 def test_a_request_for_more_workers_in_words(about: dict[str, Any], words: str) -> None:
-    request = {"kind": "binder", "asked": 4, "joined": 2, "ago_s": 12.0, "running": False, "failed": "", "output": ""}
-    text = request_in_words({**request, **about})
+    text = request_in_words(MoreWorkersRow(kind="binder", asked=4, joined=2, ago_s=12.0, **about))
     assert text.startswith("asked for 4 binders 12 s ago, 2 joined")
     assert text.endswith(words)
 
 
 def test_the_connections_of_a_key_are_those_of_all_its_hosts() -> None:
     rows = [row(connections=2), row(host="10.0.0.8", connections=0, last_message_ago_s=9.0), row(key="w2")]
-    assert connections_of({"hosts": rows}, "w1") == (2, 0.2, ["10.0.0.7"])
-    assert connections_of({"hosts": [row(key="")]}, "") == (0, None, [])
+    assert connections_of(Status(hosts=rows), "w1") == (2, 0.2, ["10.0.0.7"])
+    assert connections_of(Status(hosts=[row(key="")]), "") == (0, None, [])

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+
 from rtc.apps.cli.live_state import Live, in_words
+from rtc.protocol.messages import Status
 
 CALM: dict[str, Any] = {
     "resources": [{"name": "RIGHT-ARM", "owner": "C-7"}],
@@ -20,7 +23,7 @@ def words(live: Live) -> str:
 
 
 def test_each_arm_with_what_it_holds_and_the_commands_in_progress() -> None:
-    shown = words(Live(CALM, ARMS))
+    shown = words(Live(msgspec.convert(CALM, Status), ARMS))
 
     assert "LEFT-ARM holds MACS-OLD" in shown
     assert "RIGHT-ARM in use by C-7" in shown
@@ -31,7 +34,8 @@ def test_each_arm_with_what_it_holds_and_the_commands_in_progress() -> None:
 
 def test_halts_faults_and_a_silent_cluster() -> None:
     mcm = {"name": "MCM", "state": "lost", "injected": ["jam RACK-1"], "strayed": ["LEFT-ARM moved by itself"]}
-    shown = words(Live({**CALM, "commands": [], "subsystems": [mcm], "halts": {"called": 2}}, ARMS, "no answer"))
+    trouble = msgspec.convert({**CALM, "commands": [], "subsystems": [mcm], "halts": {"called": 2}}, Status)
+    shown = words(Live(trouble, ARMS, "no answer"))
 
     for one in ("MCM is lost", "jam RACK-1", "LEFT-ARM moved by itself", "2 halts", "no answer", "no command"):
         assert one in shown

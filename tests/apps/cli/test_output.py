@@ -16,6 +16,7 @@ from rich.text import Text
 from rtc.apps.cli.output import EXIT, Screen, emit_json, exit_code, quoted, refusal_lines, seconds
 from rtc.apps.cli.status import as_supervised, show_status
 from rtc.language.parse import default_grammar, parse
+from rtc.protocol.messages import ProcessRow, RefusedPeerRow, Status, WorkerRow
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 
@@ -84,9 +85,9 @@ def test_durations_are_readable(value: float, text: str) -> None:
 
 
 def test_a_worker_of_another_machine_is_among_the_processes(capsys) -> None:
-    mine = {"name": "binder@2", "node": 2, "pid": 7, "state": "ready", "restarts": 0}
-    workers = [{"name": name, "node": node, "done": 3} for name, node in (("binder@2", 2), ("binder@18", 18))]
-    show_status({"processes": [mine], "workers": workers})
+    mine = ProcessRow(name="binder@2", node=2, pid=7, state="ready")
+    workers = [WorkerRow(name=name, node=node, done=3) for name, node in (("binder@2", 2), ("binder@18", 18))]
+    show_status(Status(processes=[mine], workers=workers))
     printed = capsys.readouterr().out
     assert "binder@18" in printed
     assert "ready, elsewhere" in printed
@@ -107,18 +108,17 @@ def test_without_a_broker_the_supervisors_report_is_what_is_known(
         known = as_supervised(tmp_path)
     assert known is not None
 
-    show_status(known)
+    show_status(known, silent=True)
     printed = capsys.readouterr().out
     assert printed.startswith(f"cluster abc in {tmp_path}, up 5.")
     assert "starting" in printed
-    assert "command under way" not in printed
+    assert "no command" not in printed
 
 
 def test_a_refused_peer_is_shown_with_both_versions(capsys: pytest.CaptureFixture[str]) -> None:
     words = "binder@18 speaks version 3 of the protocol, this cluster version 2"
-    show_status(
-        {"refused": [{"name": "binder@18", "socket": "workers", "protocol": 3, "message": words, "ago_s": 7.0}]}
-    )
+    peer = RefusedPeerRow(name="binder@18", socket="workers", protocol=3, message=words, ago_s=7.0)
+    show_status(Status(refused=[peer]))
     assert words in " ".join(capsys.readouterr().out.split())
 
 

@@ -108,15 +108,15 @@ def test_a_held_command_shows_its_present_owner_the_line_before_it_and_what_clea
     """The note names the owner when the waiting began; another one has the arm now."""
     status = {
         "resources": [
-            {"name": "LEFT-ARM", "owner": "C-1", "waiting": []},
-            {"name": "RIGHT-ARM", "owner": "C-6", "waiting": ["C-7", "C-8", "C-9"]},
+            {"name": "LEFT-ARM", "owner": "C-1", "owners": ["C-1"], "waiting": []},
+            {"name": "RIGHT-ARM", "owner": "C-6", "owners": ["C-6"], "waiting": ["C-7", "C-8", "C-9"]},
         ],
         "commands": [
             {"command": name, "text": f"text of {name}", "phase": "executing", "step": "1 of 1: go"}
             for name in ("C-1", "C-6", "C-7", "C-8")
         ],
     }
-    waits, clears = waits_for(status, held(NoteKind.IN_USE, about="RIGHT-ARM", owner="C-5"))
+    waits, clears = waits_for(msgspec.convert(status, m.Status), held(NoteKind.IN_USE, about="RIGHT-ARM", owner="C-5"))
     assert all(word in waits for word in ("RIGHT-ARM", "C-6", "executing", "text of C-6", "C-7"))
     assert "C-5" not in waits
     assert "C-1" not in waits
@@ -124,16 +124,14 @@ def test_a_held_command_shows_its_present_owner_the_line_before_it_and_what_clea
 
 
 def test_a_command_that_waits_for_another_shows_that() -> None:
-    waits, clears = waits_for({"resources": [], "commands": []}, held(NoteKind.AFTER, owner="C-5"))
+    waits, clears = waits_for(m.Status(), held(NoteKind.AFTER, owner="C-5"))
     assert waits == "waits for C-5 to succeed"
     assert clears.endswith("ABORT C-8")
 
 
 def test_a_closed_resource_has_no_owner_to_abort() -> None:
-    resources = [{"name": "RIGHT-ARM", "owner": "quarantine: MCM", "waiting": ["C-8"]}]
-    (waits,) = waits_for(
-        {"resources": resources, "commands": []}, held(NoteKind.IN_USE, about="RIGHT-ARM", owner="MCM")
-    )
+    closed = m.ResourceRow(name="RIGHT-ARM", quarantine="MCM", waiting=["C-8"])
+    (waits,) = waits_for(m.Status(resources=[closed]), held(NoteKind.IN_USE, about="RIGHT-ARM", owner="MCM"))
     assert "rtc status" in waits
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import pytest
 
 from rtc.apps.cli.world import shown, spelt, stated, units_in, with_motions
@@ -67,8 +68,8 @@ def test_a_moving_arm_has_its_path_and_the_time_of_its_start() -> None:
     still = [[0.0, 0.0], [0.0, 0.0]]
     path = {"time_s": [0.0, 4.0], "positions": [[0.0, 0.0], [1.5707963, 0.0]]}
     path |= {"velocities": still, "accelerations": still}
-    motion = {"arm": "RIGHT-ARM", "command": "C-2", "primitive": "C-2.1@x", "started_ago_s": 1.5, **path}
-    elsewhere = {**motion, "arm": "LEFT-ARM"}
+    motion = m.MotionRow(arm="RIGHT-ARM", command="C-2", primitive="C-2.1@x", started_ago_s=1.5, **path)
+    elsewhere = msgspec.structs.replace(motion, arm="LEFT-ARM")
 
     joints, found = with_motions([fact], [motion, elsewhere], 10.0)
 

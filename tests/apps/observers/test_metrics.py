@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from urllib.request import urlopen
 
+import msgspec
 import pytest
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
@@ -29,7 +30,7 @@ STATUS = {
     "halts": {"called": 2},
     "counters": {"halts": 2, "dropped_front": 1, "dropped_MCM": 2},
     "processes": [{"name": "broker", "restarts": 1}, {"name": "MCM"}],
-    "resources": [{"name": "LEFT-ARM", "owner": "C-1"}, {"name": "RIGHT-ARM", "owner": ""}],
+    "resources": [{"name": "LEFT-ARM", "owners": ["C-1"]}, {"name": "RIGHT-ARM"}],
     "workers": [{"kind": "binder"}, {"kind": "binder"}],
     "queues": {"binder": 4, "parser": 0},
     "decision_ms": {"p50": 0.5, "p99": 2.0},
@@ -88,7 +89,7 @@ def test_a_note_that_repeats_its_process_counts_no_second_job(metrics):
 
 
 def test_the_status_is_shown_while_it_is_fresh(metrics, clock):
-    metrics.take(Received(T0, m.StatusReply(request="status", status=STATUS)))
+    metrics.take(Received(T0, m.StatusReply(request="status", status=msgspec.convert(STATUS, m.Status))))
     found = samples(metrics)
     assert found["rtc_broker_up",] == 1
     assert found["rtc_commands_in_progress",] == 3
@@ -112,7 +113,8 @@ def test_workers_and_refusals_are_shown_by_key_over_all_its_hosts(metrics):
         {"key": "w1", "asked": 8, "joined": 2, "refused": 1, "late_results": 2},
         {"key": "w1", "asked": 8, "joined": 5, "refused": 0, "late_results": 0},
     ]
-    metrics.take(Received(T0, m.StatusReply(request="status", status={**STATUS, "hosts": rows})))
+    status = msgspec.convert({**STATUS, "hosts": rows}, m.Status)
+    metrics.take(Received(T0, m.StatusReply(request="status", status=status)))
     found = samples(metrics)
     for name, here, far in (("workers_asked", 4, 8), ("workers_joined", 3, 7), ("peer_refusals", 0, 3)):
         assert (found[f"rtc_{name}", ""], found[f"rtc_{name}", "w1"]) == (here, far)
@@ -121,7 +123,7 @@ def test_workers_and_refusals_are_shown_by_key_over_all_its_hosts(metrics):
 def test_every_metric_of_the_board_exists(metrics):
     for message in (*STOWED, DECLINED, telemetry(0.0, 0.1)):
         metrics.take(received(message))
-    metrics.take(Received(T0, m.StatusReply(request="status", status=STATUS)))
+    metrics.take(Received(T0, m.StatusReply(request="status", status=msgspec.convert(STATUS, m.Status))))
     exported = {name for name, *_ in samples(metrics)} | {"rtc_command_stops_total"}  # that one has no sample yet
     board = json.loads(BOARD.read_text())
     used = {name for panel in board["panels"] for t in panel["targets"] for name in re.findall(r"rtc_\w+", t["expr"])}

@@ -8,7 +8,7 @@ import pytest
 from broker.decisions.effects import DispatchJob
 from broker.dispatch.autoscaler import COMING_S, IDLE_S, WAIT_S, Autoscaler
 from broker.dispatch.worker_registry import WorkerRegistry
-from rtc.protocol.messages import RetireWorker, SpawnWorker, WorkerKind
+from rtc.protocol.messages import ProcessRow, RetireWorker, SpawnWorker, WorkerKind
 
 BINDER, PARSER = WorkerKind.BINDER, WorkerKind.PARSER
 
@@ -20,7 +20,7 @@ def job(n):
 
 
 def row(name, state):
-    return {"name": name, "state": state, "pid": 1}
+    return ProcessRow(name=name, state=state, pid=1)
 
 
 class Cluster:

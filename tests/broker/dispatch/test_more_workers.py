@@ -9,7 +9,7 @@ import msgspec
 from broker.decisions.effects import DispatchJob
 from broker.dispatch.more_workers import FAILED_S, ORDER_S, PAUSE_S, WAITED_S, MoreWorkers
 from broker.dispatch.worker_registry import WorkerRegistry
-from rtc.protocol.messages import RequestWorkers, WorkerKind, WorkerRequest
+from rtc.protocol.messages import ProcessRow, RequestWorkers, WorkerKind, WorkerRequest
 
 BINDER = WorkerKind.BINDER
 OWN, FAR, WAIT_S = 2, 4, 60.0
@@ -21,7 +21,7 @@ class Cluster:
     def __init__(self, waiting: int = 20, own: int = OWN, far: int = 0, command: str = "ask {kind} {count}") -> None:
         self.registry = WorkerRegistry()
         self.more = MoreWorkers(command, OWN, FAR, WAIT_S)
-        self.processes: list[dict[str, Any]] = [{"name": f"binder@{n}", "state": "ready"} for n in range(own)]
+        self.processes = [ProcessRow(name=f"binder@{n}", state="ready") for n in range(own)]
         self.asked: list[WorkerRequest] = []
         for n in (*range(own), *(100 + n for n in range(far))):
             self.registry.register(f"binder@{n}", n, BINDER, 1, 0.0)

@@ -41,7 +41,7 @@ def test_a_stranger_that_calls_itself_mcm_is_refused_in_words(supervised: Bench)
 
 def test_a_stranger_that_calls_itself_supervisor_changes_nothing(supervised: Bench) -> None:
     supervised.send("supervisor", b"supervisor", m.ProcessTable(processes=[]))
-    assert [row["name"] for row in supervised.router.core.processes] == ["MCM"]
+    assert [row.name for row in supervised.router.core.processes] == ["MCM"]
 
 
 def test_a_subsystem_that_is_lost_although_it_runs_is_started_anew(supervised: Bench) -> None:
@@ -58,4 +58,4 @@ def test_a_subsystem_that_is_lost_although_it_runs_is_started_anew(supervised: B
 def test_the_status_tells_how_old_the_list_of_processes_is(supervised: Bench) -> None:
     supervised.now += 12.0
     (reply,) = supervised.send("front", b"ann", m.StatusQuery(request="q"))
-    assert reply.status["supervisor_silent_s"] == pytest.approx(12.0, abs=0.1)
+    assert reply.status.supervisor_silent_s == pytest.approx(12.0, abs=0.1)

@@ -39,8 +39,8 @@ def bench() -> Bench:
 
 def refused(bench: Bench) -> list[dict[str, Any]]:
     (reply,) = bench.send("front", b"observer", m.StatusQuery(request="q"))
-    assert reply.status["protocol"] == VERSION
-    return [{key: row[key] for key in ("name", "socket", "protocol")} for row in reply.status["refused"]]
+    assert reply.status.protocol == VERSION
+    return [{key: getattr(row, key) for key in ("name", "socket", "protocol")} for row in reply.status.refused]
 
 
 @pytest.mark.parametrize(("socket", "peer", "hello"), PEERS)
@@ -101,4 +101,4 @@ def test_the_number_of_refused_peers_is_bounded() -> None:
         peers.refusal_of("front", str(n).encode(), m.ClientHello(client=f"{n}~x"), 1.0)
     assert not peers.is_refused("front", b"0")
     assert len(peers.rows(3.0)) == refused_peers.SHOWN
-    assert (peers.rows(3.0)[0]["name"], peers.rows(3.0)[0]["ago_s"]) == (str(2 * refused_peers.KEPT - 1), 2.0)
+    assert (peers.rows(3.0)[0].name, peers.rows(3.0)[0].ago_s) == (str(2 * refused_peers.KEPT - 1), 2.0)

@@ -51,7 +51,7 @@ def test_unreadable_messages_are_counted_by_endpoint(bench: Bench) -> None:
         bench.sockets[endpoint].put([b"x", b"RTC0", b""])
     bench.turn()
     bench.send("supervisor", b"world", m.UnreadableMessages(counts={"world": 7, "front": 9}))
-    counters = bench.send("front", b"ann", m.StatusQuery(request="1"))[0].status["counters"]
+    counters = bench.send("front", b"ann", m.StatusQuery(request="1"))[0].status.counters
     dropped = {name: n for name, n in counters.items() if name.startswith("dropped_")}
     assert dropped == {
         **{f"dropped_{endpoint}": 1 for endpoint in ("front", "halt", "workers", "subsystems", "supervisor")},
@@ -196,11 +196,11 @@ def test_an_arm_that_moved_without_a_primitive_is_noted_once_and_shown_until_its
     for how in ("moved without a command; braked, it moves", "moved without a command; braked, it rests"):
         bench.send("subsystems", b"MCM", m.Strayed(arms={arm: how, "ANOTHER": how}))
     status = bench.send("front", b"ann", m.StatusQuery(request="1"))[0].status
-    assert [row["strayed"] for row in status["subsystems"]] == [[f"{arm} {how}"]]
-    assert status["commands_accepted"] == 1
+    assert [row.strayed for row in status.subsystems] == [[f"{arm} {how}"]]
+    assert status.commands_accepted == 1
     bench.send("subsystems", b"MCM", m.Strayed(arms={}))
     status = bench.send("front", b"ann", m.StatusQuery(request="2"))[0].status
-    assert [row["strayed"] for row in status["subsystems"]] == [[]]
+    assert [row.strayed for row in status.subsystems] == [[]]
 
 
 def test_a_sentence_of_a_client_without_a_hello_is_declined(bench: Bench) -> None:
