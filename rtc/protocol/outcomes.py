@@ -19,13 +19,13 @@ Three kinds of failure are kept apart:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Any
 
 import msgspec
 
+from rtc.protocol.causes import Cause, Effort
 from rtc.protocol.rehearsal import Rehearsal
 
 
@@ -164,12 +164,6 @@ class OutcomeKind(StrEnum):
     LOST_SUBSYSTEM = "lost_subsystem"  # the connection to the executing subsystem was lost
 
 
-IN_THE_WAY = "in_the_way"  # key of `Refusal.detail`: name of the arm that blocks a motion, now or on its way
-BY_OPERATOR = "by_operator"  # key of `Refusal.detail`: the sentence that asks the operator for what has failed
-ALREADY = "already"  # key of `Refusal.detail`: the object with which there is nothing left to do but to free the arm
-LEAVING = "leaving"  # key of `Refusal.detail`: the body that the arm may touch where it is; it cannot leave it this way
-
-
 class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """An expected refusal, as a value: the cause in the words of the task, and what would clear it."""
 
@@ -181,19 +175,36 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     nearest: list[str] = []  # the most similar known names
     owner: str = ""  # command that holds the resource, e.g. "C-3"
     clears: str = ""  # what would clear it
-    detail: dict[str, float | str] = {}  # figures: joint, limit_rad, value_rad, bodies, distance_m ...
+    by_operator: str = ""  # the sentence that asks the operator for what was refused, or has failed
+    cause: Cause | None = None
+    in_the_way: str = ""  # arm that blocks the motion, now or on its way, and may leave
+    fraction: float = 1.0  # of the way is free before the problem; 1: all of it, or not known
+    along_m: float | None = None  # of a line is free before the problem
+    effort: Effort | None = None  # what was tried
 
     def offering(self, sentence: str) -> Refusal:
         """With the sentence that asks the operator instead, as the last advice (R81); unchanged if it is empty."""
         if not sentence:
             return self
         clears = f"{self.clears}; or {sentence}" if self.clears else sentence
-        return msgspec.structs.replace(self, clears=clears, detail={**self.detail, BY_OPERATOR: sentence})
+        return msgspec.structs.replace(self, clears=clears, by_operator=sentence)
 
-    @property
-    def by_operator(self) -> str:
-        """The sentence of `offering`; empty if there is none."""
-        return str(self.detail.get(BY_OPERATOR, ""))
+    def figures(self) -> dict[str, float | str | tuple[str, ...]]:
+        """Cause, figures and effort by name, for people."""
+        cause = {} if self.cause is None else {"cause": _tag(self.cause), **msgspec.structs.asdict(self.cause)}
+        free = self.fraction if self.fraction < 1.0 else None
+        rows = {**cause, "in_the_way": self.in_the_way, "fraction": free, "along_m": self.along_m}
+        rows |= {} if self.effort is None else msgspec.structs.asdict(self.effort)
+        return {name: value for name, value in rows.items() if value not in (None, "")}
+
+    def after(self, **effort: Any) -> Refusal:
+        """With more fields of its effort."""
+        known = msgspec.structs.asdict(self.effort) if self.effort is not None else {}
+        return msgspec.structs.replace(self, effort=Effort(**{**known, **effort}))
+
+
+def _tag(cause: Cause) -> str:
+    return str(cause.__struct_config__.tag)
 
 
 class Refused(Exception):
@@ -214,7 +225,8 @@ class Refused(Exception):
         nearest: Iterable[str] = (),
         owner: str = "",
         clears: str = "",
-        detail: Mapping[str, float | str] = MappingProxyType({}),
+        cause: Cause | None = None,
+        in_the_way: str = "",
     ) -> Refused:
         """With a new refusal; the fields are those of `Refusal`."""
         return cls(
@@ -226,7 +238,8 @@ class Refused(Exception):
                 nearest=list(nearest),
                 owner=owner,
                 clears=clears,
-                detail=dict(detail),
+                cause=cause,
+                in_the_way=in_the_way,
             )
         )
 

@@ -28,7 +28,7 @@ from rtc.protocol.messages import (
     Step,
     Trim,
 )
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Box, GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove
 from rtc.protocol.rehearsal import Rehearsal
 from rtc.protocol.sentence import ParsedCommand
@@ -232,7 +232,7 @@ class Harness:
 
 
 def in_the_way(arm: str) -> Refusal:
-    return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{arm} is in the way", detail={IN_THE_WAY: arm})
+    return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{arm} is in the way", in_the_way=arm)
 
 
 def record(kind: str = "task", verb: str = "GRASP", **fields: Any) -> ParsedCommand:

@@ -17,7 +17,8 @@ from collections.abc import Callable, Iterable
 from typing import Any, Literal, NamedTuple
 
 from broker.decisions.command.nominal import failure
-from rtc.protocol.outcomes import ALREADY, Outcome, OutcomeKind, Refusal
+from rtc.protocol.causes import AlreadyDone
+from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal
 from rtc.protocol.sentence import OPERATOR, ParsedCommand
 from rtc.spatial import geometry
 from tests.workers.conftest import GRAMMAR, Bench, Run
@@ -74,7 +75,7 @@ class Answer(NamedTuple):
 
 
 def _is_done(message: str, why: Refusal | None) -> bool:
-    return message.endswith(NOTHING_LEFT) or (why is not None and ALREADY in why.detail)
+    return message.endswith(NOTHING_LEFT) or (why is not None and isinstance(why.cause, AlreadyDone))
 
 
 class Followed(NamedTuple):

@@ -36,7 +36,7 @@ def test_a_colliding_path_of_a_planner_is_not_accepted(install, right, cell, set
     install(registry.PLANNERS, "straight", "plan", THROUGH)
     with pytest.raises(Refused) as refused:
         plan_joint_motion(*behind_a_wall(cell, right, setting))
-    assert refused.value.refusal.detail["body_b"] == "WALL slab"
+    assert refused.value.refusal.cause.body_b == "WALL slab"
 
 
 def test_a_free_path_of_a_planner_is_used_before_a_search(install, right, cell, setting, monkeypatch):  # noqa: F811
@@ -72,7 +72,7 @@ def test_a_planner_that_gives_no_way_is_passed_over(install, right, cell, settin
     given = [*map(list, request.joints.values()), right.limits.upper.tolist(), right.base_pose.tolist()]
     with pytest.raises(Refused) as refused:
         plan_joint_motion(request, goal)
-    assert refused.value.refusal.detail["samples"] == 0
+    assert refused.value.refusal.effort.samples == 0
     assert given == [*map(list, request.joints.values()), right.limits.upper.tolist(), right.base_pose.tolist()]
 
 

@@ -12,7 +12,7 @@ from broker.decisions import events
 from broker.decisions.deferred_analysis import LIMIT_S
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, WorkerKind
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from tests.broker.flat_events import made
 from tests.broker.harness import bound, give_up, go_on, in_the_way, mend, record, rehearsed, report, script, trim
 from tests.simulation.mcm_model import called
@@ -49,7 +49,7 @@ def _work(model: Model, scenario: Scenario, command: str, product: str) -> event
     live = model.du.commands[command]
     assert live.job is not None
     del model.given[live.job.id]
-    if product == IN_THE_WAY:
+    if product == "in the way":
         arm = sentence_of(command, scenario).meets
         about = {"job": live.job.id, "attempt": live.job.attempt, "node": "w"}
         return events.JobDeclined(at_s=model.now, refusal=in_the_way(arm), **about)

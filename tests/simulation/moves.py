@@ -9,7 +9,7 @@ from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.state import Command, LinkState
 from rtc.protocol.messages import Phase, WorkerKind
-from rtc.protocol.outcomes import IN_THE_WAY, StopReason
+from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive_id import command_of
 from tests.simulation.arrivals import event_of
 from tests.simulation.model import (
@@ -141,7 +141,7 @@ def products(model: Model, command: Command, scenario: Scenario) -> list[str]:
         trims = sentence_of(command.id, scenario).trims
         return ["go on", "give up", *(f"trim {n}" for n in range(1, trims + 1))]
     if command.job.kind in (WorkerKind.ELABORATOR, WorkerKind.BINDER) and sentence_of(command.id, scenario).meets:
-        return ["go on", IN_THE_WAY]
+        return ["go on", "in the way"]
     return ["go on"]
 
 

@@ -71,8 +71,8 @@ def test_without_cameras_a_held_object_of_an_uncertain_place_is_not_taken_so_nea
     refusal = bench.do(f"MOVE {ARM} TO CLEAR-POINT-1").refusal
 
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert 0.015 < refusal.detail["distance_m"] < refusal.detail["margin_m"]
-    assert {refusal.detail["body_a"].split()[0], refusal.detail["body_b"].split()[0]} == {MODULE, "SATELLITE"}
+    assert 0.015 < refusal.cause.distance_m < refusal.cause.margin_m
+    assert {refusal.cause.body_a.split()[0], refusal.cause.body_b.split()[0]} == {MODULE, "SATELLITE"}
 
 
 def test_near_an_object_whose_place_is_not_known_well_the_refusal_says_so(bench):
@@ -81,7 +81,7 @@ def test_near_an_object_whose_place_is_not_known_well_the_refusal_says_so(bench)
 
     refusal = bench.do(sentence).refusal
 
-    assert 0.005 < refusal.detail["distance_m"] < refusal.detail["margin_m"]
+    assert 0.005 < refusal.cause.distance_m < refusal.cause.margin_m
     assert refusal.clears.startswith("LOCATE MACS-NEW")
     for advised in ("LOCATE MACS-NEW", sentence):
         run = bench.do(advised)

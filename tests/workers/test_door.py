@@ -157,7 +157,7 @@ def test_an_angle_beyond_the_stops_is_named_as_typed(bench, sentence, wanted_deg
     bench.set_fact(f"{DOOR}.angle", math.radians(10.0))
     refusal = bench.do(f"OPEN {DOOR} {sentence}").refusal
     assert refusal is not None
-    assert math.degrees(refusal.detail["value_rad"]) == pytest.approx(wanted_deg)
+    assert math.degrees(refusal.cause.value_rad) == pytest.approx(wanted_deg)
     assert f"not to {wanted_deg:g} deg" in refusal.message
     assert "to 110 deg" in refusal.message
 

@@ -144,7 +144,7 @@ def test_a_located_satellite_is_an_obstacle_where_it_is() -> None:
     assert bench.do(LOCATE).succeeded
     refusal = bench.elaborate(sentence)
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert SATELLITE in refusal.detail["body_b"]
+    assert SATELLITE in refusal.cause.body_b
 
 
 def test_a_satellite_that_only_track_has_seen_elsewhere_is_in_doubt_and_looked_for_first() -> None:

@@ -15,6 +15,7 @@ from rtc.programs import loader
 from rtc.programs.extension_names import PARTNER
 from rtc.programs.loader import decode
 from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol import causes
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     ClearanceBelow,
@@ -67,7 +68,8 @@ def test_an_item_has_its_argument_or_what_the_cell_says(bench, item) -> None:
     for words, wanted in ((f" {argument}", given), ("", meant)):
         made = bench.elaborate(f"{verb} MAINTAIN {slot}{words}")
         if isinstance(made, Refusal):  # the arm is inside that region
-            assert (slot, made.detail["cause"]) == ("AVOID-TASK-REGION", "collision")
+            assert slot == "AVOID-TASK-REGION"
+            assert isinstance(made.cause, causes.Collides)
         else:
             assert getattr(made.context.limits, limit) == wanted
 
@@ -159,7 +161,7 @@ def test_a_hand_that_begins_off_its_attitude_comes_no_farther_off(bench, off_deg
     bench.set_fact(f"{ARM}.joints", bench.model.arms[ARM].ik(pose, [0.0] * 6, 0.06)[0].tolist())
     sentence = f"MOVE {ARM} BY -5 CM ALONG TOOL-Z MAINTAIN POSE-DURING-MOTION LEVEL"
     if watched_deg is None:
-        assert bench.elaborate(sentence).detail["cause"] == "attitude"
+        assert isinstance(bench.elaborate(sentence).cause, causes.OffAttitude)
         return
     made = bound(bench, sentence)
     assert conditions(made, TcpTurned)[0].limit_rad == pytest.approx(math.radians(watched_deg), abs=0.002)
@@ -204,7 +206,8 @@ def test_a_time_limit_is_that_of_all_motions_of_the_command(bench) -> None:
         assert min(when.limit_s for when in conditions(made.primitive, TimeAbove)) <= limit_s
     late = bench.bind_after(script, step, 19.5)
     assert isinstance(late, Refusal)
-    assert (late.detail["cause"], late.detail["moved_s"]) == ("time", 19.5)
+    assert isinstance(late.cause, causes.TooLong)
+    assert late.cause.moved_s == 19.5
     assert "0.5 s are left" in late.message
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rtc.protocol import causes
 from rtc.protocol.messages import Script, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.spatial import geometry
@@ -80,7 +81,7 @@ def test_on_physics_out_of_a_handle_that_is_not_where_it_is_believed_to_be(physi
 def test_deeper_into_a_handle_stays_refused(in_the_handle):
     in_the_handle.do(SAME_PLACE)
     refusal = in_the_handle.do("MOVE RIGHT-ARM BY 1 CM ALONG Y STRAIGHT-LINE").refusal
-    assert refusal.detail["cause"] == "collision"
+    assert isinstance(refusal.cause, causes.Collides)
 
 
 @pytest.mark.parametrize(("what", "then"), [("operator", "page closed"), ("pause", "another sentence")])

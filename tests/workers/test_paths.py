@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rtc.programs import whole_file
+from rtc.protocol import causes
 from rtc.spatial import geometry
 from tests.workers.conftest import Bench, Physical
 
@@ -90,7 +91,8 @@ def test_a_step_lasts_as_long_as_its_script_says(traced) -> None:
     traced.bench.load("elaborator", text.replace("TAKES", "0.2"))
     run = traced.do(f"MOVE {ARM} TO CLEAR-POINT-1 JOINT-MOTION")
     assert run.refusal is not None
-    assert (run.refusal.detail["cause"], run.primitives) == ("time", [])
+    assert isinstance(run.refusal.cause, causes.TooLong)
+    assert not run.primitives
 
 
 @pytest.mark.parametrize(
@@ -189,10 +191,10 @@ def test_a_verb_of_one_file_sweeps_a_panel_and_changes_its_sequence_if_the_force
 @pytest.mark.parametrize(
     ("text", "cause"),
     [
-        (SWING.replace("0.6", "3.0"), "reach"),
-        (SWING.replace("0.6", "1.2").replace("axis: Z", "axis: Y"), "collision"),
-        (SWING.replace("hand_turn: 0", "hand_turn: 2"), "curve"),
-        (SWING.replace("by_rad: 0.6", "by_rad: 0"), "curve"),
+        (SWING.replace("0.6", "3.0"), causes.OutOfReach),
+        (SWING.replace("0.6", "1.2").replace("axis: Z", "axis: Y"), causes.Collides),
+        (SWING.replace("hand_turn: 0", "hand_turn: 2"), causes.BadCurve),
+        (SWING.replace("by_rad: 0.6", "by_rad: 0"), causes.BadCurve),
     ],
 )
 def test_a_circle_that_no_arm_can_follow_is_refused_and_nothing_moves(traced, text, cause) -> None:
@@ -200,5 +202,5 @@ def test_a_circle_that_no_arm_can_follow_is_refused_and_nothing_moves(traced, te
         traced.bench.load("elaborator", text.replace("script: move", f"script: {script}"))
     run = traced.do(f"MOVE {ARM} TO POSITION 64 -3 81 CM")
     assert run.refusal is not None
-    assert run.refusal.detail["cause"] == cause, run.refusal
+    assert isinstance(run.refusal.cause, cause), run.refusal
     assert not run.primitives

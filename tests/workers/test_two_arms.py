@@ -55,7 +55,7 @@ def test_a_command_is_refused_if_the_arm_in_its_way_stays_there(cluster):
     cluster.run()
     assert cluster.outcomes["C-1"].kind.value == "succeeded"
     assert cluster.outcomes["C-2"].kind.value == "refused"
-    assert cluster.outcomes["C-2"].refusal.detail["in_the_way"] == "RIGHT-ARM"
+    assert cluster.outcomes["C-2"].refusal.in_the_way == "RIGHT-ARM"
     assert "waiting" in phases(cluster, "C-2")
 
 
@@ -90,7 +90,7 @@ def test_an_arm_that_is_halted_in_the_way_stops_the_one_that_follows_it_closely(
     cluster.run()
     assert cluster.outcomes["C-2"].kind.value == "halted"
     assert cluster.outcomes["C-3"].kind.value == "refused"  # planned again from where it stands, into an arm at rest
-    assert cluster.outcomes["C-3"].refusal.detail["in_the_way"] == "RIGHT-ARM"
+    assert cluster.outcomes["C-3"].refusal.in_the_way == "RIGHT-ARM"
     assert "C-3.1" in cluster.moving["LEFT-ARM"].values()
     assert clearance_is(cluster, 0.005)
     assert cluster.world.facts["LEFT-ARM.joints"].value == cluster.sim.arms["LEFT-ARM"].read().joints

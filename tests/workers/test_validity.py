@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from rtc.protocol.messages import Phase, SavedFact, SavedWorld, Validity, WorldChange
-from rtc.protocol.outcomes import IN_THE_WAY, OutcomeKind, Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 from rtc.spatial import geometry
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.kinematic_arm import KinematicCell
@@ -130,7 +130,7 @@ def test_a_step_waits_for_the_arm_that_changes_a_fact_it_relies_on(bench):
     bench.moving = [moves]
     refusal = bench.elaborate(NEAR)
     assert isinstance(refusal, Refusal)
-    assert (refusal.where, refusal.detail[IN_THE_WAY]) == ("MACS-NEW.frame", "RIGHT-ARM")
+    assert (refusal.where, refusal.in_the_way) == ("MACS-NEW.frame", "RIGHT-ARM")
     assert "changing" in refusal.message
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from rtc.protocol import causes
 from rtc.protocol.messages import BoundStep, EvaluationContext
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import (
@@ -144,7 +145,7 @@ def _refuse_endless(limit_s: float) -> None:
         RefusalReason.INFEASIBLE,
         f"this step would need a time limit of {limit_s:.3g} s; {MAX_S:g} s is the longest possible",
         clears="more speed or a greater force, if the sentence limits them; a shorter way or time",
-        detail={"cause": "time", "limit_s": MAX_S, "value_s": limit_s},
+        cause=causes.TooLong(predicted_s=limit_s, limit_s=MAX_S),
     )
 
 
@@ -156,7 +157,7 @@ def _refuse_weight(task: RuledTask, load: Load | None) -> None:
         RefusalReason.INFEASIBLE,
         f"{task.held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
         clears=f"let go of {task.held}; if it is lighter, correct its mass",
-        detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": task.arm},
+        cause=causes.TooHeavy(mass_kg=load.mass_kg, limit_kg=payload_kg, arm=task.arm),
     )
 
 
@@ -168,7 +169,7 @@ def refused_time(task: BindTask, predicted_s: float) -> Refused:
         RefusalReason.INFEASIBLE,
         f"this step takes {predicted_s:.3g} s; the time limit is {most_s:g} s{left}",
         clears="more time, or more speed",
-        detail={"cause": "time", "predicted_s": predicted_s, "limit_s": most_s, "moved_s": moved_s},
+        cause=causes.TooLong(predicted_s=predicted_s, limit_s=most_s, moved_s=moved_s),
     )
 
 

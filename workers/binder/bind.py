@@ -17,6 +17,7 @@ from rtc.programs import expressions
 from rtc.programs.extension_names import PERFORMERS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram
+from rtc.protocol.causes import Cause, GripForceExceeded, OpeningExceeded
 from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import HandMotion, HoldStill
@@ -96,12 +97,14 @@ def hand_motion(task: BindTask, op: str) -> BoundStep:
     values, query, gripper = ruled.values, task.query, task.query.cell.arm(task.arm).gripper
     width_m = values.get("width_m", 0.0)
     grip_n = task.data.context.limits.grip_force_n or values.get("grip_n", values["hand_n"])
-    for name, value, most, unit in (
-        ("opening", width_m, gripper.max_opening_m, "m"),
-        ("grip force", grip_n, gripper.max_force_n, "N"),
+    opening = OpeningExceeded(value_m=width_m, limit_m=gripper.max_opening_m, arm=task.arm)
+    grip = GripForceExceeded(value_n=grip_n, limit_n=gripper.max_force_n, arm=task.arm)
+    for name, value, most, unit, cause in (
+        ("opening", width_m, gripper.max_opening_m, "m", opening),
+        ("grip force", grip_n, gripper.max_force_n, "N", grip),
     ):
         if not -MIN_WIDTH_M <= value <= most + MIN_WIDTH_M:
-            raise _refused_hand_figure(task, name, value, most, unit)
+            raise _refused_hand_figure(task, name, value, most, unit, cause)
     evaluation = EvaluationContext(
         context=task.data.context,
         step=task.data.step,
@@ -117,14 +120,14 @@ def hand_motion(task: BindTask, op: str) -> BoundStep:
     return assemble.of_arm(ruled, motion, evaluation, expected)
 
 
-def _refused_hand_figure(task: BindTask, name: str, value: float, most: float, unit: str) -> Refused:
+def _refused_hand_figure(task: BindTask, name: str, value: float, most: float, unit: str, cause: Cause) -> Refused:
     hand = task.query.cell.arm(task.arm).end_effector
     now = f"; it is open {in_words(task.query.hand_width(task.arm), 'm')} now" if unit == "m" else ""
     return Refused.because(
         RefusalReason.INFEASIBLE,
         f"{name} of {hand}: {in_words(value, unit)} is asked for; it can have 0 to {in_words(most, unit)}{now}",
         clears=f"{name} of 0 to {in_words(most, unit)}",
-        detail={"cause": name, f"value_{unit.lower()}": value, f"limit_{unit.lower()}": most, "arm": task.arm},
+        cause=cause,
     )
 
 

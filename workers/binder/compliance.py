@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from rtc.protocol import causes
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import Compliance, ControlLaw, ForceProfile, HandMotion, Load, Trajectory
 from rtc.spatial.axis_names import AXES
@@ -93,7 +94,7 @@ def _refuse_press(task: RuledTask) -> None:
                 RefusalReason.INFEASIBLE,
                 f"a press with {press_n:g} N is asked for; the force limit is {values['force_n']:g} N",
                 clears=f"a press with less than {values['force_n']:g} N",
-                detail={"cause": "force", "value_n": press_n, "limit_n": values["force_n"], "arm": task.arm},
+                cause=causes.ForceExceeded(limit_n=values["force_n"], value_n=press_n, arm=task.arm),
             )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol import causes
 from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.spatial import geometry
@@ -214,5 +215,5 @@ def _refused(task: BindTask, limit_n: float, slowest_m_s: float, felt_n: float) 
         RefusalReason.INFEASIBLE,
         f"{limit_n:g} N cannot be kept: a rigid body is felt with {felt_n:.2g} N at {1e3 * slowest_m_s:g} mm/s",
         clears=f"a force of at least {least_n} N",
-        detail={"cause": "force", "limit_n": limit_n, "value_n": felt_n, "arm": task.arm},
+        cause=causes.ForceExceeded(limit_n=limit_n, value_n=felt_n, arm=task.arm),
     )

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import msgspec
 
+from rtc.protocol import causes
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import Reflex, RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import (
@@ -307,12 +308,13 @@ def until_functions(until: Condition, state: StepState) -> list[StopFunction]:
 
 def _refuse_out_of_reach(until: Condition, when: Predicate, state: StepState) -> None:
     """Refuse an UNTIL whose force or torque is above the limit that stops the step."""
+    cause: causes.Cause
     for limit in state.overloads:
         match when, limit:
             case (ForceAbove(limit_n=asked), ForceAbove(limit_n=most)) if asked >= most:
-                unit = "N"
+                unit, cause = "N", causes.UntilForce(value_n=asked, limit_n=most)
             case (TorqueAbove(limit_nm=asked), TorqueAbove(limit_nm=most)) if asked >= most:
-                unit = "N.m"
+                unit, cause = "N.m", causes.UntilTorque(value_nm=asked, limit_nm=most)
             case _:
                 continue
         raise Refused.because(
@@ -320,7 +322,7 @@ def _refuse_out_of_reach(until: Condition, when: Predicate, state: StepState) ->
             f"UNTIL {until.sentence}: this motion is stopped at {in_words(most, unit)}",
             where="UNTIL",
             clears=f"a value below {in_words(most, unit)}: UNTIL {until.words} {in_words(SHARE * most, unit).upper()}",
-            detail={"cause": "limit", "value": asked, "limit": most},
+            cause=cause,
         )
 
 

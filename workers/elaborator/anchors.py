@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
+from rtc.protocol import causes
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
@@ -206,7 +207,7 @@ def named(candidate: TaskCandidate, name: str) -> Anchor:
         where=name,
         expected=able,
         clears=f"another arm, or a place that {candidate.arm.name} can go to",
-        detail={"cause": "place", "arm": candidate.arm.name, "place": name},
+        cause=causes.NoPosture(arm=candidate.arm.name, place=name),
     )
 
 

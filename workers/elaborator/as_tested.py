@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rtc.protocol import causes
 from rtc.protocol.messages import Fact, RestsOn
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.world.model import World
@@ -33,5 +34,5 @@ def _stale(rests_on: RestsOn, key: str, fact: Fact | None, was: str) -> Refused:
         f"{key} has changed since the test {rests_on.test}: it {was}, and is {now}",
         where=key,
         clears="test the sentence again: rtc test",
-        detail={"test": rests_on.test},
+        cause=causes.ChangedSince(test=rests_on.test),
     )

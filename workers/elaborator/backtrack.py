@@ -24,7 +24,7 @@ from rtc.model.cells import parts
 from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile
 from rtc.protocol.messages import Binding, PlannedPath, Step
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array
@@ -182,11 +182,11 @@ def _search(
         except Refused as refused:
             tried = refused.refusal
         notes.append(f"generated {what}; tested: {tried.message}")
-        if "samples" in tried.detail:
+        if tried.effort is not None and tried.effort.samples is not None:
             searched += 1
         # An arm in the way may leave, so the command can wait for it. With detours a way round was searched, or another
         # segment is blocked whatever way leads to it: this is a better reason than a blocked direct way.
-        ranks = (IN_THE_WAY in tried.detail, detours)
+        ranks = (bool(tried.in_the_way), detours)
         if first is None or ranks > its_ranks:
             first, its_ranks = tried, ranks
     assert first is not None
@@ -194,7 +194,7 @@ def _search(
     goal = (candidate.parsed.place.name if candidate.parsed.place else None) or ""
     out = any(step.words.get("leaves") == "seat" for step in script.steps)
     first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits, goal, out)
-    raise Refused(msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))}))
+    raise Refused(first.after(ways_tried=len(ways)))
 
 
 def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, list[float]], bool]]:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from rtc.language.hands import hand_in_words
 from rtc.programs.schema import ScriptFile
-from rtc.protocol.outcomes import ALREADY, RefusalReason, Refused
+from rtc.protocol import causes
+from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.elaborator.task_candidate import TaskCandidate
 
 LET_GO = "let_go"  # effect of a step, and row of `needs` that says what is left to do
@@ -30,7 +31,7 @@ def refuse(script: ScriptFile, candidate: TaskCandidate) -> None:
     places = ", ".join(place.name for place in candidate.query.places)
     clears = candidate.program.needs.get(row, "").replace("{hand}", hand_in_words(candidate.arm.name))
     clears = candidate.fill_in(clears.replace("{places}", places))
-    raise Refused.because(RefusalReason.STATE, message, clears=clears, detail={ALREADY: thing.name})
+    raise Refused.because(RefusalReason.STATE, message, clears=clears, cause=causes.AlreadyDone(object=thing.name))
 
 
 def _let_go(candidate: TaskCandidate) -> str:

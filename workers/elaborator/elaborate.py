@@ -18,8 +18,9 @@ from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.programs.splice import spliced
+from rtc.protocol.causes import Changing, Collides, Distrusted, OutOfReach, TooUncertain
 from rtc.protocol.messages import ElaboratorInput, SavedWorld, Script, Validity, WorldChange
-from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
@@ -148,13 +149,13 @@ class _Why:
 def _of_what_remains(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal) -> Refusal:
     """The refusal of a doubt about a pose in the hand. If the pose would be too uncertain even without the doubt, its
     advice is that for the greater demand, which clears both: a check by the fingers makes no pose better known."""
-    key = refusal.where.rpartition(", ")[2]
-    if refusal.reason is not RefusalReason.SUSPECT or not key.endswith(".grasp") or "cause" in refusal.detail:
+    doubt = refusal.cause
+    if not isinstance(doubt, Distrusted | Changing) or not doubt.fact.endswith(".grasp"):
         return refusal
-    sure = query.after([WorldChange(key=key, keep_value=True, validity=Validity.VALID)])
+    sure = query.after([WorldChange(key=doubt.fact, keep_value=True, validity=Validity.VALID)])
     why = _Why(compiled, sure)
     remains = why(asked)
-    if remains is None or remains.detail.get("cause") != "spread":
+    if remains is None or not isinstance(remains.cause, TooUncertain):
         return refusal
     clears = tested_advice.without_infeasible(remains, why).clears
     return msgspec.structs.replace(refusal, clears=clears)
@@ -263,8 +264,8 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list
         raise Refused(first)
     others = "; ".join(notes[1:4]) if len(notes) > 1 else ""
     message = f"{first.message} ({len(options)} candidates tried)"
-    detail = {**first.detail, "candidates": float(len(options)), "others": others[:600]}
-    raise Refused(msgspec.structs.replace(first, message=message, detail=detail))
+    first = msgspec.structs.replace(first, message=message)
+    raise Refused(first.after(candidates=len(options), others=others[:600]))
 
 
 def _most_informative(
@@ -276,10 +277,10 @@ def _most_informative(
     An arm that starts so near to a body that it may touch it leaves on one fixed way, and no other is searched for.
     Then the other arm is not the cause."""
     first, its = min(refused, key=lambda each: _rank(each[0]))
-    if not advise or LEAVING in first.detail or first.reason is RefusalReason.SUSPECT:  # the last is waited for
+    if not advise or _is_leaving(first) or first.reason is RefusalReason.SUSPECT:  # the last is waited for
         return first
-    other = first.detail.get(IN_THE_WAY)
-    if not isinstance(other, str) or not make_way.may_leave(its.candidate.query, other):
+    other = first.in_the_way
+    if not other or not make_way.may_leave(its.candidate.query, other):
         return first
 
     def can_be_planned(candidate: TaskCandidate) -> bool:
@@ -293,7 +294,11 @@ def _most_informative(
     if advised is not None:
         return advised
     same_rank = [one for one, _ in refused if _PRECEDENCE[one.reason] == _PRECEDENCE[first.reason]]
-    return next((one for one in same_rank if IN_THE_WAY not in one.detail), first)
+    return next((one for one in same_rank if not one.in_the_way), first)
+
+
+def _is_leaving(refusal: Refusal) -> bool:
+    return isinstance(refusal.cause, Collides) and bool(refusal.cause.leaving)
 
 
 #: If several options fail, the refusal with the lowest rank is returned.
@@ -309,7 +314,7 @@ _PRECEDENCE = dict.fromkeys(RefusalReason, 1) | {
 def _rank(refusal: Refusal) -> tuple[int, bool, bool]:
     """A refusal that another arm causes is the best of its rank: it may be cleared by waiting. What is out of reach is
     the last one: another candidate has come farther."""
-    return _PRECEDENCE[refusal.reason], IN_THE_WAY not in refusal.detail, refusal.detail.get("cause") == "reach"
+    return _PRECEDENCE[refusal.reason], not refusal.in_the_way, isinstance(refusal.cause, OutOfReach)
 
 
 # --- the script ------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import math
 from rtc.model.cells import parts
 from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile, ScriptStep
+from rtc.protocol import causes
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.conditions import reflexes
 from workers.elaborator.task_candidate import TaskCandidate
@@ -102,5 +103,5 @@ def _beyond(candidate: TaskCandidate, hinge: parts.Hinge, wanted: float, now: fl
             f"and not to {math.degrees(wanted):.4g} deg; it is at {round(math.degrees(now), 2) + 0.0:g} deg"
         ),
         clears="; or ".join(filter(None, (row, angles))),
-        detail={"cause": "stop", "value_rad": wanted, "least_rad": least, "most_rad": most},
+        cause=causes.BeyondStop(value_rad=wanted, least_rad=least, most_rad=most),
     )

@@ -8,10 +8,10 @@ from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.programs.extension_names import CAMERA
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
+from rtc.protocol import causes
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
-from rtc.sensing import absence
 from workers.elaborator import object_attributes
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import sight, suggestions, trust
@@ -89,7 +89,7 @@ def _without_tags(program: ElaboratorProgram, query: WorldQuery, body: str) -> R
         where=body,
         expected=sight.bodies(query.cell),
         clears=_advice(program, row, body, carrier=carrier),
-        detail={"cause": absence.Cause.NO_TAGS.value, "body": body},
+        cause=causes.NoTags(body=body),
     )
 
 
@@ -103,7 +103,7 @@ def _unseen(program: ElaboratorProgram, query: WorldQuery, body: str, known: lis
         f"no camera can see {body} where it is believed to be",
         where=body,
         clears=_advice(program, row, body, **words),
-        detail={"cause": absence.Cause.OUT_OF_VIEW.value, "body": body},
+        cause=causes.OutOfView(body=body),
     )
 
 

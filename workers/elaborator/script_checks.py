@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rtc.programs.schema import ScriptFile
+from rtc.protocol import causes
 from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
@@ -27,7 +28,7 @@ def _refuse_too_tight(_: ScriptFile, candidate: TaskCandidate) -> None:
         RefusalReason.INFEASIBLE,
         f"GRIP-FORCE {grip_n:g} N is asked for; {arm.end_effector} grips with {most_n:g} N at most",
         clears=f"GRIP-FORCE of at most {most_n:g} N",
-        detail={"cause": "grip force", "value_n": grip_n, "limit_n": most_n, "arm": arm.name},
+        cause=causes.GripForceExceeded(value_n=grip_n, limit_n=most_n, arm=arm.name),
     )
 
 
@@ -81,11 +82,10 @@ def a_look_makes_room(refusal: Refusal, script: ScriptFile, candidate: TaskCandi
     """Whether the held object lacks room on its way only because its pose in the hand is uncertain, and a camera can
     see it before."""
     held = candidate.query.holding(candidate.hand.name) if candidate.hand else ""
-    bodies = [str(refusal.detail.get(name, "")).split(" ")[0] for name in ("body_a", "body_b")]
-    if not held or held not in bodies or script.despite_grasp or refusal.detail.get("cause") != "collision":
+    cause = refusal.cause
+    if not held or script.despite_grasp or not isinstance(cause, causes.Collides) or held not in cause.owners:
         return False
-    free = float(refusal.detail["distance_m"]) >= clearance_of(candidate.limits)
-    return free and can_be_seen(f"{held}.grasp", candidate)
+    return cause.distance_m >= clearance_of(candidate.limits) and can_be_seen(f"{held}.grasp", candidate)
 
 
 def why_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
@@ -99,7 +99,7 @@ def why_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | 
         message=f"{name} is known within {spread} only, and no camera finds it: too uncertain for {script.script}",
         where=f"{name}.frame",
         clears=clears.get("spread", "sense {location} again").replace("{location}", name),
-        detail={"cause": "spread", "spread": spread},
+        cause=causes.TooUncertain(fact=f"{name}.frame"),
     )
 
 

@@ -16,7 +16,8 @@ from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
 from rtc.language.parse import default_grammar, parse
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol.causes import Collides, TooUncertain
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS, OPERATOR, ParsedCommand, Quantity
 from workers.elaborator.script_steps import Compiled
 from workers.elaborator.sentence_of import relative_amount, sentence_of
@@ -35,11 +36,11 @@ STEPS = {"m": 0.01, "rad": math.radians(1.0)}  # an advised amount is a multiple
 def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: WorldQuery, why: Why) -> Refusal:
     """The refusal, with a sentence in the place of the `asked` one if no task that it advises is accepted now. One for
     which the command waits is unchanged, and that of a doubt, which a measurement clears."""
-    doubt = refusal.reason is RefusalReason.SUSPECT and refusal.detail.get("cause") != "spread"
-    if asked.kind != "task" or doubt or refusal.reason not in ABOUT or IN_THE_WAY in refusal.detail:
+    doubt = refusal.reason is RefusalReason.SUSPECT and not isinstance(refusal.cause, TooUncertain)
+    if asked.kind != "task" or doubt or refusal.reason not in ABOUT or refusal.in_the_way:
         return refusal
     test = _Test(asked, why)
-    nearer = (*_by_less(asked, refusal), *_by_any_way(asked)) if refusal.detail.get("cause") == "collision" else ()
+    nearer = (*_by_less(asked, refusal), *_by_any_way(asked)) if isinstance(refusal.cause, Collides) else ()
     if less := test.first(map(sentence_of, nearer)):
         return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (f"{less} instead", refusal.clears))))
     if any(map(test.leads_on, SENTENCE.findall(refusal.clears))):
@@ -114,7 +115,7 @@ def _by_less(asked: ParsedCommand, refusal: Refusal) -> Iterator[ParsedCommand]:
     by = relative_amount(asked)
     if by is None or by.unit not in STEPS:
         return
-    free = float(refusal.detail.get("fraction", 1.0))
+    free = refusal.fraction
     for share in SHARES:
         steps = int(free * share * by.value / STEPS[by.unit])
         if steps:

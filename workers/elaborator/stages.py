@@ -17,7 +17,7 @@ from rtc.language.hands import hand_in_words
 from rtc.programs.extension_names import PARTNER
 from rtc.programs.schema import PlanLine, ScriptFile
 from rtc.protocol.messages import Binding, Step, WorldChange
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, Refused
+from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial import geometry
 from workers.elaborator import backtrack, preconditions
 from workers.elaborator.backtrack import Planned
@@ -63,17 +63,16 @@ def _of_arm(arm: str, bindings: Mapping[str, Binding]) -> dict[str, Binding]:
 
 def _of_stage(refusal: Refusal, candidate: TaskCandidate, arm: str) -> Refusal:
     """The refusal with its arm. An arm of the command itself does not leave the way: it holds the object elsewhere."""
-    message = f"{arm}, {refusal.message}" if refusal.detail else refusal.message
+    message = f"{arm}, {refusal.message}" if refusal.figures() else refusal.message
     refusal = msgspec.structs.replace(refusal, message=message)
-    if refusal.detail.get(IN_THE_WAY) not in (candidate.arm.name, candidate.partner and candidate.partner.name):
+    if refusal.in_the_way not in (candidate.arm.name, candidate.partner and candidate.partner.name):
         return refusal
     rows, thing = candidate.program.needs, candidate.body
     clears = rows.get("other_grasp", "").replace("{let_go}", preconditions.let_go(rows, candidate.query, thing))
     depth_m = max((seat.depth_m for seat in candidate.query.cell.seats), default=0.0)
     clears = clears.replace("{free_cm}", f"{math.ceil(100.0 * (depth_m + in_seat.SPARE_M) - 0.05)}")
     clears = candidate.fill_in(clears.replace("{hand}", hand_in_words(candidate.arm.name)))
-    detail = {name: value for name, value in refusal.detail.items() if name != IN_THE_WAY}
-    return msgspec.structs.replace(refusal, clears=clears, detail=detail)
+    return msgspec.structs.replace(refusal, clears=clears, in_the_way="")
 
 
 def _stages(script: ScriptFile, steps: Sequence[Step]) -> Iterator[tuple[int, ScriptFile]]:

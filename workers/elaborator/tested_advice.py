@@ -15,7 +15,7 @@ from collections.abc import Callable
 import msgspec
 
 from rtc.language.parse import default_grammar, parse
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import OPERATOR, ParsedCommand
 
 TESTED = 6  # maximum number of sentences of an advice that are tested
@@ -34,7 +34,7 @@ OtherArms = Callable[[], list[str]]  # that can do what is asked, in words
 def without_infeasible(refusal: Refusal, why: Why, other_arms: OtherArms = list) -> Refusal:
     """The refusal with the alternatives of its advice that are feasible now. One for which the command waits is
     unchanged, and one of which only a strategy would remain that gives something up (VIA)."""
-    if refusal.reason not in ABOUT or IN_THE_WAY in refusal.detail:
+    if refusal.reason not in ABOUT or refusal.in_the_way:
         return refusal
     test = _Test(why, other_arms)
     kept = without_sequel([test.step(step) for step in refusal.clears.split(STEP)])

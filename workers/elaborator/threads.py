@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile
+from rtc.protocol import causes
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.elaborator import two_hands
@@ -44,7 +45,7 @@ def refuse_too_much_torque(script: ScriptFile, candidate: TaskCandidate) -> None
         f"UNTIL {until.sentence}: {candidate.arm.name} turns {thing.name} with {limit_nm:g} N.m at most",
         where="UNTIL",
         clears=f"a value below {limit_nm:g} NM: UNTIL TORQUE EXCEEDS {SHARE * limit_nm:.2g} NM",
-        detail={"cause": "torque", "value_nm": until.quantity.value, "limit_nm": limit_nm},
+        cause=causes.UntilTorque(value_nm=until.quantity.value, limit_nm=limit_nm),
     )
 
 
@@ -62,7 +63,7 @@ def _beyond(candidate: TaskCandidate, there: float, now: float, most: float) -> 
         RefusalReason.INFEASIBLE,
         f"{candidate.body} has {most:g} turns, and is {now:g} out: it does not turn to {there:g}",
         clears=f"{candidate.parsed.verb} {candidate.body} BY {left:g} TURNS or less, or without BY",
-        detail={"cause": "thread", "value_turns": there, "most_turns": most},
+        cause=causes.BeyondThread(value_turns=there, most_turns=most),
     )
 
 
@@ -90,5 +91,5 @@ def refuse_fastened(script: ScriptFile, candidate: TaskCandidate) -> None:
             words if known else f"{names} may not be turned out of {seat}",
             where=seat,
             clears="; ".join(candidate.program.needs.get(row, "").replace("{bolt}", bolt) for bolt in bolts),
-            detail={"cause": "bolts", "seat": seat},
+            cause=causes.Fastened(seat=seat),
         )

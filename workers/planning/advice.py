@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import msgspec
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol.causes import Collides
 from rtc.protocol.messages import Limits
-from rtc.protocol.outcomes import IN_THE_WAY, LEAVING, Refusal
+from rtc.protocol.outcomes import Refusal
 from workers.planning import in_seat, trust
 from workers.planning.scenes import CLEARANCE_M, clearance_of
 from workers.planning.world_query import WorldQuery
@@ -30,17 +31,18 @@ def advise_on_collision(
 ) -> Refusal:
     """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged. `limits`: of
     the command. `goal`: the place that it names. `leaves_seat`: it takes the held object out of its seat."""
-    if refusal.detail.get("cause") != "collision":
+    cause = refusal.cause
+    if not isinstance(cause, Collides):
         return refusal
-    bodies = [str(refusal.detail[name]).split()[0] for name in ("body_a", "body_b")]
+    bodies = cause.owners
     held = query.holding(arm)
     seat = query.seat(held) or query.seat_around(held) if held else ""
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
-    other = str(refusal.detail.get(IN_THE_WAY, ""))
-    leaves = str(refusal.detail.get(LEAVING, ""))  # first: other arms are passed by ways that are not sought before
+    other = refusal.in_the_way
+    leaves = cause.leaving  # first: other arms are passed by ways that are not sought before
     seated = bool(seat) and held in bodies
     hinged = _hinged(refusal, query, arm, body)
-    unsure = "" if seated or other or leaves else _unsure(refusal, query, bodies, limits)
+    unsure = "" if seated or other or leaves else _unsure(cause, query, bodies, limits)
     if unsure and (not hinged or query.cameras(unsure.rpartition(".")[0])):
         return msgspec.structs.replace(refusal, clears=trust.narrows(query, unsure, clears))
     if leaves and held in bodies and not seated and query.cameras(held):  # it creeps in the hand
@@ -49,7 +51,7 @@ def advise_on_collision(
         ("way_out" if seated and leaves_seat else "")
         or ("way_seated" if seated else "")
         or ("way_unsure" if leaves else "")
-        or _kept_out(refusal, body, limits)
+        or _kept_out(cause, body, limits)
         or ("way_other" if other else "")
         or hinged
         or _at_goal(refusal, query, body)
@@ -58,7 +60,7 @@ def advise_on_collision(
     known = [place for place in query.places if arm in place.poses or arm in place.joints_deg]
     places = [place.name for place in known if place.name != goal]
     texts = {
-        "closer": clears.get("way_closer", "") if _is_room(refusal, limits) else "",
+        "closer": clears.get("way_closer", "") if _is_room(cause, limits) else "",
         "arm": hand_in_words(arm),
         "held": held,
         "seat": seat,
@@ -69,7 +71,7 @@ def advise_on_collision(
         "or_arm": "" if held or not _another_may(query, arm, goal) else ", or another arm",
         "turn": turn_in_words(query, body),
         "angle": f"{math.degrees(query.angle(body)) if query.hinge(body) else 0.0:.0f}",
-        "room": f"{_room_mm(refusal)} MM",
+        "room": f"{_room_mm(cause)} MM",
     }
     words = clears.get(row, "") if places else clears.get(row, "").replace(" ({places})", "")
     for name, text in texts.items():
@@ -83,31 +85,29 @@ def _another_may(query: WorldQuery, arm: str, goal: str) -> bool:
     return able is None or bool(able - {arm})
 
 
-def _unsure(refusal: Refusal, query: WorldQuery, bodies: list[str], limits: Limits) -> str:
+def _unsure(cause: Collides, query: WorldQuery, bodies: Iterable[str], limits: Limits) -> str:
     """The key of the fact whose spread alone asks for more room than there is; empty if there is none."""
-    if float(refusal.detail.get("distance_m", 0.0)) < clearance_of(limits):
+    if cause.distance_m < clearance_of(limits):
         return ""
     keys = [key for body in bodies if (key := trust.unsure_key(query, body))]
     return max(keys, key=lambda key: trust.off_m(query, key.rpartition(".")[0], query.spread(key)), default="")
 
 
-def _kept_out(refusal: Refusal, body: str, limits: Limits) -> str:
+def _kept_out(cause: Collides, body: str, limits: Limits) -> str:
     """The row for a collision that only a MAINTAIN of the command makes one; empty for others."""
     if body in limits.keep_out:
         return "way_region"
-    room_m = float(refusal.detail.get("distance_m", 0.0))
-    return "way_neighbors" if room_m > CLEARANCE_M and (limits.clearance_m or 0.0) > CLEARANCE_M else ""
+    return "way_neighbors" if cause.distance_m > CLEARANCE_M and (limits.clearance_m or 0.0) > CLEARANCE_M else ""
 
 
-def _is_room(refusal: Refusal, limits: Limits) -> bool:
+def _is_room(cause: Collides, limits: Limits) -> bool:
     """Whether a smaller AVOID-NEIGHBORS would allow the motion, as far as this pair of bodies is concerned."""
-    needed_m = float(refusal.detail.get("margin_m", 0.0))
-    return LEAST_ROOM_MM <= _room_mm(refusal) < 1e3 * needed_m <= 1e3 * clearance_of(limits)
+    return LEAST_ROOM_MM <= _room_mm(cause) < 1e3 * cause.margin_m <= 1e3 * clearance_of(limits)
 
 
-def _room_mm(refusal: Refusal) -> int:
+def _room_mm(cause: Collides) -> int:
     """The distance of AVOID-NEIGHBORS for which there is room: whole millimetres, and some micrometres less."""
-    return math.floor(1e3 * float(refusal.detail.get("distance_m", 0.0)) - 1e-3)
+    return math.floor(1e3 * cause.distance_m - 1e-3)
 
 
 def _hinged(refusal: Refusal, query: WorldQuery, arm: str, body: str) -> str:
@@ -116,7 +116,7 @@ def _hinged(refusal: Refusal, query: WorldQuery, arm: str, body: str) -> str:
         return ""
     if query.held_by(body) == arm:
         return "way_turned"
-    beside = float(refusal.detail.get("fraction", 1.0)) < 0.5 and not query.holding(arm)
+    beside = refusal.fraction < 0.5 and not query.holding(arm)
     return "way_beside_hinged" if beside else "way_hinged"
 
 
@@ -133,12 +133,12 @@ def turn_in_words(query: WorldQuery, body: str) -> str:
 
 def _far(refusal: Refusal) -> bool:
     """Whether the way is blocked in its second half: to draw the arm back would not clear it."""
-    return 0.5 < float(refusal.detail.get("fraction", 0.0)) < 1.0
+    return 0.5 < refusal.fraction < 1.0
 
 
 def _at_goal(refusal: Refusal, query: WorldQuery, body: str) -> str:
     """The row for a goal in collision; empty if the collision is on the path to it."""
-    if float(refusal.detail.get("fraction", 1.0)) < 1.0:
+    if refusal.fraction < 1.0:
         return ""
     movable = {thing.name for thing in query.cell.objects if not thing.fixed}
     return "way_goal_movable" if body in movable else "way_goal"

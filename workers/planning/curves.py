@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from rtc.protocol.causes import BadCurve
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
@@ -135,7 +136,7 @@ def _count(*wanted: float) -> int:
 
 
 def _refused(message: str, clears: str) -> Refused:
-    return Refused.because(RefusalReason.INFEASIBLE, message, clears=clears, detail={"cause": "curve"})
+    return Refused.because(RefusalReason.INFEASIBLE, message, clears=clears, cause=BadCurve())
 
 
 #: space of a step -> its curve

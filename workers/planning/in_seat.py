@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol import causes
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
@@ -42,7 +43,7 @@ def refuse_other_way(
         .replace("{lift}", way_out_in_words(query, arm, seat, frame))
         .replace("{held}", held)
         .replace("{seat}", seat),
-        detail={"cause": "seat", "arm": arm, "seat": seat},
+        cause=causes.InSeat(arm=arm, seat=seat),
     )
 
 

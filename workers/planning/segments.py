@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from rtc.protocol.causes import OtherBranch
 from rtc.protocol.messages import PlannedPath
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial.geometry import Array, Floats
@@ -178,7 +179,7 @@ def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal 
         reason=RefusalReason.INFEASIBLE,
         message=f"a straight line of {request.arm.name} reaches the same pose with other joint values than those given",
         clears="JOINT-MOTION, or a place instead of joint values",
-        detail={"cause": "branch", "arm": request.arm.name, "off_rad": off_rad},
+        cause=OtherBranch(arm=request.arm.name, off_rad=off_rad),
     )
 
 

@@ -15,8 +15,9 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.messages import Limits, Step, Validity
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol import causes
+from rtc.protocol.messages import Limits, Step
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.facts import TRUSTED
@@ -34,7 +35,7 @@ def distrusted(query: WorldQuery, key: str, clears: Mapping[str, str], own: str 
     """The refusal for a fact that is not trusted; None if it is trusted.
 
     `own`: the id of the running command. A fact that this command itself made suspect is accepted, because its
-    script is about to correct it. A fact that another arm changes now is waited for (`IN_THE_WAY`). What is mounted on
+    script is about to correct it. A fact that another arm changes now is waited for (`in_the_way`). What is mounted on
     a body is trusted no more than the frame of that body, which is `where` then.
     """
     if arm := query.mover_of(key):
@@ -49,7 +50,7 @@ def distrusted(query: WorldQuery, key: str, clears: Mapping[str, str], own: str 
         message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source.partition('/')[0]}",
         where=key,
         clears=remedy(query, key, clears),
-        detail={"validity": fact.validity.value, "source": fact.source, "version": float(fact.version)},
+        cause=causes.Distrusted(fact=key, validity=fact.validity.value, source=fact.source, version=fact.version),
     )
 
 
@@ -60,7 +61,8 @@ def _changing(key: str, arm: str) -> Refusal:
         message=f"the {attribute} of {location} is changing: {arm} moves",
         where=key,
         clears=f"wait until {arm} is at rest",
-        detail={"validity": Validity.CHANGING.value, IN_THE_WAY: arm},
+        cause=causes.Changing(fact=key),
+        in_the_way=arm,
     )
 
 
@@ -189,7 +191,7 @@ def why_uncertain(
         message=f"the grasp of {held} by {arm} is too uncertain for this: {', '.join(axes)}",
         where=key,
         clears=narrows(query, key, clears),
-        detail={"cause": "spread", "axes": ", ".join(axes)},
+        cause=causes.TooUncertain(fact=key),
     )
 
 

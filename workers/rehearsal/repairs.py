@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 
 from rtc.language.hands import ARM_OF_WORD, OWN_WORDS, hand_in_words
 from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol.causes import Collides, OutOfReach, TooUncertain
 from rtc.protocol.messages import Fact
-from rtc.protocol.outcomes import BY_OPERATOR, Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.rehearsal import Repair
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
@@ -52,7 +53,7 @@ def tested(sentence: Infeasible, program: ElaboratorProgram, rehearse: Rehearse)
     found: list[Repair] = []
     options = {tuple(one): changes for one, changes in _options(sentence, program)}
     for sentences, changes in list(options.items())[:TRIED]:
-        advised = sentences[0] in sentence.refusal.clears  # the refusal knows more than its detail says
+        advised = sentences[0] in sentence.refusal.clears  # the refusal knows more than its cause says
         predicted_s = rehearse([*sentences], _never if advised else partial(in_vain, sentence))
         if predicted_s is not None:
             found.append(Repair(sentences=[*sentences], changes=changes, predicted_s=predicted_s))
@@ -65,8 +66,8 @@ def in_vain(sentence: Infeasible, after: World) -> bool:
     """Whether the sentence before it leaves the world as it was for the one that was refused. A pose that is known
     better counts only if the refusal is about a doubt, or about a distance that may be due to one."""
     refusal, before = sentence.refusal, sentence.query.world
-    unsure = refusal.reason is RefusalReason.SUSPECT or refusal.detail.get("cause") == "spread"
-    unsure |= float(refusal.detail.get("distance_m", 0.0)) >= CLEARANCE_M
+    unsure = refusal.reason is RefusalReason.SUSPECT or isinstance(refusal.cause, TooUncertain)
+    unsure |= isinstance(refusal.cause, Collides | OutOfReach) and refusal.cause.distance_m >= CLEARANCE_M
     changed = [fact for key, fact in after.facts.items() if before.facts.get(key) is not fact]
     return not any(_counts(sentence.query, fact, unsure=unsure) for fact in changed)
 
@@ -156,8 +157,7 @@ def _listed(sentence: Infeasible, program: ElaboratorProgram) -> Iterator[str]:
     query, parsed = sentence.query, sentence.parsed
     own = [arm.name for arm in query.cell.arms if parsed.hand in (arm.name, None)]
     refusal = sentence.refusal
-    figures = (str(value) for name, value in refusal.detail.items() if name != BY_OPERATOR)
-    about = " ".join((refusal.message, refusal.where, *figures))
+    about = " ".join((refusal.message, refusal.where, *map(str, refusal.figures().values())))
     mentioned = {word.partition(".")[0] for word in re.split(r"[\s,;:()]+", about)}
     bodies = [part.name for group in (query.cell.objects, query.cell.seats) for part in group]
     names = {

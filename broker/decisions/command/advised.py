@@ -13,7 +13,8 @@ import re
 import msgspec
 
 from broker.decisions.state import Advised, Command, State
-from rtc.protocol.outcomes import ALREADY, OutcomeKind, Refusal, RefusalReason
+from rtc.protocol import causes
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 KEPT = 64  # sentences
 OF_VALUE = "SET"  # its figures stand in the advice as letters, or as those of before
@@ -43,7 +44,7 @@ def judged(state: State, command: Command, kind: OutcomeKind, refusal: Refusal |
     same = before is not None and before.clears == refusal.clears
     tried = before.tried if before is not None and same else []
     elsewhere = [sentence for sentence, one in state.advised.items() if one.in_vain]
-    if ALREADY in refusal.detail and tried:  # what remained was done
+    if isinstance(refusal.cause, causes.AlreadyDone) and tried:  # what remained was done
         words = f"nothing is left to do; {tried[-1]} was the last of it"
     else:
         words = _without(refusal.clears, tried, elsewhere, command.id, again=same)

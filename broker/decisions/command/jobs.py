@@ -11,6 +11,7 @@ from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import JobLost
 from broker.decisions.state import Command, PendingOutcome
+from rtc.protocol import causes
 from rtc.protocol.messages import NoteKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
@@ -105,7 +106,7 @@ def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) ->
         message=f"{culprit} killed its worker {len(job.deaths)} times: {_last_line(loss)}",
         where=command.step_words,
         clears=f"the evidence is in the trace; {clears}",
-        detail={f"death {n}": evidence[-800:] for n, evidence in enumerate(job.deaths, 1)},
+        cause=causes.WorkersKilled(deaths=tuple(evidence[-800:] for evidence in job.deaths)),
     )
 
 

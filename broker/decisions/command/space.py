@@ -21,14 +21,14 @@ from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import Command
 from rtc.protocol.messages import EndReport, NoteKind, Phase
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 
 
 def on_refused(context: DecisionContext, command: Command, refusal: Refusal) -> None:
     """Wait for the arm in the way, if it can be expected to leave; otherwise end the command."""
     command.job = None
-    arm = refusal.detail.get(IN_THE_WAY)
-    if not isinstance(arm, str):
+    arm = refusal.in_the_way
+    if not arm:
         refuse(context, command, refusal)
         return
     if command.motions_seen != (context.state.motions_begun, context.state.motions_ended):

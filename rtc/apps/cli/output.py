@@ -24,7 +24,7 @@ from rtc.apps.cli.json_line import emit_json as emit_json  # most commands print
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.language.caret import CUT, show
 from rtc.language.refuse import visible
-from rtc.protocol.outcomes import BY_OPERATOR, OutcomeKind, Refusal
+from rtc.protocol.outcomes import OutcomeKind, Refusal
 from rtc.protocol.units import in_words
 
 NO_CLUSTER = 4
@@ -125,7 +125,7 @@ def _without_repetition(refusal: Refusal, *, located: bool) -> Refusal:
 
 def _figures(refusal: Refusal) -> list[str]:
     """The figures that the message does not contain; numbers without a unit are always shown."""
-    rows = [with_unit(*row) for row in refusal.detail.items() if row[0] not in ("others", BY_OPERATOR)]
+    rows = [with_unit(*row) for row in refusal.figures().items() if row[0] != "others"]
     return [row for row in rows if not _is_in(row.partition(" ")[2], refusal.message)]
 
 
@@ -144,9 +144,11 @@ def quoted(text: str, most: int = MAX_QUOTED) -> str:
 UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_nm": "N.m", "_rad": "rad", "_m": "m", "_n": "N", "_s": "s"}
 
 
-def with_unit(key: str, value: float | str) -> str:
+def with_unit(key: str, value: float | str | tuple[str, ...]) -> str:
     """A figure of a refusal for people: value_rad 0.5 is "value 28.6 deg"."""
     ending = next((ending for ending in UNITS if key.endswith(ending)), "")
+    if isinstance(value, tuple):
+        return f"{key} {'; '.join(value)}"
     if not ending or isinstance(value, str):
         return f"{key} {figure(value)}"
     number, unit = in_words(value, UNITS[ending]).split(" ", 1)

@@ -28,6 +28,7 @@ from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
+from rtc.protocol.causes import Collides
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.protocol.rehearsal import RehearsedStep
 from rtc.protocol.sentence import BOTH_ARMS
@@ -248,7 +249,7 @@ def hypotheses(narrator: Narrator, rtc: Client, every: list[Line]) -> dict[str, 
     for label, end in found.items():
         narrator.line(f"{label:>4}  {texts[label].removeprefix('TEST ')}: {end.outcome.message}", "dim")
     refusal = found["C1"].outcome.refusal
-    bodies = {str(refusal.detail.get(key, "")).split(" ")[0] for key in ("body_a", "body_b")} if refusal else set()
+    bodies = set(refusal.cause.owners) if refusal and isinstance(refusal.cause, Collides) else set()
     narrator.check(f"C1: {found['C1'].outcome.message}", bodies == {"LEFT-ARM", "DOOR-2"})
     feasible = {label for label, end in found.items() if end.outcome.kind is OutcomeKind.SUCCEEDED}
     narrator.check("C2, and all that leads to it, is feasible", feasible == set(HYPOTHESIS) - {"C1"})

@@ -20,6 +20,7 @@ import pinocchio as pin
 from rtc.model.cells import cell as cells
 from rtc.model.robot import boxes, numeric_ik, puma_ik
 from rtc.plugins import registry
+from rtc.protocol import causes
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
@@ -454,15 +455,14 @@ class ArmModel:
             ),
             clears=f"{self.joints[joint]} between {lowest} and {highest}: "
             "other joint values, or another attitude or grasp point, or another arm",
-            detail={
-                "cause": "joint_limit",
-                "arm": self.name,
-                "joint": self.joints[joint],
-                "value_rad": value,
-                "limit_rad": limit,
-                "margin_rad": margin,
-                "excess_rad": (value - limit if side == "upper" else limit - value) + margin,
-            },
+            cause=causes.JointLimitPassed(
+                arm=self.name,
+                joint=self.joints[joint],
+                value_rad=value,
+                limit_rad=limit,
+                margin_rad=margin,
+                excess_rad=(value - limit if side == "upper" else limit - value) + margin,
+            ),
         )
 
     def shown(self, joint: int, value: float) -> str:
@@ -470,7 +470,7 @@ class ArmModel:
         return f"{1e3 * value:.0f} mm" if self.slides[joint] else f"{math.degrees(value):.1f} deg"
 
     def _out_of_reach(self, target: Floats) -> Refusal:
-        detail: dict[str, str | float] = {}
+        turned_rad: float | None = None
         if self._closed_form is not None:
             last_link = self._base_inverse @ geometry.to_matrix(target) @ self._tool_inverse
             words, missing = puma_ik.shortfall(self._closed_form, last_link[:3, 3])
@@ -484,12 +484,12 @@ class ArmModel:
             message = f"the nearest posture found ends {' and '.join(off) or 'just'} short of it"
             if len(self.joints) < numeric_ik.WHOLE:
                 message += f"; with {len(self.joints)} joints it reaches each place in some attitudes only"
-            detail = {"turned_rad": near.radians}
+            turned_rad = near.radians
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=f"{self.name} cannot reach: {message}",
             clears="another arm, or a nearer place" if missing else "another attitude or place, or another arm",
-            detail={"cause": "reach", "arm": self.name, "which": words, "distance_m": missing, **detail},
+            cause=causes.OutOfReach(arm=self.name, which=words, distance_m=missing, turned_rad=turned_rad),
         )
 
 

@@ -20,6 +20,7 @@ from rtc.model.robot.boxes import boxes_of
 from rtc.model.robot.collision_pairs import CollisionPairs, PairTable
 from rtc.model.robot.collision_scene import AS_BUILT, Scene, in_hands, same_places
 from rtc.model.robot.levers import ball, levers, of_pairs
+from rtc.protocol import causes
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import hinges
 from rtc.spatial.geometry import Array, Floats
@@ -46,16 +47,15 @@ class Collision:
             message=f"{self.body_a} {verb} {self.body_b}{needed}" + (f" {where}" if where else ""),
             where=where,
             clears=f"another goal: {self.body_b.split()[0]} is in the way",
-            detail={
-                "cause": "collision",
-                "body_a": self.body_a,
-                "body_b": self.body_b,
-                "distance_m": self.distance_m,
-                "margin_m": self.margin_m,
-                "x_m": self.point[0],
-                "y_m": self.point[1],
-                "z_m": self.point[2],
-            },
+            cause=causes.Collides(
+                body_a=self.body_a,
+                body_b=self.body_b,
+                distance_m=self.distance_m,
+                margin_m=self.margin_m,
+                x_m=self.point[0],
+                y_m=self.point[1],
+                z_m=self.point[2],
+            ),
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtc.model.cells.cell import Cell
+from rtc.protocol import causes
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from tests.apps.authoring.own_arm import OwnArm
@@ -89,7 +90,7 @@ def test_what_is_refused_names_its_cause(own):
     bench = own("PANDA")
     far = bench.do("MOVE ARM PANDA TO POSITION 150 0 40 CM")
     assert far.refusal is not None
-    assert far.refusal.detail["cause"] == "reach"
+    assert isinstance(far.refusal.cause, causes.OutOfReach)
     assert bench.do("GRASP CUBE WITH RIGHT-ARM").refusal is not None
 
 

@@ -16,6 +16,7 @@ from rich.text import Text
 from rtc.apps.cli.output import EXIT, Screen, emit_json, exit_code, quoted, refusal_lines, seconds
 from rtc.apps.cli.status import as_supervised, show_status
 from rtc.language.parse import default_grammar, parse
+from rtc.protocol import causes
 from rtc.protocol.messages import ProcessRow, RefusedPeerRow, Status, WorkerRow
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
@@ -56,20 +57,23 @@ def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
         message="RIGHT-ARM is taken",
         owner="C-3",
         clears="wait for C-3",
-        detail={"limit_rad": 2.7925268},
+        cause=causes.BeyondStop(value_rad=0.0, least_rad=0.0, most_rad=2.7925268),
     )
     assert refusal_lines(refusal, details=True) == [
         "RIGHT-ARM is taken",
         "owner: C-3",
-        "figures: limit 160 deg",
+        "figures: cause stop, value 0 deg, least 0 deg, most 160 deg",
         "to clear it: wait for C-3",
     ]
 
 
 def test_figures_do_not_repeat_the_message() -> None:
-    detail = {"arm": "RIGHT-ARM", "along_m": 0.375, "limit_m": 0.37, "branch": "ARM", "candidates": 2.0}
-    refusal = Refusal(reason=RefusalReason.STATE, message="RIGHT-ARM: 2 of them, after 375 mm", detail=detail)
-    assert refusal_lines(refusal, details=True)[1:] == ["figures: limit 370 mm, branch ARM, candidates 2"]
+    cause, effort = causes.OutOfReach(arm="RIGHT-ARM", which="ARM", distance_m=0.37), causes.Effort(candidates=2)
+    message = "RIGHT-ARM: 2 of them, after 375 mm"
+    refusal = Refusal(reason=RefusalReason.STATE, message=message, cause=cause, along_m=0.375, effort=effort)
+    assert refusal_lines(refusal, details=True)[1:] == [
+        "figures: cause reach, which ARM, distance 370 mm, candidates 2"
+    ]
 
 
 def test_a_sentence_is_repeated_in_one_short_line_that_does_nothing_to_the_screen() -> None:

@@ -8,6 +8,7 @@ from rich.console import Console
 
 from rtc.apps.cli.output import refusal_lines
 from rtc.apps.cli.progress import REPORTS_KEPT, Board, print_result
+from rtc.protocol import causes
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 
@@ -132,7 +133,8 @@ def test_the_cause_precedes_the_step_and_the_advice_and_names_and_figures_of_pla
         reason=RefusalReason.INFEASIBLE,
         message="GOAL: too far by 104627 mm",
         where="move.plan[0] (GOAL)",
-        detail={"cause": "reach", "ways_tried": 5.0, "by_m": 104.627},
+        cause=causes.OutOfReach(arm="LEFT-ARM", which="", distance_m=104.627),
+        effort=causes.Effort(ways_tried=5),
         clears="another goal",
     )
     outcome = Outcome(
@@ -144,7 +146,7 @@ def test_the_cause_precedes_the_step_and_the_advice_and_names_and_figures_of_pla
         "    in step 1 of 1: move, stopped by timeout",
         "    to clear it: another goal",
     ]
-    assert "figures: cause reach, ways_tried 5" in refusal_lines(refusal, details=True)
+    assert "figures: cause reach, arm LEFT-ARM, ways_tried 5" in refusal_lines(refusal, details=True)
 
 
 def test_a_sentence_with_markup_in_it_is_shown_as_it_is() -> None:

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 
 from rtc.apps.observers.viewer_schema import viewer_schema
+from rtc.protocol import causes
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind, Refusal, RefusalReason
 
@@ -15,7 +16,11 @@ RECORDED = (m.ProgressNote, m.CommandEnded, m.CommandRecord, m.ArmSample)
 REFUSED = Outcome(
     kind=OutcomeKind.REFUSED,
     message="no",
-    refusal=Refusal(reason=RefusalReason.INFEASIBLE, message="no", detail={"limit_rad": 1.0, "joint": "joint_2"}),
+    refusal=Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message="no",
+        cause=causes.InSeat(arm="LEFT-ARM", seat="BAY-1"),
+    ),
     measured=Measured(arm="LEFT-ARM", joints=[0.0] * 6),
 )
 ENDED = m.CommandEnded(seq=1, at_s=1.0, command="C-1", request="r", text="STOW", outcome=REFUSED, took_s=0.5)

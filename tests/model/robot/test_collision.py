@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import Held, Scene
+from rtc.protocol import causes
 from rtc.spatial import geometry
 
 TOLERANCE_M = 1e-5  # of a proof
@@ -191,8 +192,8 @@ def test_what_is_nearer_than_the_clearance_at_the_start_comes_no_nearer(world, r
 def test_a_refusal_names_the_bodies_and_what_would_clear_it(world, right, home):
     x, _, z = HANDLE
     refusal = world.check(right_at(right, home, x + 0.04, -0.80, z)).refusal("at the goal")
-    assert refusal.detail["cause"] == "collision"
-    assert refusal.detail["body_b"] == "MACS-NEW case"
+    assert isinstance(refusal.cause, causes.Collides)
+    assert refusal.cause.body_b == "MACS-NEW case"
     assert refusal.message.endswith("collides with MACS-NEW case at the goal")
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from rtc.model.robot import numeric_ik
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol import causes
 from rtc.spatial import geometry
 
 
@@ -142,22 +143,20 @@ def test_out_of_reach_tells_by_how_much(right):
     far = geometry.make_pose((1.2, -0.45, 0.672), geometry.LEVEL)  # 1.2 m straight before the shoulder
     assert right.ik(far) == []
     refusal = right.why_no_ik(far)
-    assert refusal.detail["cause"] == "reach"
+    assert isinstance(refusal.cause, causes.OutOfReach)
     # The wrist is 0.191 m behind the tcp; the shoulder's offset counts sideways only.
     missing = math.sqrt((1.2 - 0.191) ** 2 - 0.15005**2) - 0.4318 - math.hypot(0.4318, 0.0203)
-    assert refusal.detail["distance_m"] == pytest.approx(missing, abs=1e-9)
+    assert refusal.cause.distance_m == pytest.approx(missing, abs=1e-9)
     assert f"{missing * 1000:.0f} mm" in refusal.message
 
 
 def test_too_near_names_the_joint_and_its_limit(right):
     near = geometry.make_pose((0.35, -0.70, 0.60), geometry.LEVEL)
     refusal = right.why_no_ik(near)
-    assert refusal.detail["cause"] == "joint_limit"
-    assert refusal.detail["joint"] == "joint_3"
-    assert refusal.detail["limit_rad"] == pytest.approx(math.radians(-225))
-    assert refusal.detail["excess_rad"] == pytest.approx(
-        refusal.detail["limit_rad"] - refusal.detail["value_rad"], abs=1e-12
-    )
+    assert isinstance(refusal.cause, causes.JointLimitPassed)
+    assert refusal.cause.joint == "joint_3"
+    assert refusal.cause.limit_rad == pytest.approx(math.radians(-225))
+    assert refusal.cause.excess_rad == pytest.approx(refusal.cause.limit_rad - refusal.cause.value_rad, abs=1e-12)
     assert "joint_3" in refusal.message
 
 
@@ -165,7 +164,7 @@ def test_a_margin_takes_solutions_away(right):
     target = geometry.make_pose((0.48, -0.085, 0.7), geometry.LEVEL)
     assert len(right.ik(target)) > len(right.ik(target, margin_rad=math.radians(15))) > 0
     refusal = right.why_no_ik(target, margin_rad=math.radians(40))
-    assert refusal.detail["excess_rad"] == pytest.approx(
+    assert refusal.cause.excess_rad == pytest.approx(
         math.radians(40) - max(right.limit_margin_rad(q) for q in right.ik(target)), abs=1e-6
     )
 

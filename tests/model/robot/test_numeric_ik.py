@@ -10,6 +10,7 @@ import pybullet_data
 import pytest
 
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol import causes
 from rtc.spatial import geometry
 from tests.apps.authoring import small_arms
 
@@ -113,8 +114,8 @@ def test_a_line_is_followed_without_leaps(arm):
 def test_out_of_reach_states_the_distance_and_a_limit_its_joint(panda):
     far = panda.why_no_ik(geometry.make_pose((1.5, 0.0, 0.4)))
     assert far is not None
-    assert far.detail["cause"] == "reach"
-    assert 0.3 < far.detail["distance_m"] < 0.9
+    assert isinstance(far.cause, causes.OutOfReach)
+    assert 0.3 < far.cause.distance_m < 0.9
     behind = panda.fk([0.0, 0.3, 0.0, 0.4, 0.0, 2.0, 0.0])  # joint 4 bends one way only
     refused = panda.why_no_ik(behind, math.radians(3.0))
     reachable = panda.ik(behind, margin_rad=math.radians(3.0))

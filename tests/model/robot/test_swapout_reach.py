@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from rtc.model.robot.collision_scene import Held, Scene
+from rtc.protocol import causes
 from rtc.spatial import geometry
 
 MARGIN = math.radians(15)
@@ -108,5 +109,5 @@ def test_the_far_rack_is_out_of_reach(cell, arms):
     for name, thing in (("LEFT-ARM", "MACS-NEW"), ("RIGHT-ARM", "MACS-OLD")):
         for point in ("HANDLE-A", "HANDLE-B"):
             refusal = arms[name].why_no_ik(grasp_pose(cell, thing, point))
-            assert refusal.detail["cause"] == "reach"
-            assert refusal.detail["distance_m"] > 0.2
+            assert isinstance(refusal.cause, causes.OutOfReach)
+            assert refusal.cause.distance_m > 0.2

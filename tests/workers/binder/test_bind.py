@@ -13,7 +13,7 @@ from rtc.language import dictionary
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.kinematics import ArmModel
 from rtc.programs import loader
-from rtc.protocol import wire
+from rtc.protocol import causes, wire
 from rtc.protocol.messages import Binding, BoundStep, Script, Step, StepFigures, StepWords, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
@@ -190,7 +190,7 @@ def test_a_grip_beyond_the_hands_force_is_refused(bench):
     refusal = refused(bench, "CLOSE RIGHT-END-EFF", "close")
 
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert (refusal.detail["value_n"], refusal.detail["limit_n"]) == (80, 60)
+    assert (refusal.cause.value_n, refusal.cause.limit_n) == (80, 60)
     assert "80 N" in refusal.message
     assert "60 N" in refusal.clears
 
@@ -199,7 +199,7 @@ def test_a_hand_is_not_opened_wider_than_it_goes(bench):
     refusal = refused(bench, "OPEN RIGHT-END-EFF BY 7 M", "open")
 
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert refusal.detail["limit_m"] == 0.08
+    assert refusal.cause.limit_m == 0.08
     assert "it can have 0 to 80 mm" in refusal.message
 
 
@@ -467,7 +467,8 @@ def test_a_load_beyond_the_payload_is_refused_before_it_is_moved(bench):
     refusal = bench.bind(script, script.steps[-1])
     assert isinstance(refusal, Refusal)
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert (refusal.detail["cause"], refusal.detail["mass_kg"], refusal.detail["limit_kg"]) == ("payload", 2.6, 2.5)
+    assert isinstance(refusal.cause, causes.TooHeavy)
+    assert (refusal.cause.mass_kg, refusal.cause.limit_kg) == (2.6, 2.5)
 
 
 def test_a_force_along_an_axis_counts_both_ways(bench):
@@ -524,8 +525,8 @@ def test_a_collision_names_both_bodies(bench):
     refusal = bench.bind(script, script.steps[0], given)
 
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert refusal.detail["cause"] == "collision"
-    assert "SATELLITE" in f"{refusal.detail['body_a']} {refusal.detail['body_b']}"
+    assert isinstance(refusal.cause, causes.Collides)
+    assert "SATELLITE" in f"{refusal.cause.body_a} {refusal.cause.body_b}"
 
 
 def test_a_module_in_its_rack_cannot_be_carried_off_sideways(bench):
@@ -542,7 +543,7 @@ def test_a_module_in_its_rack_cannot_be_carried_off_sideways(bench):
 def test_a_time_limit_that_cannot_be_kept_is_reported_before_the_start(bench):
     refusal = refused(bench, "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN TIME-LIMIT 1 SEC", "GOAL")
 
-    assert refusal.detail["cause"] == "time"
+    assert isinstance(refusal.cause, causes.TooLong)
 
 
 def test_a_suspect_frame_is_bound_upon_only_by_the_command_that_doubts_it(bench):

@@ -12,8 +12,9 @@ from rtc.language.parse import default_grammar, parse
 from rtc.programs import loader
 from rtc.programs.loader import decode
 from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol import causes
 from rtc.protocol.messages import ElaboratorInput, Script, Validity
-from rtc.protocol.outcomes import IN_THE_WAY, ProgramError, Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
 from rtc.spatial import geometry
 from tests.workers.conftest import CELL
 from workers.elaborator import elaborate, no_script
@@ -266,7 +267,7 @@ def test_an_arm_at_the_goal_is_the_reason_even_if_the_direct_way_meets_something
     sentence = "MOVE LEFT-ARM TO JOINTS -0.84 0.0785 -1.782 -1.5615 0.5392 1.4611 RAD JOINT-MOTION"
 
     there = refusal_of(bench, sentence)
-    assert there.detail[IN_THE_WAY] == "RIGHT-ARM"
+    assert there.in_the_way == "RIGHT-ARM"
     assert "RIGHT-ARM" in there.message
 
     bench.set_fact("RIGHT-ARM.joints", list(CELL.arm("RIGHT-ARM").stow_rad))
@@ -497,8 +498,8 @@ def test_what_is_out_of_reach_says_how_far(bench):
     refusal = refusal_of(bench, "GRASP RIGHT-END-EFF MACS-OLD HANDLE-A")
 
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert refusal.detail["cause"] == "reach"
-    assert float(refusal.detail["distance_m"]) > 0.1
+    assert isinstance(refusal.cause, causes.OutOfReach)
+    assert float(refusal.cause.distance_m) > 0.1
 
 
 def test_a_missing_cell_of_the_table_is_a_clear_refusal(bench):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from rtc.protocol.messages import Script, Validity, WorldChange
-from rtc.protocol.outcomes import IN_THE_WAY, LEAVING
 from rtc.spatial import geometry
 from rtc.world.spread import even
 from tests.workers.conftest import CELL, Bench
@@ -33,8 +32,8 @@ def sentence_of(refusal) -> str:
 @pytest.mark.parametrize("wanted", [TO_BAY, f"{TO_BAY} STRAIGHT-LINE"])
 def test_the_sentence_of_the_refusal_clears_it(in_the_way, wanted):
     refusal = in_the_way.do(wanted).refusal
-    assert refusal.detail[IN_THE_WAY] == "LEFT-ARM"
-    assert {refusal.detail["body_a"].split()[0], refusal.detail["body_b"].split()[0]} == {"RIGHT-ARM", "LEFT-ARM"}
+    assert refusal.in_the_way == "LEFT-ARM"
+    assert {refusal.cause.body_a.split()[0], refusal.cause.body_b.split()[0]} == {"RIGHT-ARM", "LEFT-ARM"}
     assert sentence_of(refusal) == "STOW LEFT-ARM"
     assert in_the_way.do("STOW LEFT-ARM").succeeded
     assert in_the_way.do(wanted).succeeded
@@ -136,7 +135,7 @@ def test_no_arm_is_sent_away_from_a_way_that_would_not_be_free_without_it(
         without.setattr(plan, "BACK_M", ())
         refusal = bench.elaborate(wanted)
     assert refusal.clears.startswith("RETRACT LEFT-ARM first: SATELLITE")
-    assert refusal.detail[LEAVING] == "SATELLITE"
+    assert refusal.cause.leaving == "SATELLITE"
     bench.subsystem.widths["LEFT-ARM"] = 0.02
     bench.subsystem.joints["LEFT-ARM"] = np.array(bench.world.value("LEFT-ARM.joints"))
     assert bench.do("RETRACT LEFT-ARM").succeeded

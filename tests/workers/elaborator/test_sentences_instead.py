@@ -58,7 +58,7 @@ def test_by_as_much_as_there_is_room_for(bench: Bench) -> None:
     refusal = bench.do("MOVE RIGHT-ARM BY 300 CM ALONG X").refusal
     assert refusal is not None
     by_mm = float(refusal.clears.split()[3])
-    assert 0.0 < by_mm < 1e3 * float(refusal.detail["along_m"])
+    assert 0.0 < by_mm < 1e3 * float(refusal.along_m)
 
 
 def test_a_level_way_that_none_is_found_for_is_offered_without_that(bench: Bench) -> None:

@@ -279,7 +279,7 @@ def test_a_seat_takes_along_what_sits_in_it(bench):
 def test_a_seat_is_an_obstacle_where_it_is_stated_to_be(bench):
     assert bench.do("MOVE RIGHT-ARM TO RACK-1-FRONT").succeeded
     state(bench, "SET RACK-2 FRAME 45 -88 90 CM")
-    assert refused(bench, "MOVE RIGHT-ARM BY 35 CM ALONG UP STRAIGHT-LINE").detail["body_b"].startswith("RACK-2")
+    assert refused(bench, "MOVE RIGHT-ARM BY 35 CM ALONG UP STRAIGHT-LINE").cause.body_b.startswith("RACK-2")
 
 
 @pytest.mark.parametrize("sentence", ["SET RACK-1 MASS 3 KG", "SET RACK-1 SEAT RACK-2", "SET RACK-1 COLOUR RED"])

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from rtc.protocol.messages import Script, Validity
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import ParsedCommand
 from tests.workers.conftest import Bench
 from workers.elaborator.tested_advice import without_infeasible
@@ -15,8 +15,8 @@ from workers.planning import trust
 from workers.planning.world_query import WorldQuery
 
 
-def advised(clears: str, *not_feasible: str, **detail: str) -> str:
-    refusal = Refusal(reason=RefusalReason.INFEASIBLE, message="blocked", clears=clears, detail=dict(detail))
+def advised(clears: str, *not_feasible: str, in_the_way: str = "") -> str:
+    refusal = Refusal(reason=RefusalReason.INFEASIBLE, message="blocked", clears=clears, in_the_way=in_the_way)
 
     def why(parsed: ParsedCommand) -> Refusal | None:
         place = parsed.place.name if parsed.place else None
@@ -51,7 +51,7 @@ def test_what_has_no_way_is_left_out(clears: str, not_feasible: tuple[str, ...],
 
 def test_what_a_command_waits_for_is_not_tested() -> None:
     clears = "STOW LEFT-ARM; then give the command again"
-    assert advised(clears, "STOW LEFT-ARM", **{IN_THE_WAY: "LEFT-ARM"}) == clears
+    assert advised(clears, "STOW LEFT-ARM", in_the_way="LEFT-ARM") == clears
 
 
 def test_a_handle_out_of_reach_is_not_advised(bench: Bench) -> None:

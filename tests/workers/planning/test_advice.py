@@ -10,6 +10,7 @@ import pytest
 from rtc.model.cells.cell import Cell
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, ElaboratorProgram
+from rtc.protocol import causes
 from rtc.protocol.messages import EndReport, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason
 from rtc.spatial import geometry
@@ -21,7 +22,7 @@ from workers.planning.world_query import WorldQuery
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 LIFT = "LIFT MACS-NEW BY 15 CM"
-BODIES = {"body_a": "RIGHT-ARM palm", "body_b": "SATELLITE right-panel"}
+BODIES = causes.Collides(body_a="RIGHT-ARM palm", body_b="SATELLITE right-panel")
 
 
 def in_hand(bench, *sentences):
@@ -51,7 +52,8 @@ def test_a_way_that_is_blocked_goes_by_another_place(bench):
     blocked = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message="MACS-NEW case collides with SATELLITE right-panel (40% along the way)",
-        detail={"cause": "collision", "body_a": "MACS-NEW case", "body_b": "SATELLITE right-panel", "fraction": 0.4},
+        cause=causes.Collides(body_a="MACS-NEW case", body_b="SATELLITE right-panel"),
+        fraction=0.4,
     )
     clears = decode(bench.programs["binder"], BinderProgram).clears
 
@@ -104,8 +106,8 @@ def test_a_door_that_lacks_room_only_for_its_angle_is_looked_at_if_a_camera_sees
     bench = Bench(Reporter(cell), CellModel(cell))
     door = WorldQuery(bench.model, bench.world).frame("DOOR-2").tolist()
     bench.world = bench.world.overlay([WorldChange(key="DOOR-2.frame", value=door, spread=[0.0] * 5 + [0.03])])
-    detail = {"cause": "collision", "body_a": "RIGHT-ARM palm", "body_b": "DOOR-2 panel", "distance_m": distance_m}
-    blocked = Refusal(reason=RefusalReason.INFEASIBLE, message="too near", detail=detail)
+    cause = causes.Collides(body_a="RIGHT-ARM palm", body_b="DOOR-2 panel", distance_m=distance_m)
+    blocked = Refusal(reason=RefusalReason.INFEASIBLE, message="too near", cause=cause)
     clears = decode(bench.programs["binder"], BinderProgram).clears
 
     advised = advise_on_collision(blocked, WorldQuery(bench.model, bench.world), "RIGHT-ARM", clears)
@@ -119,7 +121,7 @@ def test_a_segment_that_is_blocked_whatever_way_leads_to_it_is_the_reason(bench,
     def blocked(*args):
         detours = args[-1]
         message = "the goal is taken" if detours else "the direct way is blocked"
-        raise Refused.because(RefusalReason.INFEASIBLE, message, detail={"cause": "collision", **BODIES})
+        raise Refused.because(RefusalReason.INFEASIBLE, message, cause=BODIES)
 
     monkeypatch.setattr(backtrack, "_try", blocked)
     assert bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT").message.startswith("the goal is taken")
@@ -141,7 +143,7 @@ def test_a_closed_door_is_named_and_following_the_advice_leads_to_the_aim(aim):
             done = bench.do(sentence)
             assert done.succeeded, (sentence, done.refusal)
 
-    assert "DOOR-2" in refusals[0].detail["body_b"]
+    assert "DOOR-2" in refusals[0].cause.body_b
     assert len({refusal.clears for refusal in refusals}) == len(refusals)  # no advice twice
 
 
@@ -196,7 +198,8 @@ def test_neither_the_goal_nor_an_arm_without_the_object_is_advised(bench, held, 
     blocked = Refusal(
         reason=RefusalReason.INFEASIBLE,
         message="RIGHT-ARM link_2 collides with SATELLITE right-panel (40% along the way)",
-        detail={"cause": "collision", "body_a": "RIGHT-ARM link_2", "body_b": "SATELLITE right-panel", "fraction": 0.4},
+        cause=causes.Collides(body_a="RIGHT-ARM link_2", body_b="SATELLITE right-panel"),
+        fraction=0.4,
     )
     clears = decode(bench.programs["elaborator"], ElaboratorProgram).clears
 

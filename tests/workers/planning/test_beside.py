@@ -8,7 +8,7 @@ import pytest
 
 from rtc.model.robot import compiled
 from rtc.model.robot.collision_scene import Scene
-from rtc.protocol.outcomes import IN_THE_WAY, Refused, StopReason
+from rtc.protocol.outcomes import Refused, StopReason
 from rtc.protocol.primitive import (
     MAX_FURTHER,
     MAX_S,
@@ -98,7 +98,7 @@ def test_a_motion_waits_until_the_other_arm_has_left_its_path():
 
 def test_a_motion_to_where_the_other_arm_goes_is_refused_and_names_that_arm():
     refusal = refusal_of(conditions, MINE, INTO)
-    assert (refusal.detail[IN_THE_WAY], refusal.owner) == (RIGHT, "C-1")
+    assert (refusal.in_the_way, refusal.owner) == (RIGHT, "C-1")
 
 
 def test_an_arm_that_may_back_off_must_reach_its_goal_first():

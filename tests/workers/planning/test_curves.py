@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from rtc.protocol import causes
 from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
 from rtc.subsystems.motion.profiles import Follow
@@ -80,7 +81,7 @@ def test_a_pattern_leaves_nothing_within_its_radius_farther_than_a_pitch(start, 
     ],
 )
 def test_a_curve_without_a_shape_is_refused(start, space, figures) -> None:
-    assert refusal_of(curve, space, start, start, "TOOL-Z", figures).detail["cause"] == "curve"
+    assert isinstance(refusal_of(curve, space, start, start, "TOOL-Z", figures).cause, causes.BadCurve)
 
 
 def test_an_unknown_axis_is_refused(start) -> None:
@@ -117,4 +118,4 @@ def test_the_command_stays_on_the_curve_within_the_limits_of_the_arm(right, home
 def test_a_curve_out_of_reach_says_where_it_ends(right, home, start) -> None:
     far = curve("move_circle", start, hinge(start, x=0.5, y=0.0), "Z", {"by_rad": math.pi, "hand_turn": 0.0})
     refused = refusal_of(task_curve, right, home["RIGHT-ARM"], far)
-    assert 0.0 < refused.detail["fraction"] < 1.0
+    assert 0.0 < refused.fraction < 1.0

@@ -23,7 +23,8 @@ import numpy as np
 from rtc.model.robot.collision_scene import in_hands
 from rtc.model.robot.quintic import Hermite, control_points, fine_times
 from rtc.model.robot.separation import Interval, SeparationCheck
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, Refused
+from rtc.protocol import causes
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import MAX_FURTHER, MAX_S, Box, JointTrajectory, Primitive, StartAfter, apart
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial.geometry import Array
@@ -177,7 +178,8 @@ def _in_the_way(arm: str, other: Primitive, their: str) -> Refusal:
         message=f"{arm} would meet {their} where {command} brings it",
         owner=command,
         clears=f"wait until {command} has ended, or move {their} away",
-        detail={"cause": "space", "arm": arm, IN_THE_WAY: their},
+        cause=causes.SpaceTaken(arm=arm),
+        in_the_way=their,
     )
 
 

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol.causes import Collides, OutOfReach
 from rtc.protocol.outcomes import Refusal, Refused, refuse_if
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
@@ -39,7 +40,7 @@ def plan_carry(request: PlanningRequest, goal_pose: Floats, *, around: bool = Fa
     try:
         return _carried(request, partner, line, [f"generated a straight line of the hand{words}: free"])
     except Refused as refused:
-        if not around or "distance_m" not in refused.refusal.detail:
+        if not around or not isinstance(refused.refusal.cause, Collides | OutOfReach):
             raise
         notes, blocked = [f"generated a straight line of the hand{words}: {refused}"], refused.refusal
     for aside_m, poses in _detours(arm.fk(request.start), np.asarray(goal_pose, dtype=float)):
@@ -113,9 +114,7 @@ def _fault(request: PlanningRequest, partner: ArmModel, leads: Array, follows: A
         if problem is not None:
             share = n / max(1, len(leads) - 1)
             return msgspec.structs.replace(
-                problem,
-                message=f"{problem.message} ({share:.0%} along the way)",
-                detail={**problem.detail, "fraction": share},
+                problem, message=f"{problem.message} ({share:.0%} along the way)", fraction=share
             )
     return None
 

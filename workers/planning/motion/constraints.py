@@ -12,6 +12,7 @@ import msgspec
 
 from rtc.model.cells import parts
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol.causes import OffAttitude, OutsideWorkRange
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
@@ -59,27 +60,18 @@ class PathConstraints(msgspec.Struct, frozen=True, eq=False):
             return None
         pose = arm.fk(joints)
         if self.work_range is not None and not self.work_range.contains(pose[:3]):
-            return _refusal(
-                f"the hand of {arm.name} would leave {self.work_range.name}",
-                {"cause": "work_range", "region": self.work_range.name},
-                pose,
-            )
+            return _outside(f"the hand of {arm.name}", self.work_range, pose)
         if self._load_is_outside(pose):
             assert self.work_range is not None
-            return _refusal(
-                f"what {arm.name} holds would leave {self.work_range.name}",
-                {"cause": "work_range", "region": self.work_range.name},
-                pose,
-            )
+            return _outside(f"what {arm.name} holds", self.work_range, pose)
         if self.attitude is not None:
             off = geometry.angle(pose, self.attitude.pose)
             if off > self.attitude_tolerance_rad:
                 name = self.attitude_name or "its attitude"
-                return _refusal(
-                    f"the hand of {arm.name} would be {math.degrees(off):.0f} deg off {name}",
-                    {"cause": "attitude", "attitude": name, "off_rad": off, "limit_rad": self.attitude_tolerance_rad},
-                    pose,
-                )
+                x, y, z = pose[:3].tolist()
+                limit_rad = self.attitude_tolerance_rad
+                cause = OffAttitude(attitude=name, off_rad=off, limit_rad=limit_rad, x_m=x, y_m=y, z_m=z)
+                return _refusal(f"the hand of {arm.name} would be {math.degrees(off):.0f} deg off {name}", cause)
         return None
 
     def _load_is_outside(self, pose: Array) -> bool:
@@ -96,11 +88,16 @@ def _beside(load: tuple[tuple[float, ...], ...], region: parts.Region) -> Beside
 FREE = PathConstraints()
 
 
-def _refusal(message: str, detail: dict[str, float | str], pose: Array) -> Refusal:
+def _outside(what: str, region: parts.Region, pose: Array) -> Refusal:
     x, y, z = pose[:3].tolist()
+    cause = OutsideWorkRange(region=region.name, x_m=x, y_m=y, z_m=z)
+    return _refusal(f"{what} would leave {region.name}", cause)
+
+
+def _refusal(message: str, cause: OutsideWorkRange | OffAttitude) -> Refusal:
     return Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=message,
         clears="another way, or the command without that MAINTAIN",
-        detail={**detail, "x_m": x, "y_m": y, "z_m": z},
+        cause=cause,
     )

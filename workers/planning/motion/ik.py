@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import msgspec
-
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial.geometry import Array, Floats
@@ -39,5 +37,4 @@ def choose(
         unreachable = arm.why_no_ik(target, margin_rad)
         assert unreachable is not None, "no solutions, and yet nothing is wrong"
         raise Refused(unreachable)
-    tried = {**first.detail, "branches_tried": float(len(candidates))}
-    raise Refused(msgspec.structs.replace(first, detail=tried))
+    raise Refused(first.after(branches_tried=len(candidates)))

@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol import causes
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
@@ -219,7 +220,7 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
             reason=RefusalReason.INFEASIBLE,
             message=f"{arm.name} cannot follow the line on from here: only another branch continues there",
             clears="another branch or attitude at the start",
-            detail={"cause": "singularity", "arm": arm.name, "sigma_min": arm.sigma_min(before)},
+            cause=causes.Singular(arm=arm.name, sigma_min=arm.sigma_min(before)),
         )
     leap = np.abs(q - before)
     if leap.max() > LEAP_RAD:
@@ -231,13 +232,12 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
                 f"near a singularity"
             ),
             clears="another branch or attitude at the start",
-            detail={
-                "cause": "singularity",
-                "arm": arm.name,
-                "joint": arm.joints[joint],
-                "leap_rad": float(leap[joint]),
-                "sigma_min": arm.sigma_min(before),
-            },
+            cause=causes.Singular(
+                arm=arm.name,
+                joint=arm.joints[joint],
+                leap_rad=float(leap[joint]),
+                sigma_min=arm.sigma_min(before),
+            ),
         )
     return arm.why_not_within(q, margin_rad)
 
@@ -248,6 +248,7 @@ def _at(problem: Refusal, fraction: float, metres: float, length_m: float) -> Re
         problem,
         message=f"{problem.message} ({where})",
         where=where,
-        detail={**problem.detail, "fraction": fraction, "along_m": metres},
+        fraction=fraction,
+        along_m=metres,
     )
     return Refused(placed)

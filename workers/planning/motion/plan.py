@@ -16,7 +16,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.model.robot.collision_scene import in_hands
-from rtc.protocol.outcomes import LEAVING, Refusal, RefusalReason, Refused, refuse_if
+from rtc.protocol.causes import Collides, TooLong
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial.geometry import Array, Floats
 from workers.planning import axes
 from workers.planning.motion import added_planners
@@ -122,10 +123,15 @@ def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> 
 def _occupied(request: PlanningRequest, goal: Array) -> Refusal | None:
     """The problem with a posture; of several bodies that are too near, the nearest."""
     problem = free_posture(request)(goal)
-    if problem is None or float(problem.detail.get("distance_m", 0.0)) <= 0.0:
+    if problem is None or _in_contact(problem):
         return problem
     hits = request.world.too_near({**request.joints, request.arm.name: goal}, request.scene)
     return blocked(request, min(hits, key=lambda hit: hit.distance_m)) if hits else problem
+
+
+def _in_contact(refusal: Refusal) -> bool:
+    """Whether no clearance is missed: bodies are in contact, or the problem is another one."""
+    return not isinstance(refusal.cause, Collides) or refusal.cause.distance_m <= 0.0
 
 
 def before_contact(request: PlanningRequest, goal: Array) -> PlanningRequest:
@@ -173,9 +179,10 @@ def _leaving(request: PlanningRequest, refusal: Refusal) -> Refusal:
     body = may_touch_at_start(request)
     if not body:
         return refusal
-    obstacle = {str(refusal.detail.get(name, "")).split(" ")[0] for name in ("body_a", "body_b")}
-    words = "" if body in obstacle else f"; no way round is sought from so near to {body}"
-    return msgspec.structs.replace(refusal, message=refusal.message + words, detail={**refusal.detail, LEAVING: body})
+    cause = refusal.cause if isinstance(refusal.cause, Collides) else None
+    words = "" if cause and body in cause.owners else f"; no way round is sought from so near to {body}"
+    leaving = msgspec.structs.replace(cause, leaving=body) if cause else refusal.cause
+    return msgspec.structs.replace(refusal, message=refusal.message + words, cause=leaving)
 
 
 def may_touch_at_start(request: PlanningRequest) -> str:
@@ -257,14 +264,14 @@ def _generate_and_test(request: PlanningRequest, goal: Array, direct: Path, befo
         return FreeWay(out.path, [*notes, *out.notes])
     first = _narrowest(request, direct, first)
     words = f"{first.message}; no way round it was found in {sampled} samples"
-    raise Refused(msgspec.structs.replace(first, message=words, detail={**first.detail, "samples": float(sampled)}))
+    raise Refused(msgspec.structs.replace(first, message=words).after(samples=sampled))
 
 
 def _narrowest(request: PlanningRequest, way: Path, first: Refusal) -> Refusal:
     """The fault of a way where its bodies are nearest, or the first one if they collide there: another way may have
     room. `first`: what a way with more room meets."""
     found = fault(request, way, least_room=True)
-    if found is not None and float(found.detail.get("distance_m", 0.0)) <= 0.0:
+    if found is not None and _in_contact(found):
         found = fault(request, way)
     return found or first
 
@@ -324,7 +331,7 @@ def slowed_to(motion: Motion, takes_s: float) -> Motion:
             RefusalReason.INFEASIBLE,
             f"this motion shall take {takes_s:.3g} s; the arm needs {least_s:.3g} s for it",
             clears=f"takes_s of at least {least_s:.3g} s, or a higher speed",
-            detail={"cause": "time", "limit_s": takes_s, "predicted_s": least_s},
+            cause=TooLong(limit_s=takes_s, predicted_s=least_s),
         )
     by = takes_s / least_s
     partner = slower(motion.partner, by) if motion.partner is not None else None

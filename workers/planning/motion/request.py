@@ -13,7 +13,7 @@ from rtc.model.robot.collision import CollisionWorld, PathCollision
 from rtc.model.robot.collision_scene import AS_BUILT, Scene
 from rtc.model.robot.kinematics import ArmModel
 from rtc.model.robot.scene_state import Collision
-from rtc.protocol.outcomes import IN_THE_WAY, Refusal
+from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import Load
 from rtc.spatial.geometry import Array, Floats
 from workers.planning.motion.constraints import FREE, PathConstraints
@@ -71,7 +71,7 @@ def blocked(request: PlanningRequest, hit: Collision) -> Refusal:
         owner = body.split()[0]
         arm = held[owner].arm if owner in held else owner
         if arm in request.joints and arm != request.arm.name:
-            return msgspec.structs.replace(refusal, detail={**refusal.detail, IN_THE_WAY: arm})
+            return msgspec.structs.replace(refusal, in_the_way=arm)
     return refusal
 
 
@@ -160,6 +160,4 @@ def _first_hit(
 def _at(problem: Refusal, fraction: float) -> Refusal:
     where = "at the start" if fraction <= 0 else "at the goal" if fraction >= 1 else f"{fraction:.0%} along the way"
     message = f"{problem.message} ({where})"
-    return msgspec.structs.replace(
-        problem, message=message, where=where, detail={**problem.detail, "fraction": fraction}
-    )
+    return msgspec.structs.replace(problem, message=message, where=where, fraction=fraction)

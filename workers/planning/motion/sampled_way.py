@@ -271,7 +271,7 @@ def rounded(request: PlanningRequest, corners: list[Array]) -> Path | None:
             return way
         if len(corners) == 2:
             return None
-        at = float(problem.detail["fraction"]) * way.length
+        at = problem.fraction * way.length
         nearest = int(np.argmin(np.maximum(np.abs(way.s[1:-1] - at) - radii, 0.0)))
         if radii[nearest] < MIN_RADIUS:
             return None

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol.causes import JointTorqueExceeded
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import Load
 from rtc.spatial.geometry import Array
@@ -71,14 +72,8 @@ class Torques:
                 f"its limit is {limit_nm:.0f} N.m"
             ),
             clears="a lighter load, or a path nearer to the base",
-            detail={
-                "cause": "torque",
-                "arm": self.arm.name,
-                "joint": name,
-                "torque_nm": torque_nm,
-                "limit_nm": limit_nm,
-                "fraction": float(row) / max(1, len(weight) - 1),
-            },
+            cause=JointTorqueExceeded(arm=self.arm.name, joint=name, torque_nm=torque_nm, limit_nm=limit_nm),
+            fraction=float(row) / max(1, len(weight) - 1),
         )
 
 

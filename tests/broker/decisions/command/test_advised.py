@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from broker.decisions import events
-from rtc.protocol.outcomes import ALREADY, Refusal, RefusalReason
+from rtc.protocol import causes
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from tests.broker.harness import Harness, bound, go_on, record, script
 
 
@@ -24,9 +25,8 @@ def refused(
     """The advice that a sentence ends with, if a worker gives this one."""
     command = given(s, text)
     job = s.state.commands[command].job
-    why = Refusal(
-        reason=reason, message="the frame of X is suspect", clears=clears, detail={ALREADY: already} if already else {}
-    )
+    cause = causes.AlreadyDone(object=already) if already else None
+    why = Refusal(reason=reason, message="the frame of X is suspect", clears=clears, cause=cause)
     s.handle(events.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=why)
     return str(s.outcome(command).refusal.clears)
 

@@ -35,7 +35,7 @@ def test_three_deaths_are_poison_and_name_the_evidence():
     s.loses_worker("C-1")
     assert s.loses_worker("C-1") == ["note C-1 ended", "end C-1 refused"]
     assert s.outcome("C-1").refusal.reason is RefusalReason.POISON
-    assert s.outcome("C-1").refusal.detail["death 3"] == "worker: exit -9"
+    assert s.outcome("C-1").refusal.cause.deaths[2] == "worker: exit -9"
     assert s.outcome("C-1").refusal.message.endswith("3 times: exit -9")
 
 

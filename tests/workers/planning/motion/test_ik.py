@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rtc.protocol import causes
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
 from tests.workers.refusals import refusal_of
@@ -16,7 +17,7 @@ def level(x, y, z):
 
 def refuse_elbow(side):
     """A test that takes only elbows above (or below) a straight arm."""
-    no = Refusal(reason=RefusalReason.INFEASIBLE, message=f"elbow not {side}", detail={"cause": "test"})
+    no = Refusal(reason=RefusalReason.INFEASIBLE, message=f"elbow not {side}", cause=causes.BadCurve())
     return lambda joints: None if (joints[2] > -np.pi / 2) == (side == "up") else no
 
 
@@ -34,13 +35,13 @@ def test_a_branch_that_fails_the_test_is_passed_over(right, home):
 
 
 def test_when_none_passes_the_nearest_tells_why(right, home):
-    no = Refusal(reason=RefusalReason.INFEASIBLE, message="never", detail={"cause": "test"})
+    no = Refusal(reason=RefusalReason.INFEASIBLE, message="never", cause=causes.BadCurve())
     refusal = refusal_of(choose, right, level(0.65, -0.885, 0.6), home["RIGHT-ARM"], test=lambda _: no)
     assert refusal.message == "never"
-    assert refusal.detail == {"cause": "test", "branches_tried": 6.0}
+    assert (refusal.cause, refusal.effort) == (no.cause, causes.Effort(branches_tried=6))
 
 
 def test_out_of_reach_is_reported_in_figures(right, home):
     refusal = refusal_of(choose, right, level(0.65, 0.885, 0.6), home["RIGHT-ARM"])
-    assert refusal.detail["cause"] == "reach"
-    assert refusal.detail["distance_m"] > 0.5
+    assert isinstance(refusal.cause, causes.OutOfReach)
+    assert refusal.cause.distance_m > 0.5

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from rtc.protocol import causes
 from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
 from tests.workers.refusals import refusal_of
@@ -95,18 +96,18 @@ def test_a_rounded_corner_bends_without_a_leap(right, home):
 
 def test_out_of_reach_on_the_way_tells_where(right, home):
     refusal = refusal_of(task_line, right, at(right, home, 0.65, -0.885, 0.6), level(1.25, -0.885, 0.6))
-    assert refusal.detail["cause"] == "reach"
-    assert 0.1 < refusal.detail["fraction"] < 0.6
-    assert refusal.detail["along_m"] == pytest.approx(0.6 * refusal.detail["fraction"])
-    assert f"{refusal.detail['fraction']:.0%} along the line" in refusal.message
+    assert isinstance(refusal.cause, causes.OutOfReach)
+    assert 0.1 < refusal.fraction < 0.6
+    assert refusal.along_m == pytest.approx(0.6 * refusal.fraction)
+    assert f"{refusal.fraction:.0%} along the line" in refusal.message
 
 
 def test_a_joint_limit_on_the_way_names_the_joint(right, home):
     """Drawn back towards its own shoulder the hand comes to the elbow's limit."""
     refusal = refusal_of(task_line, right, at(right, home, 0.65, -0.70, 0.6), level(0.25, -0.70, 0.6))
-    assert refusal.detail["cause"] == "joint_limit"
-    assert refusal.detail["joint"] == "joint_3"
-    assert 0 < refusal.detail["fraction"] < 1
+    assert isinstance(refusal.cause, causes.JointLimitPassed)
+    assert refusal.cause.joint == "joint_3"
+    assert 0 < refusal.fraction < 1
 
 
 @pytest.mark.parametrize("far_m", [1e6, 1e20, 1e308])
@@ -121,10 +122,10 @@ def test_a_singularity_on_the_way_is_reported_as_such(right):
     before, after = [0.2, 0.9, -2.4, 0.0, 0.3, 0.0], [0.2, 0.9, -2.4, 0.0, -0.3, 0.0]
     goal = geometry.compose(right.fk(after), geometry.from_rpy((0, 0, 0), (0.02, 0, 0)))
     refusal = refusal_of(task_line, right, before, goal)
-    assert refusal.detail["cause"] == "singularity"
-    assert refusal.detail["joint"] in ("joint_4", "joint_6")
-    assert refusal.detail["sigma_min"] < 0.05
-    assert math.degrees(refusal.detail["leap_rad"]) > 30
+    assert isinstance(refusal.cause, causes.Singular)
+    assert refusal.cause.joint in ("joint_4", "joint_6")
+    assert refusal.cause.sigma_min < 0.05
+    assert math.degrees(refusal.cause.leap_rad) > 30
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.002, 0.02, 0.2, None])

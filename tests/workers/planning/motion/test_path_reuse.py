@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from rtc.model.robot.collision_scene import Scene
+from rtc.protocol import causes
 from rtc.protocol.messages import PlannedPath
 from rtc.spatial import geometry
 from tests.workers.refusals import refusal_of
@@ -170,4 +171,4 @@ def test_a_way_to_the_pose_is_not_used_for_joints_of_another_turn(asked):
         way, request_digest=path_reuse.request_digest(asked, "move_task", asked.arm.fk(turned).tolist())
     )
     refusal = refusal_of(segments.plan_segment, asked, "move_task", Target(joints=turned.tolist()), way)
-    assert refusal.detail["cause"] == "branch"
+    assert isinstance(refusal.cause, causes.OtherBranch)

@@ -15,6 +15,7 @@ from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Box, Frame, Object
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.collision_scene import Held, Scene
+from rtc.protocol import causes
 from rtc.protocol.messages import Script
 from rtc.spatial import geometry, hinges
 from tests.workers.conftest import Bench, Reporter
@@ -107,8 +108,8 @@ def test_where_there_is_no_room_at_the_goal_the_refusal_states_how_much_there_is
     at = PlanningRequest(right, world, with_joints(setting, 0.55, -0.085, 0.90), scene)
     goal = right.ik(level(0.732, -0.085, 0.90), at.start)[0]
     refusal = refusal_of(plan_joint_motion, at, goal)
-    assert 0.0 < refusal.detail["distance_m"] < refusal.detail["margin_m"] == 0.005
-    assert f"within {1e3 * refusal.detail['distance_m']:.3g} mm of" in refusal.message
+    assert 0.0 < refusal.cause.distance_m < refusal.cause.margin_m == 0.005
+    assert f"within {1e3 * refusal.cause.distance_m:.3g} mm of" in refusal.message
     nearer = replace(at, scene=replace(scene, clearance_m=0.001))
     assert np.array_equal(plan_joint_motion(nearer, goal).goal_joints, goal)
 
@@ -154,10 +155,10 @@ def test_no_way_round_tells_the_first_obstacle_and_how_many_samples(right, cell,
     monkeypatch.setattr(sampled_way, "ROOMY_SAMPLES", 2)
     monkeypatch.setattr(sampled_way, "SAMPLES", 3)
     refusal = refusal_of(plan_joint_motion, *behind_a_wall(cell, right, setting))
-    assert refusal.detail["cause"] == "collision"
-    assert refusal.detail["body_b"] == "WALL slab"
-    assert 0 < refusal.detail["fraction"] < 1
-    assert refusal.detail["samples"] == 3
+    assert isinstance(refusal.cause, causes.Collides)
+    assert refusal.cause.body_b == "WALL slab"
+    assert 0 < refusal.fraction < 1
+    assert refusal.effort.samples == 3
     assert "3 samples" in refusal.message
 
 
@@ -181,32 +182,32 @@ def test_the_seed_decides_the_way(right, cell, setting):
 def test_a_straight_line_into_something_is_refused_with_the_pair_and_the_place(setting, right, world):
     at = PlanningRequest(right, world, with_joints(setting, 0.48, -0.085, 0.90))
     refusal = refusal_of(plan_task_motion, at, level(0.78, -0.085, 0.90))
-    assert refusal.detail["cause"] == "collision"
-    assert refusal.detail["body_a"].startswith("RIGHT-ARM finger_")
-    assert refusal.detail["body_b"] == "SATELLITE upper-panel"
+    assert isinstance(refusal.cause, causes.Collides)
+    assert refusal.cause.body_a.startswith("RIGHT-ARM finger_")
+    assert refusal.cause.body_b == "SATELLITE upper-panel"
     # The tips, 15 mm before the tcp, come to the panel (x 0.75) after 0.255 m of 0.30; checks are some 2 cm apart.
-    assert 0.255 / 0.30 <= refusal.detail["fraction"] <= 0.28 / 0.30
-    assert refusal.where == f"{refusal.detail['fraction']:.0%} along the way"
+    assert 0.255 / 0.30 <= refusal.fraction <= 0.28 / 0.30
+    assert refusal.where == f"{refusal.fraction:.0%} along the way"
 
 
 def test_a_goal_inside_something_is_refused_before_any_way(setting):
     refusal = refusal_of(plan_joint_motion, setting, setting.arm.ik(level(0.80, -0.085, 0.90), setting.start)[0])
-    assert refusal.detail["body_b"] == "SATELLITE upper-panel"
+    assert refusal.cause.body_b == "SATELLITE upper-panel"
 
 
 def test_a_goal_beyond_a_limit_names_the_joint(setting):
     goal = setting.start.copy()
     goal[2] = math.radians(-226)
     refusal = refusal_of(plan_joint_motion, setting, goal)
-    assert refusal.detail["joint"] == "joint_3"
-    assert refusal.detail["excess_rad"] == pytest.approx(math.radians(1))
+    assert refusal.cause.joint == "joint_3"
+    assert refusal.cause.excess_rad == pytest.approx(math.radians(1))
 
 
 def test_work_range_and_attitude_are_maintained(setting, cell, right, world, home):
     inside = PathConstraints(work_range=cell.region("BAY-2-RANGE"))
     goal = goal_at(setting, *FRONT)
     refusal = refusal_of(plan_joint_motion, PlanningRequest(right, world, home, path_constraints=inside), goal)
-    assert refusal.detail["cause"] == "work_range"
+    assert isinstance(refusal.cause, causes.OutsideWorkRange)
     upright = PathConstraints(attitude=cell.attitudes["LEVEL"], attitude_name="LEVEL")
     motion = plan_joint_motion(PlanningRequest(right, world, home, path_constraints=upright), goal)
     assert "off LEVEL" in motion.notes[0]  # the line in joint space tips the hand over
@@ -231,7 +232,7 @@ def test_an_arm_too_near_a_limit_may_leave_from_there(setting, right, world, hom
     at = PlanningRequest(right, world, {**home, "RIGHT-ARM": near_limit}, margin_rad=math.radians(5))
     assert np.array_equal(plan_joint_motion(at, home["RIGHT-ARM"]).goal_joints, home["RIGHT-ARM"])
     back = refusal_of(plan_joint_motion, PlanningRequest(right, world, home, margin_rad=math.radians(5)), near_limit)
-    assert back.detail["joint"] == "joint_5"
+    assert back.cause.joint == "joint_5"
 
 
 def test_the_number_of_a_command_does_not_make_its_way_long() -> None:

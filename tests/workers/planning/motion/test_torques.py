@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol import causes
 from rtc.protocol.primitive import Load
 from tests.workers.refusals import refusal_of
 from workers.planning.motion.path import joint_line, task_line, through
@@ -60,10 +61,10 @@ def weighed(cell):
 def test_a_load_whose_weight_a_joint_cannot_hold_is_refused_with_the_joint(weighed, home):
     path = paths(weighed, home)["line of the hand"]
     refusal = refusal_of(time_path, weighed, path, load=load(60.0))
-    assert refusal.detail["cause"] == "torque"
-    assert refusal.detail["joint"] in weighed.joints
-    assert abs(refusal.detail["torque_nm"]) > refusal.detail["limit_nm"]
-    assert 0 <= refusal.detail["fraction"] <= 1
+    assert isinstance(refusal.cause, causes.JointTorqueExceeded)
+    assert refusal.cause.joint in weighed.joints
+    assert abs(refusal.cause.torque_nm) > refusal.cause.limit_nm
+    assert 0 <= refusal.fraction <= 1
     assert "60 kg" in refusal.message
 
 
