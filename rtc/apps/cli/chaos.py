@@ -9,10 +9,11 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, duration_s, emit_json, exits_with, seconds, table
+from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, duration_s, emit_json, exits_with, table
 from rtc.runtime.chaos import VICTIMS, Chaos, Strike
 from rtc.runtime.process_table import processes
 from rtc.runtime.settings import default_run_dir
+from rtc.wording.measured import seconds
 
 BACK_LIMIT_S = 30.0  # for the last killed process to be ready again
 LOOK_S = 0.01

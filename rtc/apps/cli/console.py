@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import webbrowser
-from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -14,19 +13,16 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.cluster_cell import cell_file
-from rtc.apps.cli.offers import CellNames
 from rtc.apps.cli.output import RunDir, With, cli_error, refusal_lines
 from rtc.apps.cli.output import console as screen
-from rtc.apps.cli.trace import chain
-from rtc.apps.cli.world import stated, units_in
 from rtc.client.client import Client, running_settings
-from rtc.language.completion import Names
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.roles import Role
 from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.settings import default_run_dir
+from rtc.wording.commands import chain
 
 PORT = 8400
 ANY = -1  # PORT, or any free one if that is taken
@@ -66,7 +62,6 @@ def console(
 
 def _serve(port: int, role: Role, browse: bool, run_dir: Path, key: Path | None) -> None:
     from rtc.apps.console import gateway
-    from rtc.apps.console.hub import InWords
 
     endpoints: Endpoints = KeyFile.load(key) if key else running_settings(run_dir)
     role = endpoints.role if isinstance(endpoints, KeyFile) else role
@@ -74,19 +69,13 @@ def _serve(port: int, role: Role, browse: bool, run_dir: Path, key: Path | None)
     with connect() as client:
         cell = _cell_of(client)
     process.log_to_stderr(logging.WARNING)
-    units = units_in(cell)
-
-    def names(places: Callable[[], list[str]], commands: Callable[[], list[str]]) -> Names:
-        return CellNames(cell, places=places, commands=commands)
-
-    in_words = InWords(why=_why, fact=lambda fact: stated(fact, units), names=names)
     try:
         listening = gateway.listen(PORT if port == ANY else port, others=port == ANY)
     except OSError as error:
         words = f"port {port} cannot be used: {error.strerror or error}; choose another, or --port 0"
         raise cli_error(words, 2) from None
     with process.start("rtc console", Path()) as me, listening:
-        given = gateway.ConsoleOptions(endpoints, connect, cell, role, in_words)
+        given = gateway.ConsoleOptions(endpoints, connect, cell, role, _why)
         gateway.serve(me, given, listening, partial(_opened, browse))
 
 

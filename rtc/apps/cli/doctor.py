@@ -17,7 +17,7 @@ from rich.text import Text
 
 from rtc import __version__
 from rtc.apps.cli.log import from_cluster
-from rtc.apps.cli.output import AsJson, RunDir, console, emit_json, seconds
+from rtc.apps.cli.output import AsJson, RunDir, console, emit_json
 from rtc.client.client import Client
 from rtc.client.past_runs import PREVIOUS, runs
 from rtc.model.robot import collision_checks, compiled
@@ -27,6 +27,7 @@ from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.runtime.extras import EXTRAS, missing
 from rtc.runtime.priority import may_be_real_time
 from rtc.runtime.settings import default_run_dir, shell_command
+from rtc.wording.measured import seconds
 
 PACKAGE = "telerobot-rtc"
 NEEDED_CORES = 2

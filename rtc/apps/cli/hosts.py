@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 from rich.text import Text
 
-from rtc.apps.cli.measured import duration
-from rtc.apps.cli.output import console, seconds, table
+from rtc.apps.cli.output import console, table
 from rtc.protocol.messages import HostRow, MoreWorkersRow, Status
+from rtc.wording.measured import duration, seconds
 
 GATEWAY_SILENT_S = 3.0  # maximum age of the gateway's report, which it sends twice a second
 LOST_SHOWN = 3  # maximum number of lost workers by name

@@ -23,7 +23,6 @@ from rtc.apps.cli.background import Background
 from rtc.apps.cli.halt import halt_by
 from rtc.apps.cli.language import in_one_line
 from rtc.apps.cli.live_state import ASK_S, LiveState, in_words
-from rtc.apps.cli.offers import CellNames
 from rtc.apps.cli.output import console, errors
 from rtc.apps.cli.progress import Board, print_result
 from rtc.apps.cli.sentence_files import LABEL, Labels, Line, line_of, unknown_label
@@ -35,6 +34,7 @@ from rtc.language.completion import Names, complete
 from rtc.language.fastpath import halt_scope
 from rtc.language.parse import Grammar, default_grammar, parse
 from rtc.model.cells.cell import Cell
+from rtc.model.cells.offers import CellNames
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import NoCluster, RequestDeclined, RtcError, TimedOut
 from rtc.protocol.sentence import ParsedCommand

@@ -11,7 +11,6 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.hosts import connections_of
-from rtc.apps.cli.measured import duration
 from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, table
 from rtc.client.client import Client
 from rtc.protocol.messages import Status
@@ -19,6 +18,7 @@ from rtc.protocol.outcomes import ClusterError
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyRing, KnownKey, is_everywhere
 from rtc.runtime.settings import Settings, default_run_dir, prepare_run_dir
+from rtc.wording.measured import duration
 
 ROLES = ", ".join(Role)
 

@@ -10,13 +10,16 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, quoted, seconds, table
-from rtc.apps.cli.trace import Previous, print_run, report_lines, run_as_json
+from rtc.apps.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, table
+from rtc.apps.cli.trace import Previous, print_run, run_as_json
 from rtc.client.client import Client
 from rtc.client.past_runs import Past, clock_time, runs
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import NoCluster, RequestDeclined
 from rtc.runtime.settings import default_run_dir
+from rtc.wording.commands import report_lines
+from rtc.wording.measured import seconds
+from rtc.wording.sentences import quoted
 
 MAX_COMMANDS = 1000
 

@@ -11,8 +11,8 @@ import select
 import threading
 from collections.abc import Callable
 
-from rtc.apps.cli.measured import duration
 from rtc.protocol.messages import ProgressNote
+from rtc.wording.measured import duration
 
 LONG_S = 60.0  # a step that takes longer is worth a question
 LOOK_S = 0.2  # period in which the thread checks that its answer is still needed

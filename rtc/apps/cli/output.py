@@ -22,7 +22,7 @@ from rich.text import Text
 
 from rtc.apps.cli.json_line import emit_json as emit_json  # most commands print with both modules
 from rtc.apps.cli.stdio import OutputClosed
-from rtc.language.caret import CUT, show
+from rtc.language.caret import show
 from rtc.language.refuse import visible
 from rtc.protocol.outcomes import OutcomeKind, Refusal
 from rtc.protocol.units import in_words
@@ -49,7 +49,6 @@ COLOUR = {
 }
 
 DURATION_UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}  # seconds per unit of a duration in an option
-MAX_QUOTED = 200  # characters of a quoted sentence
 PIPED_WIDTH = 160  # columns of a table without a terminal
 
 
@@ -134,12 +133,6 @@ def _is_in(value: str, message: str) -> bool:
     return known is not None and re.search("[A-Za-z]", value) is not None
 
 
-def quoted(text: str, most: int = MAX_QUOTED) -> str:
-    """A sentence for output: one printable line, at most `most` characters."""
-    text = visible(text)
-    return text if len(text) <= most else text[: most - len(CUT)] + CUT
-
-
 #: suffix of a figure's name -> SI unit
 UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_nm": "N.m", "_rad": "rad", "_m": "m", "_n": "N", "_s": "s"}
 
@@ -158,13 +151,6 @@ def with_unit(key: str, value: float | str | tuple[str, ...]) -> str:
 
 def figure(value: float | str) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def seconds(value: float) -> str:
-    """A duration for people: 0.4 ms, 37 ms, 2.15 s."""
-    if value < 0.01:
-        return f"{value * 1e3:.2f} ms"
-    return f"{value * 1e3:.0f} ms" if value < 1 else f"{value:.2f} s"
 
 
 def duration_s(text: str, option: str) -> float:

@@ -10,7 +10,6 @@ import msgspec
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.measured import duration
 from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_json, errors, table
 from rtc.client.client import Client
 from rtc.programs import whole_file
@@ -20,6 +19,7 @@ from rtc.programs.outcome_table import outcomes as rows_of
 from rtc.programs.sandbox import CheckRequest, in_a_process
 from rtc.protocol.messages import ProgramEntry, ProgramLoaded, ProgramReply, WorkerKind
 from rtc.protocol.outcomes import NoCluster, ProgramError
+from rtc.wording.measured import duration
 
 KINDS = ", ".join(kind.value for kind in WorkerKind)
 RESET = "the default program"  # the name of a reset in --json

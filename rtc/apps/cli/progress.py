@@ -15,12 +15,13 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rtc.apps.cli.measured import duration, in_words
-from rtc.apps.cli.output import COLOUR, console, quoted, refusal_lines, seconds, table
-from rtc.apps.cli.rehearsal_lines import in_lines
+from rtc.apps.cli.output import COLOUR, console, refusal_lines, table
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind
 from rtc.wording import notes as wording
+from rtc.wording.measured import duration, in_words, seconds
+from rtc.wording.rehearsals import in_lines
+from rtc.wording.sentences import quoted
 
 WAITS = (m.Phase.HELD, m.Phase.WAITING)  # the note names what the command waits for
 #: phases that are too short for their own line (`rtc trace` shows them); ENDED has the result line

@@ -20,16 +20,16 @@ from rtc.apps.cli.output import (
     emit_json,
     exit_code,
     exits_with,
-    quoted,
     refusal_lines,
 )
-from rtc.apps.cli.rehearsal_lines import in_lines
 from rtc.apps.cli.sentence_files import Line
 from rtc.client.client import Client, as_text
 from rtc.client.rehearsing import digest_of, rehearse
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.rehearsal import Rehearsal
+from rtc.wording.rehearsals import in_lines
+from rtc.wording.sentences import quoted
 
 
 def test(

@@ -15,20 +15,7 @@ from rich.live import Live
 from rich.text import Text
 
 from rtc.apps.cli.hosts import show_hosts
-from rtc.apps.cli.measured import duration
-from rtc.apps.cli.output import (
-    NO_CLUSTER,
-    AsJson,
-    RunDir,
-    With,
-    cli_error,
-    console,
-    duration_s,
-    emit_json,
-    quoted,
-    seconds,
-    table,
-)
+from rtc.apps.cli.output import NO_CLUSTER, AsJson, RunDir, With, cli_error, console, duration_s, emit_json, table
 from rtc.client.client import Client
 from rtc.model.robot import collision_checks
 from rtc.protocol.messages import (
@@ -46,6 +33,8 @@ from rtc.protocol.versions import BOXES
 from rtc.runtime import process_table
 from rtc.runtime.run_dir import supervised
 from rtc.runtime.settings import default_run_dir
+from rtc.wording.measured import duration, seconds
+from rtc.wording.sentences import quoted
 
 SILENT = (
     "the broker does not answer; one that hangs or has died is replaced within seconds: ask again "

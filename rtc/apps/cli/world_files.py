@@ -13,12 +13,13 @@ from rich.text import Text
 
 from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_json, exit_code, table
 from rtc.apps.cli.progress import print_result
-from rtc.apps.cli.world import COLOUR, JointUnits, app, at_version, joint_units, refuse_live, stated
+from rtc.apps.cli.world import COLOUR, app, at_version, joint_units, refuse_live
 from rtc.client.client import Client
 from rtc.protocol import wire
 from rtc.protocol.messages import Fact, SavedFact, SavedWorld, SimTruthReply, Validity, View
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.spatial import geometry
+from rtc.wording.facts import JointUnits, stated
 from rtc.world.model import location
 
 RESTORE = "SET WORLD FACTS SAVED"

@@ -27,7 +27,7 @@ from rtc.apps.console.camera_pictures import CameraPictures
 from rtc.apps.console.desk import Desk
 from rtc.apps.console.halt_door import HaltDoor, take_connections
 from rtc.apps.console.halts import Halts
-from rtc.apps.console.hub import Hub, InWords
+from rtc.apps.console.hub import Hub
 from rtc.apps.console.paced import PacedSocket, configured, taker
 from rtc.apps.console.server import Console
 from rtc.apps.console.truth import TruthReader
@@ -59,7 +59,7 @@ class ConsoleOptions(NamedTuple):
     connect: Callable[[], Client]
     cell: Cell
     role: Role
-    in_words: InWords
+    why: Callable[[m.CommandRecord], list[str]]  # the command in lines for people
 
 
 def listen(port: int, others: bool) -> sockets.socket:
@@ -123,8 +123,8 @@ def _parts(given: ConsoleOptions, access: Access) -> Iterator[tuple[Console, Hub
         halts = Halts(endpoints, [arm.name for arm in given.cell.arms], round_trip_s)
         hello: dict[str, Any] = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
         hello |= {"delay_s": 0.5 * round_trip_s} if far else {}
-        hub = Hub(given.cell, given.in_words, now_s, hello)
-        console = Console(hub, access, halts, sentences, questions, given.in_words.why, grammar, pictures, endpoints)
+        hub = Hub(given.cell, now_s, hello)
+        console = Console(hub, access, halts, sentences, questions, given.why, grammar, pictures, endpoints)
         yield console, hub, questions, round_trip_s
     finally:
         if pictures is not None:

@@ -6,7 +6,7 @@ It holds no state of its own: facts, status and commands come from the cluster a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -18,10 +18,12 @@ from rtc.apps.observers.feed import Received
 from rtc.drawing.scene import believed, request_camera, true_scene
 from rtc.language.completion import Names
 from rtc.model.cells.cell import Cell
+from rtc.model.cells.offers import CellNames
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.rehearsal import Rehearsal
+from rtc.wording.facts import stated, units_in
 
 FRAME_S = 0.033  # shortest time between two frames
 CLOCK_S = 0.002  # a smaller difference of clocks is not reported again
@@ -38,14 +40,6 @@ STATUS = (
 Kept = TypeVar("Kept")
 
 
-class InWords(NamedTuple):
-    """How the command line puts things in words; handed in, because it is a package that uses this one."""
-
-    why: Callable[[m.CommandRecord], list[str]]
-    fact: Callable[[m.Fact], str]
-    names: Callable[[Callable[[], list[str]], Callable[[], list[str]]], Names]  # of places and of commands
-
-
 class Prediction(msgspec.Struct, frozen=True):
     """A TEST of a page that was feasible. `poses`: of what it changes; others are not numbers."""
 
@@ -58,8 +52,8 @@ class Prediction(msgspec.Struct, frozen=True):
 class Hub:
     """Takes what arrives, and hands it to the pages. `now`: CLOCK_MONOTONIC (s). `life`: names this gateway's run."""
 
-    def __init__(self, cell: Cell, in_words: InWords, now: Callable[[], float], hello: Mapping[str, Any]) -> None:
-        self.cell, self.bodies, self._in_words, self._now = cell, Bodies(cell), in_words, now
+    def __init__(self, cell: Cell, now: Callable[[], float], hello: Mapping[str, Any]) -> None:
+        self.cell, self.bodies, self._units, self._now = cell, Bodies(cell), units_in(cell), now
         self.hello = hello
         self.story = Story([arm.name for arm in cell.arms], {arm.end_effector: arm.name for arm in cell.arms})
         self.facts: dict[str, m.Fact] = {}
@@ -155,7 +149,7 @@ class Hub:
 
     def names(self) -> Names:
         """For completion: names of the cell, and commands in progress."""
-        return self._in_words.names(lambda: [key for key in self.facts if "." not in key], lambda: self.story.live)
+        return CellNames(self.cell, lambda: [key for key in self.facts if "." not in key], lambda: self.story.live)
 
     # --- inside ---------------------------------------------------------------------------------------
 
@@ -256,10 +250,9 @@ class Hub:
         return {"predictions": list(self._predictions.values())}
 
     def _fact(self, fact: m.Fact) -> dict[str, Any]:
-        words = self._in_words.fact(fact)
         return {
             "key": fact.key,
-            "words": words,
+            "words": stated(fact, self._units),
             "value": fact.value,
             "validity": fact.validity,
             "version": fact.version,

@@ -6,10 +6,11 @@ from typing import Any
 
 import msgspec
 
-from rtc.apps.cli.trace import address, as_json, chain, link, trace_lines, waits_for
+from rtc.apps.cli.trace import as_json, waits_for
 from rtc.protocol import messages as m
 from rtc.protocol.messages import NoteKind
 from rtc.protocol.outcomes import Compared, Figure, Outcome, OutcomeKind, StopReason
+from rtc.wording.commands import address, chain, link, trace_lines
 from rtc.wording.feedback import in_words, stages
 
 

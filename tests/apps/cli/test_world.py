@@ -7,9 +7,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from rtc.apps.cli.world import shown, spelt, stated, units_in, with_motions
+from rtc.apps.cli.world import spelt, with_motions
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
+from rtc.wording.facts import shown, stated, units_in
 
 UNITS = {"LEFT-ARM": ("deg", "deg"), "RIGHT-ARM": ("deg", "deg"), "GANTRY": ("mm", "deg")}
 

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from rtc.apps.console.hub import Hub, InWords
+from rtc.apps.console.hub import Hub
 from rtc.apps.console.pages import Mailbox
 from rtc.apps.observers.feed import Received
 from rtc.model.cells.cell import Cell
@@ -25,8 +25,7 @@ def clocks(hub: Hub) -> list[float]:
 
 
 def hub_of(cell: Cell) -> Hub:
-    words = InWords(why=lambda record: [], fact=lambda fact: "", names=lambda places, commands: None)
-    return Hub(cell, words, lambda: 1000.0, {})
+    return Hub(cell, lambda: 1000.0, {})
 
 
 def end_of_test(command: str) -> Received:
@@ -70,8 +69,7 @@ def test_a_prediction_is_gone_when_a_fact_that_it_relies_on_has_changed(cell: Ce
 @pytest.mark.parametrize(("hello", "offset_s"), [({"delay_s": DELAY_S}, -AHEAD_S), ({}, 0.0)])
 def test_the_age_of_a_measurement_is_that_of_its_way_whatever_its_clock(cell: Cell, hello: Any, offset_s: float):
     now_s = [1000.0]
-    words = InWords(why=lambda record: [], fact=lambda fact: "", names=lambda places, commands: None)
-    hub = Hub(cell, words, lambda: now_s[0], hello)
+    hub = Hub(cell, lambda: now_s[0], hello)
     hub.boxes.add(Mailbox(hub.anew))
     for late_s in (0.4, 0.0, 0.2):
         at_s = now_s[0] + AHEAD_S - DELAY_S - late_s

@@ -7,11 +7,11 @@ import msgspec
 from broker.decisions import effects as do
 from broker.decisions import reporting
 from broker.decisions.events import PrimitiveEnded
-from rtc.apps.cli.measured import in_words
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured, StopReason
 from rtc.protocol.sentence import Condition, Report
 from rtc.wording import notes
+from rtc.wording.measured import in_words
 from tests.broker.harness import Harness, bound, go_on, record, report
 
 READING = Measured(arm="RIGHT-ARM", tcp_pose=[0, 0, 0, 0, 0, 0, 1], others={"TEMPERATURE": {"motor_c": [41.5]}})

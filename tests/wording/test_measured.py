@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from rtc.apps.cli.measured import _rpy, duration, in_words
 from rtc.protocol.outcomes import Measured
 from rtc.spatial import geometry
+from rtc.wording.measured import _rpy, duration, in_words
 
 
 @pytest.mark.parametrize(

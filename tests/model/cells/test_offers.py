@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.apps.cli.offers import CellNames
 from rtc.language.completion import complete
 from rtc.language.parse import default_grammar
 from rtc.model.cells.cell import Cell
+from rtc.model.cells.offers import CellNames
 
 MODULES = ["MACS-NEW", "MACS-OLD"]
 

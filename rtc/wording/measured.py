@@ -24,6 +24,13 @@ def duration(value_s: float) -> str:
     return f"{hours} h {left} min" if left else f"{hours} h"
 
 
+def seconds(value: float) -> str:
+    """A duration for people: 0.4 ms, 37 ms, 2.15 s."""
+    if value < 0.01:
+        return f"{value * 1e3:.2f} ms"
+    return f"{value * 1e3:.0f} ms" if value < 1 else f"{value:.2f} s"
+
+
 def in_words(measured: Measured) -> list[str]:
     """One line for each requested quantity."""
     lines = []
