@@ -121,8 +121,9 @@ def _advised(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusa
 
     why = _Why(compiled, query)
     refusal = _of_what_remains(compiled, query, asked, refusal)
-    advised = tested_advice.without_infeasible(refusal, why, other_arms)
-    return sentences_instead.added(compiled, advised, asked, query, why)
+    test = tested_advice.AdviceTest(why, other_arms, asked)
+    advised = tested_advice.without_infeasible(refusal, test)
+    return sentences_instead.added(compiled, advised, asked, query, test)
 
 
 class _Why:
@@ -157,7 +158,7 @@ def _of_what_remains(compiled: Compiled, query: WorldQuery, asked: ParsedCommand
     remains = why(asked)
     if remains is None or not isinstance(remains.cause, TooUncertain):
         return refusal
-    clears = tested_advice.without_infeasible(remains, why).clears
+    clears = tested_advice.without_infeasible(remains, tested_advice.AdviceTest(why)).clears
     return msgspec.structs.replace(refusal, clears=clears)
 
 

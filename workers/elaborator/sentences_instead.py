@@ -7,7 +7,6 @@ lists (`frees`). Each is tested on paper before it is advised.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 
@@ -15,31 +14,28 @@ import msgspec
 from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
-from rtc.language.parse import default_grammar, parse
 from rtc.protocol.causes import Collides, TooUncertain
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.sentence import BOTH_ARMS, OPERATOR, ParsedCommand, Quantity
+from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, Quantity
 from workers.elaborator.script_steps import Compiled
 from workers.elaborator.sentence_of import relative_amount, sentence_of
-from workers.elaborator.tested_advice import SENTENCE, STEP, Why, without_sequel
+from workers.elaborator.tested_advice import SENTENCE, STEP, AdviceTest, without_sequel
 from workers.planning.world_query import WorldQuery
 
 ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.NO_SCRIPT, RefusalReason.SUSPECT)
 OR_STEP = "; or "
-TRIED = 8  # maximum number of sentences of each kind that are tested
 ATTITUDE = "POSE-DURING-MOTION"  # MAINTAIN that protects nothing but what is carried
 INTO_SEAT = "seat_free"  # precondition of a script that brings an object into a seat
 SHARES = (0.9, 0.5)  # of the free part of a way
 STEPS = {"m": 0.01, "rad": math.radians(1.0)}  # an advised amount is a multiple of this
 
 
-def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: WorldQuery, why: Why) -> Refusal:
+def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: WorldQuery, test: AdviceTest) -> Refusal:
     """The refusal, with a sentence in the place of the `asked` one if no task that it advises is accepted now. One for
     which the command waits is unchanged, and that of a doubt, which a measurement clears."""
     doubt = refusal.reason is RefusalReason.SUSPECT and not isinstance(refusal.cause, TooUncertain)
     if asked.kind != "task" or doubt or refusal.reason not in ABOUT or refusal.in_the_way:
         return refusal
-    test = _Test(asked, why)
     nearer = (*_by_less(asked, refusal), *_by_any_way(asked)) if isinstance(refusal.cause, Collides) else ()
     if less := test.first(map(sentence_of, nearer)):
         return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (f"{less} instead", refusal.clears))))
@@ -55,34 +51,6 @@ def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: Wor
         words = f"{freeing} instead, which frees the arm"
         return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (kept, words))))
     return refusal
-
-
-class _Test:
-    def __init__(self, asked: ParsedCommand, why: Why) -> None:
-        self._asked, self._why = asked, why
-
-    def leads_on(self, sentence: str) -> bool:
-        """Whether it is a task of an arm or a camera that is accepted, and not the `asked` one."""
-        parsed = parse(default_grammar(), sentence)
-        if not isinstance(parsed, ParsedCommand) or parsed.kind != "task" or parsed == self._asked:
-            return False
-        return parsed.performer is None and self._why(parsed) is None
-
-    def is_refused(self, words: str) -> bool:
-        """Whether this step of an advice has nothing but sentences of arms that have no way."""
-        sentences = [parse(default_grammar(), one) for one in SENTENCE.findall(words)]
-        tasks = [one for one in sentences if isinstance(one, ParsedCommand)]
-        own = [one for one in tasks if one.kind == "task" and one.performer != OPERATOR]
-        return bool(own) and own == tasks and all(map(self._is_infeasible, own))
-
-    def _is_infeasible(self, parsed: ParsedCommand) -> bool:
-        refusal = self._why(parsed)
-        return refusal is not None and refusal.reason is RefusalReason.INFEASIBLE
-
-    def first(self, sentences: Iterator[str]) -> str:
-        """The first sentence of a few that is accepted; empty if there is none."""
-        some = itertools.islice(dict.fromkeys(sentences), TRIED)
-        return next((one for one in some if self.leads_on(one)), "")
 
 
 # --- the same task in another form -----------------------------------------------------------------------

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import msgspec
 
@@ -19,6 +19,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import OPERATOR, ParsedCommand
 
 TESTED = 6  # maximum number of sentences of an advice that are tested
+TRIED = 8  # maximum number of sentences of each kind that are tested in the place of the refused one
 ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.SUSPECT)
 SEQUEL = "then "  # begins a step that goes on from the one before
 STEP, OR, THEN = "; ", ", or ", ", then "
@@ -31,12 +32,11 @@ Why = Callable[[ParsedCommand], Refusal | None]  # the refusal of a sentence in 
 OtherArms = Callable[[], list[str]]  # that can do what is asked, in words
 
 
-def without_infeasible(refusal: Refusal, why: Why, other_arms: OtherArms = list) -> Refusal:
+def without_infeasible(refusal: Refusal, test: AdviceTest) -> Refusal:
     """The refusal with the alternatives of its advice that are feasible now. One for which the command waits is
     unchanged, and one of which only a strategy would remain that gives something up (VIA)."""
     if refusal.reason not in ABOUT or refusal.in_the_way:
         return refusal
-    test = _Test(why, other_arms)
     kept = without_sequel([test.step(step) for step in refusal.clears.split(STEP)])
     plain, left = (_without_strategy(words) for words in (refusal.clears, STEP.join(kept)))
     if not kept or (plain and not left and SENTENCE.search(STEP.join(kept))):
@@ -58,9 +58,11 @@ def _without_strategy(words: str) -> list[str]:
     return [one for one in SENTENCE.findall(words) if " VIA " not in one]
 
 
-class _Test:
-    def __init__(self, why: Why, other_arms: OtherArms) -> None:
-        self._why, self._other_arms = why, other_arms
+class AdviceTest:
+    """Tests the sentences of one advice, and those in the place of the `asked` one, in the world of its refusal."""
+
+    def __init__(self, why: Why, other_arms: OtherArms = list, asked: ParsedCommand | None = None) -> None:
+        self._why, self._other_arms, self._asked = why, other_arms, asked
         self._known: dict[str, Refusal | None] = {}
         self._later = False  # a step before has a sentence, and changes what is feasible
 
@@ -74,6 +76,26 @@ class _Test:
         self._later = self._later or (follows and any(SENTENCE.search(one) for one in kept))
         prefix = "" if follows or not kept or kept[0].startswith("or ") else "or "
         return prefix + OR.join(kept)
+
+    def leads_on(self, sentence: str) -> bool:
+        """Whether it is a task of an arm or a camera that is accepted, and not the `asked` one."""
+        task = _task(sentence)
+        return task is not None and task != self._asked and task.performer is None and self._why(task) is None
+
+    def first(self, sentences: Iterable[str]) -> str:
+        """The first sentence of a few that leads on; empty if there is none."""
+        some = itertools.islice(dict.fromkeys(sentences), TRIED)
+        return next((one for one in some if self.leads_on(one)), "")
+
+    def is_refused(self, words: str) -> bool:
+        """Whether this step of an advice has nothing but sentences of arms that have no way."""
+        sentences = [one for one in SENTENCE.findall(words) if isinstance(parse(default_grammar(), one), ParsedCommand)]
+        own = [task for one in sentences if (task := _task(one)) is not None]
+        return bool(own) and len(own) == len(sentences) and all(map(self._is_infeasible, own))
+
+    def _is_infeasible(self, task: ParsedCommand) -> bool:
+        refusal = self._why(task)
+        return refusal is not None and refusal.reason is RefusalReason.INFEASIBLE
 
     def _option(self, words: str) -> str:
         """The alternative, with a place that can be reached; empty if it is not feasible."""

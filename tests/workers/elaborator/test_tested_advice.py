@@ -10,7 +10,7 @@ from rtc.protocol.messages import Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import ParsedCommand
 from tests.workers.conftest import Bench
-from workers.elaborator.tested_advice import without_infeasible
+from workers.elaborator.tested_advice import AdviceTest, without_infeasible
 from workers.planning import trust
 from workers.planning.world_query import WorldQuery
 
@@ -23,7 +23,7 @@ def advised(clears: str, *not_feasible: str, in_the_way: str = "") -> str:
         refused = f"{parsed.verb} {place or parsed.object or parsed.hand}" in not_feasible
         return Refusal(reason=RefusalReason.INFEASIBLE, message="no way") if refused else None
 
-    return without_infeasible(refusal, why).clears
+    return without_infeasible(refusal, AdviceTest(why)).clears
 
 
 WAY = "RETRACT RIGHT-ARM, or MOVE RIGHT-ARM TO another place first (BAY-2-FRONT, CLEAR-POINT-1); or another goal"
