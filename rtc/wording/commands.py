@@ -9,6 +9,7 @@ from rtc.protocol.outcomes import OutcomeKind
 from rtc.wording import notes as wording
 from rtc.wording.feedback import stages
 from rtc.wording.measured import duration, in_words, seconds
+from rtc.wording.refusals import refusal_lines
 from rtc.wording.sentences import quoted
 
 DID = {"parser": "parsed", "elaborator": "planned", "binder": "bound", "analyzer": "judged"}  # kind of worker -> verb
@@ -59,6 +60,15 @@ def chain(record: m.CommandRecord) -> list[str]:
         else:
             lines.append(f"script line {step}: {_in_short(notes)}")
     return lines
+
+
+def why(record: m.CommandRecord) -> list[str]:
+    """What a person can do comes first, then how it came about."""
+    outcome = record.outcome
+    if outcome is None or outcome.refusal is None:
+        return chain(record)
+    lines = refusal_lines(outcome.refusal, record.text)
+    return [*(line for line in lines if line != outcome.message), *chain(record)]  # the card has the message
 
 
 def link(note: m.ProgressNote) -> str:

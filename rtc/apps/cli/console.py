@@ -13,16 +13,14 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.cluster_cell import cell_file
-from rtc.apps.cli.output import RunDir, With, cli_error, refusal_lines
+from rtc.apps.cli.output import RunDir, With, cli_error
 from rtc.apps.cli.output import console as screen
 from rtc.client.client import Client, running_settings
 from rtc.model.cells.cell import Cell
-from rtc.protocol import messages as m
 from rtc.protocol.roles import Role
 from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.settings import default_run_dir
-from rtc.wording.commands import chain
 
 PORT = 8400
 ANY = -1  # PORT, or any free one if that is taken
@@ -75,7 +73,7 @@ def _serve(port: int, role: Role, browse: bool, run_dir: Path, key: Path | None)
         words = f"port {port} cannot be used: {error.strerror or error}; choose another, or --port 0"
         raise cli_error(words, 2) from None
     with process.start("rtc console", Path()) as me, listening:
-        given = gateway.ConsoleOptions(endpoints, connect, cell, role, _why)
+        given = gateway.ConsoleOptions(endpoints, connect, cell, role)
         gateway.serve(me, given, listening, partial(_opened, browse))
 
 
@@ -84,15 +82,6 @@ def _cell_of(client: Client) -> Cell:
         return Cell.load(client.settings.cell)
     with cell_file(client.cell()) as name:
         return Cell.load(name)
-
-
-def _why(record: m.CommandRecord) -> list[str]:
-    """What a person can do comes first, then how it came about."""
-    outcome = record.outcome
-    if outcome is None or outcome.refusal is None:
-        return chain(record)
-    lines = refusal_lines(outcome.refusal, record.text)
-    return [*(line for line in lines if line != outcome.message), *chain(record)]  # the card has the message
 
 
 def _opened(browse: bool, link: str) -> None:

@@ -15,11 +15,12 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rtc.apps.cli.output import COLOUR, console, refusal_lines, table
+from rtc.apps.cli.output import COLOUR, console, table
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind
 from rtc.wording import notes as wording
 from rtc.wording.measured import duration, in_words, seconds
+from rtc.wording.refusals import refusal_lines
 from rtc.wording.rehearsals import in_lines
 from rtc.wording.sentences import quoted
 

@@ -27,7 +27,6 @@ from rtc.apps.cli.output import (
     errors,
     exit_code,
     exits_with,
-    refusal_lines,
 )
 from rtc.apps.cli.progress import Board
 from rtc.apps.cli.sentence_files import Labels, Line
@@ -38,6 +37,7 @@ from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
 from rtc.wording import notes as wording
+from rtc.wording.refusals import refusal_lines
 from rtc.wording.sentences import quoted
 
 HALTED = (OutcomeKind.HALTED, OutcomeKind.HALT_NOT_CONFIRMED)  # after these the rest of a program is not sent

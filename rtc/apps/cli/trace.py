@@ -10,7 +10,7 @@ import msgspec
 import typer
 from rich.text import Text
 
-from rtc.apps.cli.output import COLOUR, AsJson, RunDir, With, cli_error, console, emit_json, refusal_lines
+from rtc.apps.cli.output import COLOUR, AsJson, RunDir, With, cli_error, console, emit_json
 from rtc.apps.cli.progress import mended
 from rtc.client.client import Client
 from rtc.client.past_runs import Past, runs
@@ -21,6 +21,7 @@ from rtc.wording import notes as wording
 from rtc.wording.commands import address, chain, report_lines, trace_lines
 from rtc.wording.feedback import stages
 from rtc.wording.measured import in_words, seconds
+from rtc.wording.refusals import refusal_lines
 from rtc.wording.sentences import quoted
 
 #: the case of a command (R68, R76), in words

@@ -59,7 +59,6 @@ class ConsoleOptions(NamedTuple):
     connect: Callable[[], Client]
     cell: Cell
     role: Role
-    why: Callable[[m.CommandRecord], list[str]]  # the command in lines for people
 
 
 def listen(port: int, others: bool) -> sockets.socket:
@@ -124,7 +123,7 @@ def _parts(given: ConsoleOptions, access: Access) -> Iterator[tuple[Console, Hub
         hello: dict[str, Any] = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
         hello |= {"delay_s": 0.5 * round_trip_s} if far else {}
         hub = Hub(given.cell, now_s, hello)
-        console = Console(hub, access, halts, sentences, questions, given.why, grammar, pictures, endpoints)
+        console = Console(hub, access, halts, sentences, questions, grammar, pictures, endpoints)
         yield console, hub, questions, round_trip_s
     finally:
         if pictures is not None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RequestDeclined, RtcError
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import Endpoints
+from rtc.wording.commands import why
 
 NOT_HERE = 4404  # close code of a socket
 STATIC = Path(__file__).parent / "static"
@@ -64,13 +65,12 @@ class Console:
         halts: Halts,
         sentences: Desk,
         questions: Desk,
-        why: Callable[[m.CommandRecord], list[str]],
         grammar: Grammar,
         pictures: CameraPictures | None,
         endpoints: Endpoints,
     ) -> None:
         self.hub, self._access, self._halts = hub, access, halts
-        self._sentences, self._questions, self._why = sentences, questions, why
+        self._sentences, self._questions = sentences, questions
         self._grammar, self._pictures, self._endpoints = grammar, pictures, endpoints
         self._operators = itertools.count(1)
         self._names = hub.names()
@@ -126,7 +126,7 @@ class Console:
     async def _chain(self, request: Request) -> Response:
         command = request.path_params["command"]
         record = await _or_refusal(self._questions.ask(lambda client: client.trace(command)))
-        return JSONResponse({"lines": self._why(record)} if isinstance(record, m.CommandRecord) else record)
+        return JSONResponse({"lines": why(record)} if isinstance(record, m.CommandRecord) else record)
 
     async def _picture(self, request: Request) -> Response:
         camera = request.path_params["camera"]

@@ -13,13 +13,14 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
-from rtc.apps.cli.output import EXIT, Screen, emit_json, exit_code, refusal_lines
+from rtc.apps.cli.output import EXIT, Screen, emit_json, exit_code
 from rtc.apps.cli.status import as_supervised, show_status
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol import causes
 from rtc.protocol.messages import ProcessRow, RefusedPeerRow, Status, WorkerRow
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 from rtc.wording.measured import seconds
+from rtc.wording.refusals import refusal_lines
 from rtc.wording.sentences import quoted
 
 

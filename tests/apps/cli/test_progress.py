@@ -6,11 +6,11 @@ import io
 
 from rich.console import Console
 
-from rtc.apps.cli.output import refusal_lines
 from rtc.apps.cli.progress import REPORTS_KEPT, Board, print_result
 from rtc.protocol import causes
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
+from rtc.wording.refusals import refusal_lines
 
 CURSOR_UP = "\x1b[1A"
 
