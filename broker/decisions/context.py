@@ -13,7 +13,17 @@ import msgspec
 from broker.decisions.effects import DispatchJob, Effect, LoadPart, PublishNote, StartTimer, StopTimer
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import WORLD, Quarantine
-from broker.decisions.state import NOTES_KEPT, SPACES_KEPT, ArmMotion, Command, PendingJob, ScriptHead, State, StepHead
+from broker.decisions.state import (
+    NOTES_KEPT,
+    SPACES_KEPT,
+    ArmMotion,
+    Command,
+    JobKind,
+    PendingJob,
+    ScriptHead,
+    State,
+    StepHead,
+)
 from rtc.programs.action_stack import NOMINAL, ActionStack
 from rtc.protocol import wire
 from rtc.protocol.messages import REHEARSER, NoteKind, Phase, ProgressNote, WorkerKind
@@ -199,27 +209,27 @@ class DecisionContext:
     def create_job(
         self,
         command: Command,
-        kind: WorkerKind,
+        worker: WorkerKind,
         data: Any,
         locations: tuple[str, ...] | None = None,
         *,
-        rehearses: bool = False,
+        kind: JobKind = JobKind.STAGE,
     ) -> None:
         """Create the next job of this command, with the programs the command began with, and dispatch it."""
-        if kind in PLANNERS:
+        if worker in PLANNERS:
             data |= self._motions_beside(command)
         command.jobs += 1
-        command.job = job = PendingJob(
+        command.job = PendingJob(
             id=f"{command.id}/{command.jobs}",
             attempt=1,
+            worker=worker,
             kind=kind,
-            program="" if rehearses else command.programs.get(kind, ""),
+            program="" if kind is JobKind.REHEARSAL else command.programs.get(worker, ""),
             input=wire.raw(data),
             locations=locations,
             since_s=self.now,
-            rehearses=rehearses,
         )
-        self.dispatch(job, command.client, command.programs if rehearses else NO_PROGRAMS)
+        self.dispatch_again(command)
 
     def _motions_beside(self, command: Command) -> dict[str, Any]:
         """The motions of other commands, as a field of a planner's input; what the job knows is kept in the command."""
@@ -235,26 +245,27 @@ class DecisionContext:
     def dispatch_again(self, command: Command) -> None:
         """Dispatch the job of a command once more: jobs are stateless."""
         assert command.job is not None
-        self.dispatch(command.job, command.client, command.programs if command.job.rehearses else NO_PROGRAMS)
+        programs = command.programs if command.job.kind is JobKind.REHEARSAL else NO_PROGRAMS
+        self.dispatch(command.job, command.client, programs)
 
     def dispatch(self, job: PendingJob, client: str = "", programs: dict[str, str] = NO_PROGRAMS) -> None:
         """`client`: the client of its command; empty for a command that has ended. `programs`: of a rehearsal."""
-        if job.part:
-            self.effects.append(LoadPart(job=job.id, attempt=job.attempt, kind=job.kind, name=job.part))
+        if job.kind is JobKind.LOAD:
+            self.effects.append(LoadPart(job=job.id, attempt=job.attempt, kind=job.worker, name=job.about))
             return
         self.effects.append(
             DispatchJob(
                 job=job.id,
                 attempt=job.attempt,
-                kind=job.kind,
-                queue=REHEARSER if job.rehearses else job.kind,
+                kind=job.worker,
+                queue=REHEARSER if job.kind is JobKind.REHEARSAL else job.worker,
                 program=job.program,
                 cell=self.state.programs.get("cell", ""),
                 input=job.input,
                 locations=job.locations,
                 client=client,
                 programs=programs,
-                doubt=job.doubt,
+                doubt=job.about,
             )
         )
 

@@ -237,10 +237,10 @@ def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
     program_rollout.on_job_done(context, job)
     try:
         stimulate(context, command, PRODUCT, event.product)
-        if job.kind is PARSER:
+        if job.worker is PARSER:
             parsed_before.keep(context.state, job.program, command.text, event.product)
     except WireError as error:
-        message = f"the {job.kind.value} returned an invalid product: {error}"
+        message = f"the {job.worker.value} returned an invalid product: {error}"
         stimulate(context, command, Stimulus.REFUSAL, Refusal(reason=RefusalReason.PROGRAM, message=message))
 
 

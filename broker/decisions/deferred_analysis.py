@@ -15,7 +15,7 @@ from broker.decisions.effects import StartTimer
 from broker.decisions.events import BrokerRestarted, JobDeclined, JobFinished, JobLost
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.resources import WORLD
-from broker.decisions.state import Command, Deferral, DeferredAnalysis, State
+from broker.decisions.state import Command, Deferral, DeferredAnalysis, JobKind, State
 from rtc.protocol.outcomes import RefusalReason
 
 AGAIN_S = 1.0  # pause before a retry; the analyzer itself also waits some seconds for the world database
@@ -113,7 +113,7 @@ def retry(context: DecisionContext, name: str, _: object) -> None:
 def retry_or_give_up(context: DecisionContext, name: str, loss: JobLost) -> None:
     """Retry, unless MAX_DEATHS workers have died of this job."""
     job = context.state.deferred_analyses[name].job
-    if job.doubt or len(job.deaths) + loss.blamed >= MAX_DEATHS:
+    if job.kind is JobKind.SUSPECT or len(job.deaths) + loss.blamed >= MAX_DEATHS:
         give_up(context, name, loss)
         return
     if loss.blamed:
@@ -124,9 +124,9 @@ def retry_or_give_up(context: DecisionContext, name: str, loss: JobLost) -> None
 def give_up(context: DecisionContext, name: str, event: object) -> None:
     """Make the facts suspect instead: the changes are unknown. This is retried without a maximum count."""
     analysis = context.state.deferred_analyses[name]
-    if not analysis.job.doubt:
+    if analysis.job.kind is not JobKind.SUSPECT:
         context.count("analyses_given_up")
-        analysis.job.doubt = f"the analysis of {name} was given up"
+        analysis.job.kind, analysis.job.about = JobKind.SUSPECT, f"the analysis of {name} was given up"
         analysis.job.locations = (*sorted({*(analysis.job.locations or ()), *analysis.names}),)
     schedule_retry(context, name, event)
 

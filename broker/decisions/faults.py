@@ -9,7 +9,7 @@ from __future__ import annotations
 from broker.decisions.command.termination import end
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import ArmStrayed, Stimulus
-from broker.decisions.state import Command, PendingJob, PendingOutcome, request_key
+from broker.decisions.state import Command, JobKind, PendingJob, PendingOutcome, request_key
 from rtc.protocol import wire
 from rtc.protocol.messages import EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import FAULT_SCOPE, FaultScope, OutcomeKind
@@ -56,12 +56,13 @@ def on_strayed(context: DecisionContext, event: ArmStrayed) -> None:
     command.job = PendingJob(
         id=f"{command.id}/1",
         attempt=1,
-        kind=WorkerKind.ANALYZER,
+        worker=WorkerKind.ANALYZER,
+        kind=JobKind.SUSPECT,
+        about=words,
         program=state.programs.get(WorkerKind.ANALYZER, ""),
         input=wire.raw(None),
         locations=(event.arm,),
         since_s=context.now,
-        doubt=words,
     )
     context.dispatch(command.job)
     state.resources.take(command.id, {event.arm: True})

@@ -11,7 +11,7 @@ from enum import StrEnum
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import ProgramInstalled
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
-from broker.decisions.state import Command, PendingJob, Rollout, RolloutPhase, State, TakenProgram
+from broker.decisions.state import Command, JobKind, PendingJob, Rollout, RolloutPhase, State, TakenProgram
 from rtc.protocol.messages import NoteKind
 
 PROVEN_KEPT = 16  # proven programs stored per worker kind
@@ -49,14 +49,14 @@ def taken(state: State, kind: str, digest: str) -> TakenProgram | None:
 
 def is_on_trial(state: State, job: PendingJob) -> bool:
     """Whether the job uses a program that has not done a job yet."""
-    rollout = state.rollouts.get(job.kind)
-    return rollout is not None and rollout.phase is RolloutPhase.TRIAL and state.programs[job.kind] == job.program
+    rollout = state.rollouts.get(job.worker)
+    return rollout is not None and rollout.phase is RolloutPhase.TRIAL and state.programs[job.worker] == job.program
 
 
 def on_job_done(context: DecisionContext, job: PendingJob) -> None:
-    rollout = context.state.rollouts.get(job.kind) if not job.rehearses else None
+    rollout = context.state.rollouts.get(job.worker) if job.kind is not JobKind.REHEARSAL else None
     if rollout is not None and rollout.fallback and is_on_trial(context.state, job):
-        ROLLOUT.run(context, job.kind, RolloutStimulus.JOB_DONE)
+        ROLLOUT.run(context, job.worker, RolloutStimulus.JOB_DONE)
 
 
 def repeat_with_another(context: DecisionContext, command: Command, job: PendingJob, why: str) -> bool:
@@ -64,9 +64,9 @@ def repeat_with_another(context: DecisionContext, command: Command, job: Pending
 
     If this was the first job of the newest program, that program is rolled back. Returns False if the job's program is
     in use or has worked: then the failure is of the job."""
-    if job.rehearses:
+    if job.kind is JobKind.REHEARSAL:
         return False  # it uses several programs, and says nothing about one of them
-    state, kind = context.state, job.kind.value
+    state, kind = context.state, job.worker.value
     last_words = (why.strip().splitlines() or ["without an error message"])[-1]
     if is_on_trial(state, job):
         back_to = state.rollouts[kind].fallback
@@ -87,7 +87,7 @@ def repeat_with_another(context: DecisionContext, command: Command, job: Pending
 
 
 def _is_proven(state: State, job: PendingJob) -> bool:
-    rollout = state.rollouts.get(job.kind)
+    rollout = state.rollouts.get(job.worker)
     return rollout is not None and job.program in rollout.proven
 
 

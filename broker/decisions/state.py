@@ -154,6 +154,15 @@ class TakenProgram(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     changes: list[str] = []
 
 
+class JobKind(StrEnum):
+    """What is done for a command."""
+
+    STAGE = "stage"  # a worker performs the function of its kind
+    REHEARSAL = "rehearsal"  # a rehearser performs a TEST sentence, with the programs of all kinds
+    SUSPECT = "suspect"  # the analysis was given up: an analyzer only makes the facts of `locations` suspect
+    LOAD = "load"  # the broker itself loads a part of a delivered program
+
+
 class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """The current job of a command. Its input is kept, because the job may have to be dispatched again."""
 
@@ -161,8 +170,12 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """C-n/k: the k-th job of command C-n."""
     attempt: int
     """Rises with each dispatch; an answer to an earlier attempt is stale."""
-    kind: WorkerKind
-    """The kind of worker that does it."""
+    worker: WorkerKind
+    """The kind of worker that does it; of LOAD the kind whose program changes."""
+    kind: JobKind = JobKind.STAGE
+    """What is done, and by whom."""
+    about: str = ""
+    """Of SUSPECT: why the analysis was given up. Of LOAD: the name of the part. Otherwise empty."""
     program: str
     """Digest of the program that the worker uses."""
     input: msgspec.Raw
@@ -173,12 +186,6 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """Time when the job was created."""
     deaths: tuple[str, ...] = ()
     """Evidence of each worker that died while it processed this job."""
-    rehearses: bool = False
-    """It is for a rehearser, with the programs of all kinds."""
-    doubt: str = ""
-    """Why the analysis was given up: the worker only makes the facts of `locations` suspect. Empty: it analyses."""
-    part: str = ""
-    """The part of a program that the broker loads itself, in the place of a worker. Empty: a worker does the job."""
 
 
 class ArmMotion(msgspec.Struct, kw_only=True, gc=False):

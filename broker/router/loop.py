@@ -124,22 +124,22 @@ class Router:
 
     def _install_programs(self, now: float) -> None:
         """Install the programs whose check has ended. Each is decided and journalled before its client is answered."""
-        for peer, text, loaded in self.core.loads.poll(now):
-            by_sentence = peer == part_loads.PEER
-            if isinstance(loaded, Refusal):
-                if by_sentence:
-                    self.enqueue(part_loads.answer(text, loaded, now))
-                else:
-                    self.egress.decline(peer, text.request, loaded)
-                continue
-            changes, file = loaded.changes, text.name
-            self.enqueue(ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest, file=file, changes=changes))
-            self._settle(now)
-            if by_sentence:
-                self.enqueue(part_loads.answer(text, loaded, now))
-                continue
-            answer = m.ProgramLoaded(request=text.request, kind=text.kind, digest=loaded.digest, changes=changes)
-            self.egress.answer(peer, answer)
+        for asker, text, loaded in self.core.loads.poll(now):
+            if not isinstance(loaded, Refusal):
+                self.enqueue(
+                    ProgramInstalled(
+                        at_s=now, kind=text.kind, digest=loaded.digest, file=text.name, changes=loaded.changes
+                    )
+                )
+                self._settle(now)
+            if isinstance(asker, do.LoadPart):  # a sentence
+                self.enqueue(part_loads.answer(asker, text, loaded, now))
+            elif isinstance(loaded, Refusal):
+                self.egress.decline(asker, text.request, loaded)
+            else:
+                kind, changes = text.kind, loaded.changes
+                answer = m.ProgramLoaded(request=text.request, kind=kind, digest=loaded.digest, changes=changes)
+                self.egress.answer(asker, answer)
 
     # --- after the supervisor's death -----------------------------------------------------------------
 

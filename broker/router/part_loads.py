@@ -14,7 +14,6 @@ from rtc.protocol import wire
 from rtc.protocol.messages import ProgramText, Script, ScriptContext, Step, StepWords
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
-PEER = b"LOAD"  # in the queue of loads, in the place of the client
 NODE = "broker"
 
 
@@ -26,27 +25,25 @@ def begin(core: Core, effect: LoadPart, now: float) -> None:
         message = f"the delivered {effect.kind.value} programs have no part {effect.name}"
         clears = "one of the names expected; a file of your own: rtc load FILE INTO " + effect.kind.value
         refusal = Refusal(reason=RefusalReason.NAME, message=message, expected=known, clears=clears)
-        core.enqueue(_declined(effect.job, effect.attempt, refusal, now))
+        core.enqueue(_declined(effect, refusal, now))
         return
-    request = f"{effect.job} {effect.attempt}"
-    text = ProgramText(request=request, kind=effect.kind, name=path.name, body=path.read_bytes())
-    if (too_many := core.loads.add(PEER, text)) is not None:
-        core.enqueue(_declined(effect.job, effect.attempt, too_many, now))
+    text = ProgramText(request=effect.job, kind=effect.kind, name=path.name, body=path.read_bytes())
+    if (too_many := core.loads.add(effect, text)) is not None:
+        core.enqueue(_declined(effect, too_many, now))
 
 
-def answer(text: ProgramText, loaded: StoredProgram | Refusal, now: float) -> Event:
+def answer(effect: LoadPart, text: ProgramText, loaded: StoredProgram | Refusal, now: float) -> Event:
     """The answer of the job whose load has ended."""
-    job, _, attempt = text.request.partition(" ")
     if isinstance(loaded, Refusal):
-        return _declined(job, int(attempt), loaded, now)
+        return _declined(effect, loaded, now)
     says = "; ".join(loaded.changes) or f"{text.name} is in use already: nothing has changed"
     step = Step(do="answer", name="state", label=f"load {text.name} into {text.kind.value}", words=StepWords(says=says))
     product = Script(context=ScriptContext(verb="", script="load"), case=1, steps=[step])
-    return JobFinished(at_s=now, job=job, attempt=int(attempt), node=NODE, product=wire.raw(product))
+    return JobFinished(at_s=now, job=effect.job, attempt=effect.attempt, node=NODE, product=wire.raw(product))
 
 
-def _declined(job: str, attempt: int, refusal: Refusal, now: float) -> JobDeclined:
+def _declined(effect: LoadPart, refusal: Refusal, now: float) -> JobDeclined:
     """A program that does not check is no fault of a worker's program, which would be tried with another one."""
     reason = RefusalReason.STATE if refusal.reason is RefusalReason.PROGRAM else refusal.reason
     kept = Refusal(reason=reason, message=refusal.message, expected=refusal.expected, clears=refusal.clears)
-    return JobDeclined(at_s=now, job=job, attempt=attempt, node=NODE, refusal=kept)
+    return JobDeclined(at_s=now, job=effect.job, attempt=effect.attempt, node=NODE, refusal=kept)

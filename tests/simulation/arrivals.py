@@ -10,6 +10,7 @@ import msgspec
 
 from broker.decisions import events
 from broker.decisions.deferred_analysis import LIMIT_S
+from broker.decisions.state import JobKind
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
@@ -54,10 +55,10 @@ def _work(model: Model, scenario: Scenario, command: str, product: str) -> event
         about = {"job": live.job.id, "attempt": live.job.attempt, "node": "w"}
         return events.JobDeclined(at_s=model.now, refusal=in_the_way(arm), **about)
     step = live.actions.step if live.actions else None
-    if live.job.rehearses:
+    if live.job.kind is JobKind.REHEARSAL:
         body = wire.raw(rehearsed(record()))
     else:
-        body = _product(sentence_of(command, scenario), live.job.kind, command, live.primitives + 1, step, product)
+        body = _product(sentence_of(command, scenario), live.job.worker, command, live.primitives + 1, step, product)
     return events.JobFinished(at_s=model.now, job=live.job.id, attempt=live.job.attempt, node="w", product=body)
 
 

@@ -135,12 +135,12 @@ def _moves_of_broker(model: Model, scenario: Scenario) -> Iterator[Move]:
 def products(model: Model, command: Command, scenario: Scenario) -> list[str]:
     """What a good worker may make of the job in hand."""
     assert command.job is not None
-    if command.job.kind is WorkerKind.ANALYZER and command.phase is Phase.ANALYZING:
+    if command.job.worker is WorkerKind.ANALYZER and command.phase is Phase.ANALYZING:
         if model.mcm.ended.get(command.primitive) is StopReason.BLOCKED:
             return ["blocked"]
         trims = sentence_of(command.id, scenario).trims
         return ["go on", "give up", *(f"trim {n}" for n in range(1, trims + 1))]
-    if command.job.kind in (WorkerKind.ELABORATOR, WorkerKind.BINDER) and sentence_of(command.id, scenario).meets:
+    if command.job.worker in (WorkerKind.ELABORATOR, WorkerKind.BINDER) and sentence_of(command.id, scenario).meets:
         return ["go on", "in the way"]
     return ["go on"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from broker.decisions import events
 from broker.decisions.deferred_analysis import LIMIT_S
-from broker.decisions.state import NIL, Command
+from broker.decisions.state import NIL, Command, JobKind
 from tests.simulation.model import Model, at_work, deferred_at_work, encode
 
 
@@ -25,7 +25,7 @@ def _essence(model: Model) -> list[Any]:
         [_of_command(model, command) for command in du.commands.values()],
         du.resources,
         [
-            (c, len(left.job.deaths), bool(left.job.doubt), left.phase, left.job.id in model.timers)
+            (c, len(left.job.deaths), left.job.kind is JobKind.SUSPECT, left.phase, left.job.id in model.timers)
             for c, left in du.deferred_analyses.items()
         ],
         deferred_at_work(model),
@@ -62,7 +62,7 @@ def _of_command(model: Model, c: Command) -> list[Any]:
     return [
         [c.id, c.phase, c.pause_wanted, c.pending_outcome, c.elaborations, c.at_rest, c.due_s > 0.0, c.programs],
         c.job
-        and [c.job.kind, len(c.job.deaths), c.job.program, at_work(model, c), model.now - c.job.since_s > LIMIT_S],
+        and [c.job.worker, len(c.job.deaths), c.job.program, at_work(model, c), model.now - c.job.since_s > LIMIT_S],
         [c.head is not None, actions and [actions.refs, actions.step, actions.trims_used, len(actions.trim_labels)]],
         c.steps_done,
         [c.waits_for, [_name(model, name) for name in c.beside]],

@@ -202,8 +202,8 @@ class OneProcess:
         """The load of a delivered part, which never changes these programs."""
         path = loader.part(effect.kind, effect.name)
         assert path is not None
-        text = m.ProgramText(request=f"{effect.job} {effect.attempt}", kind=effect.kind, name=path.name, body=b"")
-        return part_loads.answer(text, StoredProgram("x", []), self.now_s)
+        text = m.ProgramText(request=effect.job, kind=effect.kind, name=path.name, body=b"")
+        return part_loads.answer(effect, text, StoredProgram("x", []), self.now_s)
 
     def _look(self, look: Primitive) -> None:
         assert self.eyes is not None

@@ -95,7 +95,7 @@ def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) ->
         context.note(command, NoteKind.WORKER_LOST, about=loss.node, message=_last_line(loss))
         context.dispatch_again(command)
         return None
-    culprit, clears = f"the {job.kind.value}'s job {job.id}", "change the sentence or the program"
+    culprit, clears = f"the {job.worker.value}'s job {job.id}", "change the sentence or the program"
     if loss.inside:
         culprit, clears = (
             f"the {loss.inside} of an installed package, in {culprit},",

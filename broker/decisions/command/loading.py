@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
-from broker.decisions.state import NIL, Command, ParsedHead, PendingJob
+from broker.decisions.state import NIL, Command, JobKind, ParsedHead, PendingJob
 from rtc.protocol.messages import NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
@@ -26,11 +26,12 @@ def load(context: DecisionContext, command: Command, head: ParsedHead) -> None:
     command.job = PendingJob(
         id=f"{command.id}/{command.jobs}",
         attempt=1,
-        kind=WorkerKind(str(head.target).lower()),
+        worker=WorkerKind(str(head.target).lower()),
+        kind=JobKind.LOAD,
+        about=head.object or "",
         program="",
         input=NIL,
         since_s=context.now,
-        part=head.object or "",
     )
     context.dispatch(command.job, command.client)
     context.enter(command, Phase.ELABORATING, NoteKind.LOADING, about=head.object or "")

@@ -15,6 +15,7 @@ from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import (
     Command,
+    JobKind,
     ParsedHead,
     PendingOutcome,
     RehearsedHead,
@@ -54,7 +55,7 @@ def rehearse(context: DecisionContext, command: Command, head: ParsedHead) -> No
     }
     if before is not None:
         data["before"] = before.paper
-    context.create_job(command, WorkerKind.ELABORATOR, data, rehearses=True)
+    context.create_job(command, WorkerKind.ELABORATOR, data, kind=JobKind.REHEARSAL)
     context.enter(command, Phase.REHEARSING)
 
 

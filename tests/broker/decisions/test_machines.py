@@ -9,7 +9,7 @@ from broker.decisions.effects import ReportEnd
 from broker.decisions.events import BrokerRestarted, JobDeclined, ProgramInstalled
 from broker.decisions.halt_request import HALT
 from broker.decisions.program_rollout import ROLLOUT
-from broker.decisions.state import Deferral, HaltPhase, LinkState, RolloutPhase
+from broker.decisions.state import Deferral, HaltPhase, JobKind, LinkState, RolloutPhase
 from broker.decisions.subsystem_link import LINK
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
@@ -83,7 +83,7 @@ def test_a_refused_last_analysis_does_not_change_the_outcome():
     s = Harness()
     closing(s)
     assert s.declines("C-1")[-2:] == ["end C-1 halted", "timer C-1/4"]
-    assert s.state.deferred_analyses["C-1"].job.doubt
+    assert s.state.deferred_analyses["C-1"].job.kind is JobKind.SUSPECT
 
 
 def test_a_last_analysis_that_kills_its_workers_does_not_change_the_outcome():
@@ -93,7 +93,7 @@ def test_a_last_analysis_that_kills_its_workers_does_not_change_the_outcome():
         s.loses_worker("C-1")
         assert s.phase("C-1") == "closing"
     assert s.loses_worker("C-1")[-2:] == ["end C-1 halted", "timer C-1/4"]
-    assert s.state.deferred_analyses["C-1"].job.doubt
+    assert s.state.deferred_analyses["C-1"].job.kind is JobKind.SUSPECT
 
 
 # --- deferred analysis -------------------------------------------------------------------------------

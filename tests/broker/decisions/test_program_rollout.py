@@ -113,7 +113,7 @@ def test_a_running_command_keeps_the_programs_it_began_with():
     s.answers("C-1", bound("C-1.1"))
     s.reports("C-1")
     used.append(s.state.commands["C-1"].job)
-    assert [(job.kind, job.program) for job in used] == [(kind, "old") for kind in WorkerKind]
+    assert [(job.worker, job.program) for job in used] == [(kind, "old") for kind in WorkerKind]
 
 
 def test_a_failure_with_a_program_that_had_worked_is_not_tried_with_the_one_loaded_meanwhile():

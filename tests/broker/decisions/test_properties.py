@@ -58,7 +58,7 @@ class Environment(Harness):
         command = self.pick(n)
         if command is None or command.job is None:
             return
-        kind, choice = command.job.kind, n // 7
+        kind, choice = command.job.worker, n // 7
         if choice % 11 == 0:
             self.declines(command.id, RefusalReason.INFEASIBLE)
         elif choice % 13 == 0:
@@ -157,10 +157,10 @@ class Environment(Harness):
         raise AssertionError(f"not ended: {[(c.id, c.phase.value) for c in self.state.commands.values()]}")
 
     def sensible(self, command):
-        if command.job.kind is WorkerKind.BINDER:
+        if command.job.worker is WorkerKind.BINDER:
             performer = next((r for r in command.actions.script.resources if r.endswith("ARM")), "RIGHT-ARM")
             return bound(f"{command.id}.{command.primitives + 1}", performer)
-        return {WorkerKind.PARSER: record(), WorkerKind.ELABORATOR: script()}.get(command.job.kind, go_on())
+        return {WorkerKind.PARSER: record(), WorkerKind.ELABORATOR: script()}.get(command.job.worker, go_on())
 
 
 ACTS = [

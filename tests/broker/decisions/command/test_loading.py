@@ -52,18 +52,19 @@ def test_a_part_is_found_by_its_words(kind: WorkerKind, name: str, file: str | N
     assert (path.name if path else None) == file
 
 
-TEXT = ProgramText(request="C-7/2 1", kind=WorkerKind.ELABORATOR, name="lift.yaml", body=b"")
+LOAD = do.LoadPart(job="C-7/2", attempt=1, kind=WorkerKind.ELABORATOR, name="LIFT-SCRIPT")
+TEXT = ProgramText(request="C-7/2", kind=WorkerKind.ELABORATOR, name="lift.yaml", body=b"")
 
 
 def test_a_load_that_ends_is_the_end_of_its_job() -> None:
-    made = part_loads.answer(TEXT, StoredProgram("d", ["scripts: lift is changed"]), 3.0)
+    made = part_loads.answer(LOAD, TEXT, StoredProgram("d", ["scripts: lift is changed"]), 3.0)
     assert isinstance(made, events.JobFinished)
     assert (made.job, made.attempt) == ("C-7/2", 1)
     assert b"scripts: lift is changed" in bytes(made.product)
 
 
 def test_a_load_that_does_not_check_refuses_its_command_without_another_program() -> None:
-    made = part_loads.answer(TEXT, Refusal(reason=RefusalReason.PROGRAM, message="no stop class x"), 3.0)
+    made = part_loads.answer(LOAD, TEXT, Refusal(reason=RefusalReason.PROGRAM, message="no stop class x"), 3.0)
     assert isinstance(made, events.JobDeclined)
     assert made.refusal.reason is RefusalReason.STATE  # PROGRAM would be repeated with another program
 
