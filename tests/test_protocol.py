@@ -71,7 +71,7 @@ def context() -> Iterator[zmq.Context[zmq.Socket[bytes]]]:
 @pytest.fixture
 def front(context: zmq.Context[zmq.Socket[bytes]], run_dir: Path) -> Bare:
     front = Bare(context, run_dir, "front.sock")
-    front.send(type="ClientHello", client="bare", protocol=4)
+    front.send(type="ClientHello", client="bare", protocol=5)
     assert front.recv()["type"] == "Welcome"
     return front
 
@@ -110,21 +110,21 @@ def test_another_version_is_declined_with_both_and_listed(
     context: zmq.Context[zmq.Socket[bytes]], run_dir: Path, front: Bare
 ) -> None:
     other = Bare(context, run_dir, "front.sock")
-    other.send(type="ClientHello", client="from-the-future", protocol=5)
+    other.send(type="ClientHello", client="from-the-future", protocol=6)
     other.send(type="CommandText", request="1", text="STOW LEFT-ARM")
     refusals = [other.recv(), other.recv()]
     assert [declined["request"] for declined in refusals] == ["", "1"]
     for declined in refusals:
         assert (declined["type"], declined["refusal"]["reason"]) == ("Declined", "version")
-        assert {"4", "5"} <= set(declined["refusal"]["message"].split())
+        assert {"5", "6"} <= set(declined["refusal"]["message"].split())
     front.send(type="StatusQuery", request="s")
     status = front.recv_until("StatusReply")[-1]["status"]
-    assert [(row["name"], row["protocol"]) for row in status["refused"]] == [("from-the-future", 5)]
+    assert [(row["name"], row["protocol"]) for row in status["refused"]] == [("from-the-future", 6)]
 
 
 def test_messages_in_one_array(front: Bare) -> None:
     """Announced by the ability `arrays`, the answers may come in arrays too; each is a message like any other."""
-    front.send(type="ClientHello", client="bare", protocol=4, abilities=["arrays"])
+    front.send(type="ClientHello", client="bare", protocol=5, abilities=["arrays"])
     assert front.recv()["abilities"] == ["arrays"]
     sentences = [
         {"type": "CommandText", "request": str(n), "text": "STOW LEFT-LEG", "progress": False} for n in range(1, 4)

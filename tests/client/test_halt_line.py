@@ -83,7 +83,7 @@ def test_what_has_come_to_rest_is_stated_while_the_line_waits_for_others(setting
 
         line = HaltLine(context, settings)
         try:
-            result = line.halt(timeout_s=60.0 if answered else WAIT_S, on_rest=note)
+            result = line.halt(timeout_s=8.0 if answered else WAIT_S, on_rest=note)
         finally:
             line.close()
             mcms.end()
@@ -107,7 +107,7 @@ def test_a_program_learns_at_once_what_rests(settings) -> None:
 
         try:
             with Client(settings.run_dir, need_broker=False) as rtc:
-                assert rtc.halt(timeout_s=60.0, on_rest=note).confirmed
+                assert rtc.halt(timeout_s=8.0, on_rest=note).confirmed
         finally:
             mcms.end()
     assert stated == [["MCM", "MCM-2"]]

@@ -62,15 +62,15 @@ def test_a_script_starts_the_workers_that_the_machine_may_not_have(run_dir: Path
         assert (asked[0].kind, asked[0].asked) == ("elaborator", 1)
 
         wait_for(lambda: _request(here).joined == 1)
-        wait_for(lambda: _host(here)["round_trip_ms"] is not None)
+        wait_for(lambda: _host(here).round_trip_ms is not None)
 
         host = _host(here)
         assert (host.host, host.joined, host.refused) == ("127.0.0.1", 1, 0)
-        assert (_request(here)["running"], _request(here)["failed"]) == (False, "")
+        assert (_request(here).running, _request(here).failed) == (False, "")
         end_s = now_s() + LIMIT_S
         while not _stow_both(here, other) & set(host.workers):  # it takes part
             assert now_s() < end_s
-        assert _request(here)["ago_s"] >= asked[0].ago_s  # it was asked for once
+        assert _request(here).ago_s >= asked[0].ago_s  # it was asked for once
 
 
 def _stop_a_new_elaborator(rtc: Client, run_dir: Path) -> None:

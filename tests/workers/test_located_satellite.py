@@ -154,7 +154,7 @@ def test_a_satellite_that_only_track_has_seen_elsewhere_is_in_doubt_and_looked_f
     track = bench.do(f"TRACK {SATELLITE} FOR 1 SEC VIA CAMERA-6")
     assert track.succeeded
     assert DOOR not in track.script.writes
-    assert LOCATE in track.assessments[-1].message
+    assert LOCATE in track.assessments[-1].found
     assert fact(bench, SATELLITE).value == before
     assert fact(bench, SATELLITE).validity is Validity.SUSPECT
 

@@ -38,7 +38,7 @@ def test_locate_writes_the_pose_with_its_uncertainty_and_the_seat_that_moved_wit
     assert all(0.0 < n < 0.003 for n in fact.spread[:3])
     assert all(0.0 < n < math.radians(1.0) for n in fact.spread[3:])
     assert bench.world.get("RACK-2.frame").value[0] == pytest.approx(fact.value[0])
-    assert "20.0 mm" in run.assessments[0].message
+    assert "20.0 mm" in run.assessments[0].found
 
     again = bench.elaborate("GRASP LEFT-END-EFF MACS-OLD HANDLE-B")
     assert again.context.script == "grasp-centering"  # no need to feel for it any more
@@ -225,8 +225,8 @@ def test_a_body_that_may_be_elsewhere_by_now_has_a_suspect_pose_and_the_outcome_
     judged = judged_with(bench, sentence, **sighting)
     (change,) = [one for one in judged.changes if one.key == f"{MODULE}.frame"]
     assert change.validity is Validity.SUSPECT
-    assert "suspect" in judged.message
-    assert words in judged.message
+    assert "suspect" in judged.found
+    assert words in judged.found
     assert words in judged.remark
 
 
@@ -458,7 +458,7 @@ def test_a_slow_look_at_a_held_object_is_trusted_because_its_hand_is_reserved(ho
     judged = judged_with(holding, sentence, age_s=4.0)
     (grasp,) = [one for one in judged.changes if one.key == f"{MODULE}.grasp"]
     assert grasp.validity is (Validity.VALID if trusted else Validity.SUSPECT)
-    assert ("suspect" in judged.message) is not trusted
+    assert ("suspect" in judged.found) is not trusted
 
 
 def test_an_object_that_is_seen_far_from_the_hand_is_not_held(holding) -> None:

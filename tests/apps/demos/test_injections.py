@@ -62,8 +62,8 @@ def test_a_binder_is_killed_once_in_a_step_and_not_again_once_its_loss_is_known(
         return SimpleNamespace(name=name)
 
     monkeypatch.setattr(injections, "Chaos", lambda *_: SimpleNamespace(strike=strike))
-    busy = {"kind": "binder", "name": "binder@2", "busy_with": "C-1/3"}
-    rtc = SimpleNamespace(status=lambda: {"workers": [busy]}, trace=lambda _: SimpleNamespace(notes=known))
+    busy = SimpleNamespace(kind="binder", name="binder@2", busy_with="C-1/3")
+    rtc = SimpleNamespace(status=lambda: SimpleNamespace(workers=[busy]), trace=lambda _: SimpleNamespace(notes=known))
     scene = Scene(None, rtc)  # type: ignore[arg-type]
     o7, line = INJECTIONS["O7"], lines.Line("C22", "")
     for step in ("1 of 3", "1 of 3", "2 of 3"):
