@@ -18,7 +18,7 @@ SLOW = $(shell grep -rl --include='test_*.py' 'mark\.slow' tests)
 .DEFAULT_GOAL := help
 
 demo: $(VENV)/.ready ## set up, then show two arms at work, a halt, an insertion and a door; pictures and a film in out/
-	$(BIN)/rtc demo swapout --part insertion --speed max
+	$(BIN)/python -m examples.swapout --part insertion --speed max
 
 console: $(VENV)/.ready ## set up, then start a cluster with a page in the browser, and print its link; Ctrl-C ends both
 	$(BIN)/rtc console --up

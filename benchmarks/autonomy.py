@@ -3,7 +3,7 @@
     python -m benchmarks.autonomy [--runs 200] [--seed-from 0] [--only 7 12] [--processes 1] [--out FILE] [--verbose]
     python -m benchmarks.autonomy --join a.json b.json ...
 
-In physics, sentence by sentence in one process, without a broker: the lines of `rtc demo swapout` up to the insertion.
+In physics, sentence by sentence in one process, without a broker: the lines of the swap-out up to the insertion.
 Left out are the tests, HOLD, TRACK and their ABORT, which need a broker, and the lines of an operator. Both modules are
 displaced with the seats that they are in, along and about all six axes. The errors are normally distributed: sigma 10
 mm and 2 degrees, at most 30 mm and 5 degrees. The world knows both modules within the 35 mm and 5 degrees of the cell
@@ -44,8 +44,8 @@ from benchmarks.copies import in_copies
 from benchmarks.grasp import wilson
 from benchmarks.report import finish, question
 from benchmarks.skills import rests
-from rtc.apps.demos import lines as demo_lines
-from rtc.apps.demos import swapout
+from examples.swapout import lines as demo_lines
+from examples.swapout import swapout
 from rtc.model.cells.cell import Cell
 from rtc.spatial import geometry
 from tests.campaigns import advice

@@ -21,8 +21,8 @@ from statistics import median
 from benchmarks.report import finish, percentile, question, spread
 from broker.decisions.events import PrimitiveEnded, PrimitiveStarted
 from broker.persistence.journal import Journal
+from examples.swapout import swapout
 from rtc.apps.cli import sentence_files
-from rtc.apps.demos import swapout
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.client.rehearsing import rehearse

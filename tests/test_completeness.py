@@ -35,6 +35,7 @@ COMMON = "look-where-it-stands"  # of nearly all scripts: where an arm is that h
 #: fields that no code of the project reads: they are for readers outside, who get them by this name
 FOR_OTHERS = {
     "SubsystemHalt.receipt_s": "an answer of `rtc.client.halt`, for programs of users",
+    "SubsystemHalt.own_rest_s": "an answer of `rtc.client.halt`; `examples/swapout` reads it",
     "ObjectRow.true_pose": "a row of `rtc look --json`",
     "WorkerRow.mean_ms": "a row of `rtc status --json`, and of `benchmarks.scaling`",
     "ArmSample.operation": "what an operator is asked to do, for the program of his hand controller",

@@ -42,20 +42,6 @@ class SceneView(msgspec.Struct, frozen=True, kw_only=True):
     blind: list[str] = []  # cameras whose pictures are black
 
 
-class FilmFrame(msgspec.Struct, frozen=True, kw_only=True):
-    """One picture of a film (`sim_mcm.cameras.film`): a scene, and lines of text below it."""
-
-    scene: SceneView
-    caption: str = ""
-
-
-class FilmProgress(msgspec.Struct, frozen=True, kw_only=True):
-    """What a film reports while it is drawn after its last frame: how many of its frames are drawn."""
-
-    drawn: int
-    frames: int
-
-
 class Panel(msgspec.Struct, frozen=True, kw_only=True):
     """One view of one scene. `labels`: name of an object or arm -> words beside it. `doubtful`: names whose label is
     drawn as a warning. `outlined`: objects whose outline in the first panel is drawn over this one."""

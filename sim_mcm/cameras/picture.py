@@ -21,8 +21,6 @@ INK, PAPER, HALO = (28, 32, 38), (250, 250, 248), (255, 255, 255)
 WARNING, OUTLINE = (196, 84, 0), (214, 0, 110)
 OUTLINE_PX = 2
 JPEG_QUALITY = 80
-FILM_COLOURS, FILM_ACCENTS = 72, 40
-FILM_END_MS = 1500
 
 
 Sheet = Image.Image  # a composed picture
@@ -103,27 +101,6 @@ def captioned(pixels: Pixels, caption: str) -> Image.Image:
     for n, line in enumerate(lines):
         ImageDraw.Draw(whole).text((8, height + 4 + n * LINE_PX), line, font=font(15), fill=INK)
     return whole
-
-
-def animate(pictures: Sequence[Image.Image], file: Path, frames_per_s: float) -> None:
-    """An animated GIF with one palette; the last picture stays longer. Raises OSError; ValueError without pictures."""
-    if not pictures:
-        raise ValueError("a film needs a picture")
-    some = Image.fromarray(np.concatenate([np.asarray(one) for one in pictures[:: max(1, len(pictures) // 8)]]))
-    palette = _palette(some)
-    flat = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
-    times_ms = [round(1000.0 / frames_per_s)] * (len(flat) - 1) + [FILM_END_MS]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    flat[0].save(file, format="GIF", save_all=True, append_images=flat[1:], duration=times_ms, loop=0, optimize=True)
-
-
-def _palette(picture: Image.Image) -> Image.Image:
-    """Most colours for large areas; the rest for small things in strong colours, such as handles."""
-    areas = picture.quantize(FILM_COLOURS, Image.Quantize.MEDIANCUT).getpalette() or []
-    things = picture.quantize(FILM_ACCENTS, Image.Quantize.MAXCOVERAGE).getpalette() or []
-    palette = Image.new("P", (1, 1))
-    palette.putpalette([*areas[: 3 * FILM_COLOURS], *things[: 3 * FILM_ACCENTS]])
-    return palette
 
 
 def save(picture: Image.Image, file: Path) -> None:

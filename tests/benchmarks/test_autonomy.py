@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import autonomy
 from benchmarks.autonomy import MODULES, MOST_M, MOST_RAD, STAGES, AutonomyRun
-from rtc.apps.demos import lines, swapout
+from examples.swapout import lines, swapout
 from rtc.protocol.outcomes import StopReason
 from tests.campaigns import advice
 from tests.campaigns.advice import Answer

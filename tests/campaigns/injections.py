@@ -4,7 +4,7 @@
 
 Each run performs the lines that lead to the event, in half a minute to two minutes, and checks the chain on the trace.
 It prints its course, leaves a film, and ends with status 0 if every check has passed. O5 and O6 belong to
-`rtc demo swapout` and to its part `insertion` too. O9 is a test on paper.
+`python -m examples.swapout` and to its part `insertion` too. O9 is a test on paper.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from rtc.apps.demos import lines as planner
-from rtc.apps.demos import swapout
-from rtc.apps.demos.injections import CARRIED, HALFWAY, HALTED, OPENED, STRIPPED, Injection, Scene
-from rtc.apps.demos.lines import Course
+from examples.swapout import lines as planner
+from examples.swapout import swapout
+from examples.swapout.injections import CARRIED, HALFWAY, HALTED, OPENED, STRIPPED, Injection, Scene
+from examples.swapout.lines import Course
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client

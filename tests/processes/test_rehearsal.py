@@ -11,8 +11,8 @@ import pytest
 
 from broker.decisions.events import PrimitiveEnded, PrimitiveStarted
 from broker.persistence.journal import Journal
+from examples.swapout import swapout
 from rtc.apps.cli import sentence_files
-from rtc.apps.demos import swapout
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.client.rehearsing import digest_of, rehearse

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from rtc.apps.demos.filming import Pictures
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
+from rtc.apps.demos.pictures import Pictures
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.model.cells.cell import Cell

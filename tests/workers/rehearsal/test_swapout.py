@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from examples.swapout import swapout
 from rtc.apps.cli import sentence_files
-from rtc.apps.demos import swapout
 from rtc.protocol.messages import Paper, RehearsalInput
 from tests.workers.conftest import record
 from tests.workers.rehearsal.on_paper import PROGRAMS, SERVICING, OnPaper

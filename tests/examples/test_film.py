@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rtc.drawing.scene import FilmFrame, FilmProgress, SceneView
-from sim_mcm.cameras import film
+from examples.swapout import film
+from examples.swapout.filming import FilmFrame, FilmProgress
+from rtc.drawing.scene import SceneView
 
 WIDE_PX = 100
 

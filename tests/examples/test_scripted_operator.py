@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtc.apps.demos import lines, scripted_operator, swapout
-from rtc.apps.demos.scripted_operator import DIALOGUES, Act, Hands
+from examples.swapout import lines, scripted_operator, swapout
+from examples.swapout.scripted_operator import DIALOGUES, Act, Hands
 from rtc.client.hand_controller import PERIOD_S
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind, RtcError

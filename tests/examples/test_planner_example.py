@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rtc.apps.demos import lines, swapout
+from examples.swapout import lines, swapout
 from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason
 from tests.workers.conftest import record
 

@@ -1,4 +1,4 @@
-"""A person at one arm of `rtc demo swapout`, as a program: sees a request, moves the arm by hand, answers, errs.
+"""A person at one arm of the swap-out, as a program: sees a request, moves the arm by hand, answers, errs.
 
 Each dialogue is a function of `Hands`; it runs in a thread, with a client of its own, while the planner waits. Hands
 use what a person sees: the request, the goal that is shown with it, the measured force, whether the head of a bolt

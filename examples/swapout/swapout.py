@@ -17,13 +17,14 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from rtc.apps.demos import lines as planner
-from rtc.apps.demos.filming import Film, Pictures
-from rtc.apps.demos.injections import CELL, GOOD, HALFWAY, HALTED, STRIPPED, Injection, Scene
-from rtc.apps.demos.lines import Course, Line
+from examples.swapout import lines as planner
+from examples.swapout.filming import Film
+from examples.swapout.injections import CELL, GOOD, HALFWAY, HALTED, STRIPPED, Injection, Scene
+from examples.swapout.lines import Course, Line
+from examples.swapout.scripted_operator import DIALOGUES, Act, ScriptedOperator
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
-from rtc.apps.demos.scripted_operator import DIALOGUES, Act, ScriptedOperator
+from rtc.apps.demos.pictures import Pictures
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.model.cells.cell import Cell

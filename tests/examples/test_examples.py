@@ -49,7 +49,8 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 def test_all_programs_are_tried() -> None:
     files = {str(path.relative_to(EXAMPLES)) for path in EXAMPLES.rglob("*.py") if "def main" in path.read_text()}
-    assert files == set(PRINTED)
+    own = {name for name in files if name.startswith("swapout/")}  # `test_swapout` performs it, on its own cluster
+    assert files - own == set(PRINTED)
 
 
 @pytest.mark.parametrize("name", PRINTED)

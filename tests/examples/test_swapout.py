@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from rtc.apps.demos import swapout
+from examples.swapout import swapout
 from tests.campaigns import faults
 
 

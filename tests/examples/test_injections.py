@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from rtc.apps.demos import lines, swapout
-from rtc.apps.demos.injections import CELL, HALFWAY, Scene
+from examples.swapout import lines, swapout
+from examples.swapout.injections import CELL, HALFWAY, Scene
 from rtc.apps.demos.narrator import Narrator
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from rtc.apps.demos.lines import Course, Line
+from examples.swapout.lines import Course, Line
 from rtc.apps.demos.narrator import Narrator
 from rtc.client.client import Client
 from rtc.client.halt import HaltResult

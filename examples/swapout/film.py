@@ -1,4 +1,4 @@
-"""Draws a film of simulated scenes: `python -m sim_mcm.cameras.film --cell NAME --out FILE.gif`.
+"""Draws a film of simulated scenes: `python -m examples.swapout.film --cell NAME --out FILE.gif`.
 
 Each line of stdin is a frame in JSON (`FilmFrame`). It is drawn as soon as it arrives, by a process per core, at the
 lowest priority: what is filmed goes first. At the end of stdin nothing is left to be filmed. What is not drawn yet is
@@ -20,8 +20,11 @@ from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolEx
 from pathlib import Path
 
 import msgspec
+import numpy as np
+from PIL import Image
 
-from rtc.drawing.scene import FilmFrame, FilmProgress, SceneView
+from examples.swapout.filming import FilmFrame, FilmProgress
+from rtc.drawing.scene import SceneView
 from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import RtcError
 from rtc.runtime.process import die_with_parent
@@ -33,6 +36,8 @@ FRAMES_PER_S = 8.0
 VIEW = "above"
 NICENESS = 19  # while frames arrive: drawn in the time that nothing else wants
 PROGRESS_S = 5.0
+FILM_COLOURS, FILM_ACCENTS = 72, 40
+FILM_END_MS = 1500
 
 
 def drawn(
@@ -106,18 +111,39 @@ def _studio(cell: str) -> tuple[SceneRenderer, RenderCamera]:
     return studio, studio.camera(VIEW, SceneView(), SIZE[0] / SIZE[1])
 
 
+def animate(pictures: Sequence[Image.Image], file: Path, frames_per_s: float) -> None:
+    """An animated GIF with one palette; the last picture stays longer. Raises OSError; ValueError without pictures."""
+    if not pictures:
+        raise ValueError("a film needs a picture")
+    some = Image.fromarray(np.concatenate([np.asarray(one) for one in pictures[:: max(1, len(pictures) // 8)]]))
+    palette = _palette(some)
+    flat = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
+    times_ms = [round(1000.0 / frames_per_s)] * (len(flat) - 1) + [FILM_END_MS]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    flat[0].save(file, format="GIF", save_all=True, append_images=flat[1:], duration=times_ms, loop=0, optimize=True)
+
+
+def _palette(picture: Image.Image) -> Image.Image:
+    """Most colours for large areas; the rest for small things in strong colours, such as handles."""
+    areas = picture.quantize(FILM_COLOURS, Image.Quantize.MEDIANCUT).getpalette() or []
+    things = picture.quantize(FILM_ACCENTS, Image.Quantize.MAXCOVERAGE).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*areas[: 3 * FILM_COLOURS], *things[: 3 * FILM_ACCENTS]])
+    return palette
+
+
 def _report(progress: FilmProgress) -> None:
     print(msgspec.json.encode(progress).decode(), flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    words = argparse.ArgumentParser(prog="python -m sim_mcm.cameras.film", description=__doc__)
+    words = argparse.ArgumentParser(prog="python -m examples.swapout.film", description=__doc__)
     words.add_argument("--cell", required=True, help="name or file of the cell")
     words.add_argument("--out", type=Path, required=True, help="the GIF to write")
     given = words.parse_args(arguments)
     try:
         frames = (msgspec.json.decode(line, type=FilmFrame) for line in sys.stdin.buffer)
-        sheet.animate(drawn(given.cell, frames, _report), given.out, FRAMES_PER_S)
+        animate(drawn(given.cell, frames, _report), given.out, FRAMES_PER_S)
     except (OSError, ValueError, msgspec.MsgspecError, RtcError) as error:
         words.exit(1, f"{words.prog}: {error}\n")
 

@@ -1,4 +1,4 @@
-"""Pictures and a film of a demo, drawn by other processes at low priority while it goes on."""
+"""A film of the swap-out, drawn by other processes at low priority while it goes on."""
 
 from __future__ import annotations
 
@@ -13,36 +13,26 @@ import msgspec
 
 from rtc.apps.demos.narrator import Narrator
 from rtc.client.client import Client
-from rtc.drawing.renderer import Renderer
-from rtc.drawing.scene import FilmFrame, FilmProgress, Panel, Picture, true_scene
-from rtc.protocol import messages as m
+from rtc.drawing.scene import SceneView, true_scene
 from rtc.protocol.outcomes import ClusterError
 
 POLL_S = 0.04
-# Limits for a machine with many busy processes.
-RENDER_S = 600.0
-FILM_S = 3600.0
+FILM_S = 3600.0  # limit for a machine with many busy processes
+ROOT = Path(__file__).parents[2]  # of the checkout
 
 
-class Pictures:
-    """Pictures of the true scene in a cell."""
+class FilmFrame(msgspec.Struct, frozen=True, kw_only=True):
+    """One picture of a film (`film`): a scene, and lines of text below it."""
 
-    def __init__(self, out: Path, renderer: Renderer, cell: str) -> None:
-        self._out, self._renderer, self._cell = out, renderer, cell
-        self._files: list[Path] = []
-        out.mkdir(parents=True, exist_ok=True)
+    scene: SceneView
+    caption: str = ""
 
-    def take(self, name: str, truth: m.SimTruthReply, camera: str = "overview", title: str = "") -> None:
-        file = self._out / f"{name}.png"
-        file.unlink(missing_ok=True)
-        panels = [Panel(title=title or name, scene=true_scene(truth))]
-        self._renderer.request(Picture(out=str(file.absolute()), cell=self._cell, panels=panels, camera=camera))
-        self._files.append(file)
 
-    def check(self, narrator: Narrator) -> None:
-        """Wait for all pictures."""
-        for file in self._files:
-            narrator.check(f"picture {file}", self._renderer.drawn(RENDER_S) and file.is_file())
+class FilmProgress(msgspec.Struct, frozen=True, kw_only=True):
+    """What a film reports while it is drawn after its last frame: how many of its frames are drawn."""
+
+    drawn: int
+    frames: int
 
 
 class Film:
@@ -55,9 +45,9 @@ class Film:
         self._done = threading.Event()
         file.parent.mkdir(parents=True, exist_ok=True)
         file.unlink(missing_ok=True)
-        command = [sys.executable, "-P", "-m", "sim_mcm.cameras.film", "--cell", cell, "--out", str(file)]
+        command = [sys.executable, "-m", "examples.swapout.film", "--cell", cell, "--out", str(file.absolute())]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
 
     def __enter__(self) -> Film:

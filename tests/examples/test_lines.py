@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from rtc.apps.demos import lines, swapout
+from examples.swapout import lines, swapout
 from rtc.apps.demos.narrator import Narrator
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
