@@ -35,8 +35,8 @@ from broker.decisions.events import BrokerRestarted, Event, JobDeclined, JobFini
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.protocol import messages as m
-from rtc.runtime.chaos import Chaos, Strike
 from rtc.runtime.process_table import processes
+from tests.campaigns.chaos import Chaos, Strike
 
 SEED = 20
 PAUSE_S = (0.6, 0.9)  # between two kills: some work is done, and no process counts as in a crash loop

@@ -18,7 +18,7 @@ from benchmarks.load.errands import Errand
 from broker.decisions.events import Event, PrimitiveEnded
 from broker.persistence.journal import Journal, read_events
 from rtc.protocol.outcomes import OutcomeKind, RefusalReason, StopReason
-from rtc.runtime.chaos import Strike
+from tests.campaigns.chaos import Strike
 
 GOAL_RAD = 0.01
 FOUND_S = 0.5  # limit until the broker and a new MCM are connected

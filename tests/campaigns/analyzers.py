@@ -32,10 +32,10 @@ from rtc.apps.demos.grasp import GRASPS, LIFTS, PLACES, STOWS
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.protocol.outcomes import Outcome, OutcomeKind
-from rtc.runtime.chaos import Chaos
 from rtc.runtime.process_table import processes
 from rtc.spatial import geometry
 from tests.campaigns import RESULTS
+from tests.campaigns.chaos import Chaos
 
 SEED = 20
 FIRST = "cell"  # wrote the facts with which the database begins

@@ -22,8 +22,8 @@ from benchmarks.report import finish, percentile, question, spread
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.protocol.messages import Validity
-from rtc.runtime.chaos import VICTIMS, Chaos, Strike
 from tests.campaigns import RESULTS
+from tests.campaigns.chaos import VICTIMS, Chaos, Strike
 
 SEED = 20
 FAR_DEG = 50  # a command moves for more than a second

@@ -2,7 +2,7 @@
 
     python -m tests.campaigns.faults [--speed 1]
 
-Each chapter says what it does, and checks what follows, with times. `rtc.runtime.chaos` kills processes from outside.
+Each chapter says what it does, and checks what follows, with times. `chaos` kills processes from outside.
 At real speed, because it strikes in the middle of motions: two minutes. `tests/processes/test_faults.py` has most of it
 as tests.
 """
@@ -28,9 +28,9 @@ from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
-from rtc.runtime.chaos import Chaos, Strike
 from rtc.runtime.process import die_with_parent
 from rtc.runtime.process_table import processes
+from tests.campaigns.chaos import Chaos, Strike
 
 SEED = 20
 STOWS = ["STOW RIGHT-ARM", "STOW LEFT-ARM"]

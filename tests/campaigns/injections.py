@@ -29,9 +29,9 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.faults import BluntSeat, Displaced, MisreadHand, WeakHand
 from rtc.protocol.outcomes import OutcomeKind, StopReason
-from rtc.runtime.chaos import Chaos
 from rtc.spatial import geometry
 from rtc.wording.notes import in_words
+from tests.campaigns.chaos import Chaos
 
 ON_PAPER = "O9"
 DISPLACED_M = 0.020  # to where the first search ends without a touch, inside the straddle of the hand

@@ -22,8 +22,8 @@ from rtc.client.client import Client
 from rtc.client.handle import CommandHandle
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
-from rtc.runtime.chaos import Chaos, Strike
 from rtc.runtime.process_table import processes
+from tests.campaigns.chaos import Chaos, Strike
 
 pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 

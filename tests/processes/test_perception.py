@@ -19,8 +19,8 @@ from rtc.client.handle import CommandHandle
 from rtc.protocol import messages as m
 from rtc.protocol.faults import BlindCamera, Drifting
 from rtc.protocol.outcomes import OutcomeKind, StopReason
-from rtc.runtime.chaos import Chaos
 from rtc.spatial import geometry
+from tests.campaigns.chaos import Chaos
 
 pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 

@@ -57,7 +57,6 @@ COMMANDS = {
     "grammar": "language",
     "shell": "shell",
     "keys": "keys",
-    "chaos": "chaos",
     "inject": "inject",
     "demo": "demo",
     "docs": "docs",

@@ -48,7 +48,7 @@ from rtc.runtime.settings import LOCK, Settings, shell_command
         ("inject sensor RIGHT-ARM --offset 1,2,3,4", "--offset is 6 numbers"),
         ("inject slow never", "the duration is a duration"),
         ("inject undo --with DIR/x.key", "No such option"),
-        (f"chaos --for {'9' * 400}s", "--for is a duration"),
+        (f"look --watch --every {'9' * 400}s", "--every is a duration"),
     ],
 )
 def test_a_wrong_word_is_2_in_a_sentence(
@@ -66,15 +66,6 @@ def test_a_check_of_a_program_needs_no_cluster(
     words = ["load", str(mine), "INTO", "elaborator", "--check", "--run-dir", str(tmp_path / "nix")]
     assert status_of(words, monkeypatch) == 0
     assert "the default programs (no cluster runs)" in " ".join(capsys.readouterr().out.split())
-
-
-def test_chaos_without_a_cluster_announces_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert status_of(["chaos", "--run-dir", str(tmp_path)], monkeypatch) == 4
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "no cluster is running" in " ".join(captured.err.split())
 
 
 def test_a_status_that_no_broker_gives_the_supervisor_gives(

@@ -11,10 +11,10 @@ import sys
 import pytest
 
 from rtc.protocol.outcomes import NoCluster
-from rtc.runtime.chaos import Chaos
 from rtc.runtime.process import now_s
 from rtc.runtime.process_table import processes
 from rtc.runtime.settings import Settings
+from tests.campaigns.chaos import Chaos
 
 pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 
