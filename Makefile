@@ -54,6 +54,9 @@ wheel: $(VENV)/.ready ## build the wheel in dist/, install it outside the checko
 	dir=$$(mktemp -d) && trap 'rm -rf "$$dir"' EXIT && $(PYTHON) -m venv "$$dir/env" && \
 	"$$dir/env/bin/python" -m pip install -q --disable-pip-version-check --no-compile -c constraints.txt dist/*.whl && \
 	cd "$$dir" && env/bin/python -c 'from rtc.apps.console.server import STATIC; (STATIC / "vendor.js").stat()' && \
+	env/bin/python -c 'import sys; from importlib.util import find_spec; \
+		sys.exit(any(map(find_spec, ("broker", "workers", "sim_mcm", "deploy"))))' && \
+	env/bin/python -m rtc workers --help >/dev/null && \
 	env/bin/rtc demo grasp --speed max
 
 coverage: $(VENV)/.ready ## branch coverage of the tests without processes; fails below the floor of a package

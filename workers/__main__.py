@@ -1,7 +1,7 @@
-"""Entry point of a worker process: `python -m workers --run-dir D --kind binder --node 2`.
+"""Entry point of a worker process: `python -m rtc workers --run-dir D --kind binder --node 2`.
 
 With --template the process is the fork server: it forks one worker per order {"kind", "node"}. With a worker's key it
-joins a cluster on another machine: `python -m workers --kind binder --with w.key`.
+joins a cluster on another machine: `python -m rtc workers --kind binder --with w.key`.
 
 A worker imports only the module of its own kind, and does so before it signals `ready`. A parser therefore does not
 load robot models.
@@ -26,7 +26,7 @@ from workers.runtime.start import join, rehearse, work
 
 
 def parser() -> argparse.ArgumentParser:
-    made = argparse.ArgumentParser(prog="python -m workers", description="One worker of a cluster.")
+    made = argparse.ArgumentParser(prog="python -m rtc workers", description="One worker of a cluster.")
     where = made.add_mutually_exclusive_group(required=True)
     where.add_argument("--run-dir", type=Path)
     where.add_argument(
@@ -48,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
         "--health",
         type=Path,
         metavar="FILE",
-        help="with --with: write the time of the broker's last answer to FILE, for python -m workers.runtime.health",
+        help="with --with: write the time of the broker's last answer to FILE, for the probe workers.runtime.health",
     )
     handover.add_option(made)
     return made

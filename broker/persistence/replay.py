@@ -1,6 +1,6 @@
 """Replay: rebuild the broker state from a journal by repeating all decisions.
 
-`python -m broker.persistence.replay JOURNAL` replays a journal twice. It checks that both replays make the same
+`python -m rtc broker.persistence.replay JOURNAL` replays a journal twice. It checks that both replays make the same
 decisions, and that
 they agree with the stored command records.
 """
@@ -37,8 +37,8 @@ def replay(journal: Journal) -> tuple[State, dict[str, CommandRecord]]:
 def main(argv: list[str]) -> int:
     if len(argv) != 1 or argv[0] in ("-h", "--help"):
         print(
-            "usage: python -m broker.persistence.replay JOURNAL\n\n"
-            "example: python -m broker.persistence.replay /tmp/rtc-1000/journal.db"
+            "usage: python -m rtc broker.persistence.replay JOURNAL\n\n"
+            "example: python -m rtc broker.persistence.replay /tmp/rtc-1000/journal.db"
         )
         return 0 if argv and argv[0] in ("-h", "--help") else 2
     path = Path(argv[0])

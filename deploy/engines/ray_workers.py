@@ -1,4 +1,4 @@
-"""Workers as actors of Ray: `python -m deploy.engines.ray_workers --kind binder --count 8 --with w.key`.
+"""Workers as actors of Ray: `python -m rtc deploy.engines.ray_workers --kind binder --count 8 --with w.key`.
 
 The loop of a worker runs in a method of its actor, without a child process, so that `ray.kill` ends all of it. Ray
 restarts an actor whose process died. A worker that ended by itself (rejected, or without its broker) is replaced here.
@@ -16,6 +16,7 @@ from typing import Any
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import ClusterError, KeyTrouble
 from rtc.runtime import process
+from rtc.runtime.environment import ROOMS
 from rtc.runtime.keys import KeyFile
 from rtc.runtime.process import Every, Process, now_s
 from workers.runtime.contact import LIMIT_S, BrokerContact
@@ -130,12 +131,13 @@ class Fleet:
 
 def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
-        prog="python -m deploy.engines.ray_workers", description="Workers of a cluster as Ray actors; Ctrl-C ends them."
+        prog="python -m rtc deploy.engines.ray_workers",
+        description="Workers of a cluster as Ray actors; Ctrl-C ends them.",
     )
     made.add_argument("--kind", choices=[kind.value for kind in WorkerKind], required=True)
     made.add_argument("--count", type=int, default=1, metavar="N", help="number of workers; each takes one CPU of Ray")
     made.add_argument("--with", dest="key", type=Path, metavar="FILE", required=True, help="a worker's key")
-    made.add_argument("--lost-after", type=float, default=LIMIT_S, metavar="S", help="as of python -m workers")
+    made.add_argument("--lost-after", type=float, default=LIMIT_S, metavar="S", help="as of python -m rtc workers")
     made.add_argument("--ray", metavar="ADDRESS", help="address of the Ray cluster; default: as of ray.init")
     return made
 
@@ -157,7 +159,8 @@ def main() -> None:
     except KeyTrouble as error:
         sys.exit(str(error))
     try:
-        ray.init(address=given.ray)
+        rooms = {"env_vars": {"PYTHONPATH": ROOMS}} if ROOMS in sys.path else None  # of an installed rtc
+        ray.init(address=given.ray, runtime_env=rooms)
     except (ConnectionError, ValueError, RuntimeError) as error:
         sys.exit(f"Ray cannot be reached at {given.ray or 'its default address'} (--ray): {error}")
     for number in (signal.SIGINT, signal.SIGTERM):

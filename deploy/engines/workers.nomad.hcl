@@ -20,7 +20,7 @@ job "rtc-workers" {
 
       config {
         command = "/opt/telerobot-rtc/.venv/bin/python"
-        args    = ["-m", "workers", "--kind", "binder", "--with", "${NOMAD_SECRETS_DIR}/w.key"]
+        args    = ["-m", "rtc", "workers", "--kind", "binder", "--with", "${NOMAD_SECRETS_DIR}/w.key"]
       }
 
       template {

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
+
+ROOMS = os.path.join(os.path.dirname(os.path.dirname(__file__)), "rooms")  # where an installed rtc has them
 
 
 def run_dir() -> str:
@@ -11,6 +14,14 @@ def run_dir() -> str:
         return given
     base = os.environ.get("XDG_RUNTIME_DIR")
     return f"{base}/rtc" if base else f"/tmp/rtc-{os.getuid()}"
+
+
+def use_rooms() -> None:
+    """Let this process and those that it starts import `broker`, `workers`, `sim_mcm` and `deploy` of an installed rtc,
+    before other packages of these names. In a checkout they stand beside `rtc`."""
+    if os.path.isdir(ROOMS) and ROOMS not in sys.path:
+        sys.path.insert(0, ROOMS)
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (ROOMS, os.environ.get("PYTHONPATH"))))
 
 
 def data_dir() -> str:

@@ -27,8 +27,8 @@ MAX_JOB_S = max(DEADLINE_S.values())
 
 def worker(line: list[str], python: str = PYTHON) -> Namespace:
     """The options of the line of a worker, parsed by the worker's own parser."""
-    assert line[:3] == [python, "-m", "workers"]
-    given = parser().parse_args(line[3:])
+    assert line[:4] == [python, "-m", "rtc", "workers"]
+    given = parser().parse_args(line[4:])
     assert given.kind == WorkerKind.BINDER
     assert given.node is None  # all replicas have the same line
     return given
@@ -71,8 +71,8 @@ def test_kubernetes_probes_the_health_file_of_the_worker(pod: dict[str, Any]) ->
     within = {}
     for name in ("startupProbe", "readinessProbe", "livenessProbe"):
         command = container[name]["exec"]["command"]
-        assert command[:3] == ["python", "-m", "workers.runtime.health"]
-        probe = health.parser().parse_args(command[3:])
+        assert command[:4] == ["python", "-m", "rtc", "workers.runtime.health"]
+        probe = health.parser().parse_args(command[4:])
         assert probe.file == given.health
         within[name] = probe.within
     assert MAX_JOB_S < within["readinessProbe"] < within["livenessProbe"]

@@ -7,6 +7,7 @@ from importlib import import_module
 
 from rtc.apps.cli.halt_at_once import run
 from rtc.apps.cli.interrupts import leave_at_interrupts
+from rtc.runtime.environment import use_rooms
 
 
 def main() -> None:
@@ -17,6 +18,7 @@ def main() -> None:
         return
     if sys.argv[1:2] == ["halt"] and (status := run(sys.argv[2:])) is not None:
         sys.exit(status)
+    use_rooms()
     import_module("rtc.apps.cli.main").main()
 
 

@@ -61,7 +61,7 @@ def new(
     console.print(Text(f"{file} gives its holder access to {key.address} as {key.role}; keep it secret"))
     use = f"rtc status --with {file}"
     if key.role is Role.WORKER:
-        use = f"python -m workers --kind binder --with {file}"
+        use = f"python -m rtc workers --kind binder --with {file}"
     if key.role is not Role.SUBSYSTEM:
         console.print(Text(f"there: {use}", style="dim"))
 
