@@ -113,11 +113,11 @@ def test_without_a_camera_a_driver_is_taken_that_is_known_less_well(within_m: fl
     assert isinstance(bench.elaborate(DRIVER), Refusal) == refused
 
 
-@pytest.mark.parametrize(("turned_rad", "looks"), [(0.02, False), (0.068, True)])
+@pytest.mark.parametrize(("turned_rad", "looks"), [(0.02, False), (0.058, False), (0.068, True)])
 def test_a_driver_that_a_bolt_may_have_turned_is_seen_before_it_is_put_back(
     bench: Bench, turned_rad: float, looks: bool
 ) -> None:
-    """A tight bolt turns it by up to 4.3 degrees; the catch of its rack takes 2.86."""
+    """Half of what a look leaves in doubt is up to 3.6 degrees after a tight bolt; without a look it may be 7."""
     done(bench, DRIVER)
     spread = [0.002, 0.002, 0.002, turned_rad, 0.01, 0.01]
     turned = [WorldChange(key=f"POWER-DRIVER.{name}", keep_value=True, spread=spread) for name in ("grasp", "frame")]
