@@ -57,7 +57,7 @@ PURE = (
     "rtc/programs/plugin_fields.py", "rtc/programs/loader.py",
     "rtc/world/facts.py", "rtc/world/model.py", "rtc/world/spread.py",
     "broker/decisions/", "broker/dispatch/", "rtc/subsystems/motion/",
-    "rtc/apps/observers/viewer_schema.py", "rtc/sensing/", "rtc/subsystems/base/subsystem.py",
+    "rtc/client/core.py", "rtc/apps/observers/viewer_schema.py", "rtc/sensing/", "rtc/subsystems/base/subsystem.py",
     "rtc/subsystems/perception/camera.py", "rtc/subsystems/perception/motion.py",
     "rtc/subsystems/perception/subsystem.py",
 )  # fmt: skip

@@ -8,49 +8,64 @@
             print(note)
         (await lift.wait()).raise_for_outcome()
 
-A thread has the `rtc.Client`. Calls are passed to it, and their results back; so commands, queries and callbacks are
-those of that class. A wait that is cancelled, or ends by its time limit, changes nothing in motion: the command
-continues. Stop it by `halt`, which bypasses all queues here as well.
+It has the same core as that class, `rtc.client.core`. A wait that is cancelled, or ends by its time limit, changes
+nothing in motion: the command continues. Stop it by `halt`, which bypasses all queues here as well. Callbacks are
+called in the event loop, except that of a halt.
 """
 
 from __future__ import annotations
 
 import asyncio
-import os
-import select
-import threading
+import contextlib
+import math
+import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
 import zmq.asyncio
 
 from rtc.client import client as threaded
+from rtc.client.core import ANSWER_S, Answer, OnProgress, Query, SubmittedCommand
 from rtc.client.halt import HaltResult, OnRest
-from rtc.client.handle import CommandHandle as ThreadedHandle
-from rtc.client.rehearsing import following, rehearsals
+from rtc.client.rehearsing import AboutTest, following, rehearsals
+from rtc.client.session import ClientSession
 from rtc.client.subscription import subscribed
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import Outcome, RequestDeclined, RtcError, TimedOut, WireError
+from rtc.protocol.outcomes import Outcome, RtcError, TimedOut, WireError
 from rtc.protocol.wire import reader
 
 Result = TypeVar("Result")
 Published = TypeVar("Published")
-Job = tuple[asyncio.Future[Any], Callable[[threaded.Client], Any]]
 
 
-class CommandHandle:
+class CommandHandle(SubmittedCommand):
     """One command of a client, from `Client.submit`. `number`: C-n. Use it in the client's event loop."""
 
-    def __init__(self, client: Client, text: str) -> None:
-        self.text = text
-        self.number = ""
-        self.progress: m.ProgressNote | None = None  # its latest note
-        self.ended: m.CommandEnded | None = None  # None while it is in progress
-        self._client = client
-        self._changed = asyncio.Event()
+    def __init__(self, client: Client, text: str, changed: asyncio.Event, on_progress: OnProgress | None) -> None:
+        """`changed` is set with each note, number and end, and when the cluster is lost."""
+
+        def take_note(note: m.ProgressNote) -> None:
+            self._notes.append(note)
+            changed.set()
+            if on_progress is not None:
+                asyncio.get_running_loop().call_soon(on_progress, note)  # its errors are not those of this client
+
+        super().__init__(text, take_note, lambda _: changed.set(), lambda _: client.end(changed))
+        self._client, self._changed = client, changed
         self._notes: deque[m.ProgressNote] = deque()
+
+    @property
+    def progress(self) -> m.ProgressNote | None:
+        """Its latest note."""
+        return self.latest_note
+
+    @property
+    def ended(self) -> m.CommandEnded | None:
+        """Its end; None while it is in progress."""
+        return self.known_end
 
     @property
     def outcome(self) -> Outcome | None:
@@ -106,70 +121,65 @@ class CommandHandle:
         self._changed.clear()
         await self._changed.wait()
 
-    # --- called by the client, in the event loop --------------------------------------------------------
-
-    async def answered(self) -> None:
-        while not self.number and self.ended is None:
+    async def wait_for_answer(self) -> None:
+        """Until it is accepted. Raises RequestDeclined if it is not."""
+        while not self.answered:
             await self._change()
-
-    def take(self, number: str, ended: m.CommandEnded | None) -> None:
-        self.number, self.ended = number, ended
-        self.wake()
-
-    def take_note(self, note: m.ProgressNote) -> None:
-        if note.seq:
-            self.progress = note
-        self._notes.append(note)
-        self.wake()
-
-    def wake(self) -> None:
-        self._changed.set()
+        self.raise_if_declined()
 
 
 class Client:
     """A connection to one cluster, as an async context manager. Arguments and errors are those of `rtc.Client`."""
 
-    def __init__(self, run_dir: str | Path | None = None, **options: Any) -> None:
-        self._arguments, self._options = run_dir, options
-        self._jobs: deque[Job] = deque()
-        self._closing = False
+    def __init__(self, run_dir: str | Path | None = None, *, need_broker: bool = True, **options: Any) -> None:
+        self._run_dir, self._need_broker, self._options = run_dir, need_broker, options
+        self._blocking = ThreadPoolExecutor(1, "rtc client")
+        self._blocking_client: threaded.Client | None = None  # of that thread
         self._lost: RtcError | None = None
-        self._handles: set[CommandHandle] = set()  # of commands that have not ended
+        self._waiting: set[asyncio.Event] = set()  # of unfinished commands and queries
+        self._exchanged = asyncio.Event()
+        self._soon: asyncio.Handle | None = None  # the next exchange
+        self._later: asyncio.TimerHandle | None = None  # the one after a silence
 
     async def __aenter__(self) -> Client:
         self._loop = asyncio.get_running_loop()
-        self._waker = os.eventfd(0)
-        opened: asyncio.Future[threaded.Client] = self._loop.create_future()
-        self._thread = threading.Thread(target=self._serve, args=(opened,), name="rtc client", daemon=True)
-        self._thread.start()
+        self._session = ClientSession(self._run_dir, need_broker=False, **self._options)
+        self._core = self._session.core
+        for descriptor in self._session.connection.descriptors:
+            self._loop.add_reader(descriptor, self._exchange)
         try:
-            self._client = await opened
+            while self._need_broker and self._core.welcome is None:
+                self._exchanged.clear()
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(self._core.hello_wait_s(time.monotonic())):
+                        await self._exchanged.wait()
         except BaseException:
-            await self._end()
+            await self.__aexit__()
             raise
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await self._end()
+        for descriptor in self._session.connection.descriptors:
+            self._loop.remove_reader(descriptor)
+        for due in (self._soon, self._later):
+            if due is not None:
+                due.cancel()
+        await asyncio.to_thread(self._close)
 
     # --- sentences --------------------------------------------------------------------------------------
 
     async def submit(self, text: str, **how: Any) -> CommandHandle:
-        """Submit one sentence; its handle, after the cluster has journalled it. `how`: as in `rtc.Client.begin`.
+        """Submit one sentence; its handle, after the cluster has journalled it. `how`: as in `rtc.Client.submit`.
 
         Raises RequestDeclined if the cluster does not accept it.
         """
-        handle = await self._begin(text, how)
-        await handle.answered()
-        if handle.ended is not None and not handle.number:
-            refusal = handle.ended.outcome.refusal
-            assert refusal is not None
-            raise RequestDeclined(refusal)
+        handle = self._begin(text, **how)
+        await handle.wait_for_answer()
         return handle
 
     async def run(self, text: str, timeout_s: float | None = None, **how: Any) -> m.CommandEnded:
         """Submit one sentence and wait for its outcome. Raises TimedOut after `timeout_s`; the command continues."""
-        return await (await self._begin(text, how)).wait(timeout_s)
+        return await self._begin(text, **how).wait(timeout_s)
 
     async def run_many(self, texts: Sequence[str], timeout_s: float | None = None) -> list[m.CommandEnded]:
         """Submit all sentences at once and wait; outcomes in their order. Raises as `run` does."""
@@ -192,28 +202,26 @@ class Client:
     async def halt(self, scope: str = "ALL", timeout_s: float = 2.0, on_rest: OnRest | None = None) -> HaltResult:
         """Stop motion now, as `rtc.Client.halt`. A halt that has been called is sent, also if the wait is cancelled.
         `on_rest` is called in another thread."""
-        return await asyncio.to_thread(self._client.halt, scope, timeout_s, on_rest)
+        return await asyncio.to_thread(self._session.halt, scope, timeout_s, on_rest)
 
     def halt_ready(self) -> bool:
         """True once the halt sockets of broker and MCM are both connected."""
-        return self._client.halt_ready()
+        return self._session.halt_ready()
 
     async def call(self, function: Callable[[threaded.Client], Result]) -> Result:
-        """The result of a function of the `rtc.Client`, in its thread: `await client.call(lambda c: c.world.view())`.
-        Other calls wait meanwhile, but no halt."""
+        """The result of a function of an `rtc.Client`, in a thread: `await client.call(lambda c: c.world.view())`.
+        Other calls of this method wait meanwhile."""
         self.raise_if_lost()
-        future: asyncio.Future[Result] = self._loop.create_future()
-        self._jobs.append((future, function))
-        os.eventfd_write(self._waker, 1)
-        return await future
+        return await self._loop.run_in_executor(self._blocking, self._call, function)
 
     async def status(self) -> m.Status:
         """Processes, workers, queues, resources, commands (see docs/protocol.md)."""
-        return await self.call(lambda client: client.status())
+        return (await self._ask(m.StatusQuery(request=self._session.next_request()), m.StatusReply)).status
 
     async def trace(self, command: str) -> m.CommandRecord:
         """The record of a command. Raises RequestDeclined for an unknown command."""
-        return await self.call(lambda client: client.trace(command))
+        query = m.TraceQuery(request=self._session.next_request(), command=command.upper())
+        return (await self._ask(query, m.TraceReply)).record
 
     async def load(self, kind: str, file: str | Path) -> m.ProgramLoaded:
         """Load a program file into the running cluster. Raises RequestDeclined if it is invalid."""
@@ -234,80 +242,85 @@ class Client:
 
     # --- inside -----------------------------------------------------------------------------------------
 
-    async def _begin(self, text: str, how: dict[str, Any]) -> CommandHandle:
-        handle, on_progress = CommandHandle(self, text), how.pop("on_progress", None)
-        self._handles.add(handle)
-
-        def noted(note: m.ProgressNote) -> None:
-            self._soon(handle.take_note, note)
-            if on_progress is not None:
-                self._soon(on_progress, note)
-
-        def begin(client: threaded.Client) -> ThreadedHandle:
-            begun: ThreadedHandle = client.begin(
-                text, on_progress=noted, on_change=lambda: self._soon(self._taken, handle, begun), **how
-            )
-            client.receive()  # sends it
-            return begun
-
-        await self.call(begin)
+    def _begin(
+        self,
+        text: str,
+        *,
+        on_progress: OnProgress | None = None,
+        progress: bool = True,
+        traceparent: str = "",
+        saved: m.SavedWorld | None = None,
+        **about: str,
+    ) -> CommandHandle:
+        """Send one sentence. `about`: the fields of an AboutTest."""
+        self.raise_if_lost()
+        changed = asyncio.Event()
+        handle = CommandHandle(self, text, changed, on_progress)
+        wanted = progress or on_progress is not None
+        self._session.send(handle, progress=wanted, traceparent=traceparent, about=AboutTest(**about), saved=saved)
+        self._waiting.add(changed)
+        self._exchange_soon()
         return handle
 
-    def _taken(self, handle: CommandHandle, begun: ThreadedHandle) -> None:
-        handle.take(begun.number, begun.known_end)
-        if handle.ended is not None:
-            self._handles.discard(handle)
+    async def _ask(self, message: Any, kind: type[Answer], within_s: float = ANSWER_S) -> Answer:
+        self.raise_if_lost()
+        changed = asyncio.Event()
+        query = Query(message, kind, within_s, changed.set)
+        self._core.ask(query, time.monotonic())
+        self._waiting.add(changed)
+        self._exchange_soon()
+        try:
+            async with asyncio.timeout(within_s + self._session.round_trip_s):
+                await changed.wait()
+            self.raise_if_lost()
+            return query.result
+        except TimeoutError:
+            raise TimedOut(f"the broker did not answer (waited {within_s:.1f} s)") from None
+        finally:
+            self._waiting.discard(changed)
+            self._core.forget(query)
 
     def _subscribe(self, endpoint: str, read: Callable[[Sequence[bytes]], Published]) -> AsyncIterator[Published]:
-        raw = subscribed(self._client.context, self._client.endpoints, endpoint)
-        return _each(raw, read)
+        return _each(subscribed(self._session.context, self._session.endpoints, endpoint), read)
 
-    async def _end(self) -> None:
-        self._closing = True
-        os.eventfd_write(self._waker, 1)
-        await asyncio.to_thread(self._thread.join)
-        os.close(self._waker)
+    def end(self, changed: asyncio.Event) -> None:
+        """Called by a command that has ended: nothing more is awaited."""
+        changed.set()
+        self._waiting.discard(changed)
 
-    # --- in the thread ------------------------------------------------------------------------------------
+    def _exchange_soon(self) -> None:
+        """After what is done now, so that requests of several tasks travel together."""
+        if self._soon is None:
+            self._soon = self._loop.call_soon(self._exchange)
 
-    def _serve(self, opened: asyncio.Future[threaded.Client]) -> None:
+    def _exchange(self) -> None:
+        """Send and take what is there. Again when a socket is readable, or after a silence."""
+        for due in (self._soon, self._later):
+            if due is not None:
+                due.cancel()
+        self._soon = self._later = None
         try:
-            client = threaded.Client(self._arguments, **self._options)
-        except Exception as error:  # raised where the client is opened
-            self._soon(_fail, opened, error)
-            return
-        client.wake_by(self._waker)
-        self._soon(_finish, opened, client)
-        with client:
-            while not self._closing:
-                while self._jobs:
-                    self._perform(client, *self._jobs.popleft())
-                try:
-                    client.receive_until(lambda: self._jobs or self._closing, None, "")
-                except RtcError as error:
-                    self._soon(self._lose, error)
-                    select.select([self._waker], [], [])
-                    os.eventfd_read(self._waker)
+            self._session.connection.exchange()
+            self._core.check()
+        except RtcError as error:
+            self._lost = error
+            for changed in self._waiting:
+                changed.set()
+        self._exchanged.set()
+        if self._lost is None and (wait_s := self._core.wait_s(time.monotonic())) < math.inf:
+            self._later = self._loop.call_later(wait_s, self._exchange)
 
-    def _perform(
-        self, client: threaded.Client, future: asyncio.Future[Any], job: Callable[[threaded.Client], Any]
-    ) -> None:
-        try:
-            result = job(client)
-        except Exception as error:  # raised where it was awaited
-            self._soon(_fail, future, error)
-        else:
-            self._soon(_finish, future, result)
+    def _call(self, function: Callable[[threaded.Client], Result]) -> Result:
+        if self._blocking_client is None:
+            options = {name: value for name, value in self._options.items() if name != "on_silence"}
+            self._blocking_client = threaded.Client(self._run_dir, need_broker=self._need_broker, **options)
+        return function(self._blocking_client)
 
-    def _lose(self, error: RtcError) -> None:
-        self._lost = error
-        for handle in self._handles:
-            handle.wake()
-
-    def _soon(self, function: Callable[..., object], *arguments: object) -> None:
-        """Call a function in the event loop; nothing if that has ended."""
-        if not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(function, *arguments)
+    def _close(self) -> None:
+        if self._blocking_client is not None:
+            self._blocking.submit(self._blocking_client.close)
+        self._blocking.shutdown()
+        self._session.close()
 
 
 async def _each(raw: zmq.Socket[bytes], read: Callable[[Sequence[bytes]], Published]) -> AsyncIterator[Published]:
@@ -318,13 +331,3 @@ async def _each(raw: zmq.Socket[bytes], read: Callable[[Sequence[bytes]], Publis
                 yield read(await socket.recv_multipart())
             except WireError:
                 continue  # of a newer version
-
-
-def _finish(future: asyncio.Future[Any], result: object) -> None:
-    if not future.done():
-        future.set_result(result)
-
-
-def _fail(future: asyncio.Future[Any], error: Exception) -> None:
-    if not future.done():
-        future.set_exception(error)

@@ -21,6 +21,7 @@ import zmq
 
 from rtc.client.connection import BrokerConnection
 from rtc.client.context import ClientContext
+from rtc.client.core import Query
 from rtc.client.first_order import RANK, Dealer, FirstOrder, NotConnected
 from rtc.language.fastpath import EVERYTHING, named_scope
 from rtc.protocol import messages as m
@@ -283,18 +284,14 @@ class HaltLine:
     def _trace(self, command: str) -> m.BrokerToClient | None:
         """Query a command over a connection of its own, as any thread may call `halt`; None without an answer."""
         name = f"asks-{uuid.uuid4().hex[:12]}"  # unique: the broker may still know the one before
-        query = m.TraceQuery(request=name, command=command)
-        limit_s = time.monotonic() + (FAR_ASK_S if self._far else ASK_S)
+        query = Query(m.TraceQuery(request=name, command=command), m.TraceReply, FAR_ASK_S if self._far else ASK_S)
+        limit_s = time.monotonic() + query.within_s
         front = BrokerConnection(self._context, self._endpoints, name)
-        try:
-            front.send(query.request, query)
-            while (left_s := limit_s - time.monotonic()) > 0:
-                answer = front.recv(left_s)
-                if isinstance(answer, m.TraceReply | m.Declined):
-                    return answer
-            return None
-        finally:
-            front.close()
+        front.core.ask(query, time.monotonic())
+        while query.answer is None and (left_s := limit_s - time.monotonic()) > 0:
+            front.step(left_s)
+        front.close()
+        return query.answer
 
     def _answers(self, socket: HaltSocket, order: m.HaltOrder) -> Iterator[m.FromHalt]:
         """The answers that have arrived, without those that are invalid, or late and of an earlier halt."""

@@ -1,58 +1,35 @@
 """Liveness of the broker as a client sees it: wait for a restart while the supervisor lives, else raise NoCluster.
 
-It knows the cluster's run directory and the supervisor's lock in it. It does not know messages.
+It does not know messages, and reads no file: whether the supervisor lives is passed in.
 """
 
 from __future__ import annotations
 
-import socket as unix
-from collections.abc import Callable, Iterable
-from pathlib import Path
+from collections.abc import Callable
 
 from rtc.protocol.outcomes import NoCluster
-from rtc.runtime.run_dir import supervised
-from rtc.runtime.settings import ENDPOINTS, SETTINGS, shell_command
 
 REPORT_AFTER = 2  # unanswered probes, two seconds each, before the user gets a message
 
 CONTINUE = "motions continue"
 
 Report = Callable[[str], None]
-
-
-def is_listening(run_dir: Path, endpoints: Iterable[str]) -> bool:
-    """True if a process listens on one of these sockets of a cluster, or its supervisor lives and will restart it."""
-    return any(_accepts(run_dir / ENDPOINTS[name]) for name in endpoints) or supervised(run_dir, by_hand=False)
-
-
-def not_running(run_dir: Path) -> NoCluster:
-    """The error for a directory where no process listens: a cluster has never been there, or has ended."""
-    was = (run_dir / SETTINGS).exists()
-    words = f"the cluster in {run_dir} no longer runs" if was else f"no cluster in {run_dir}"
-    return NoCluster(f"{words}; start one with: {shell_command('rtc up -d', run_dir)}")
-
-
-def _accepts(path: Path) -> bool:
-    with unix.socket(unix.AF_UNIX) as probe:
-        probe.settimeout(0.2)
-        try:
-            probe.connect(str(path))
-        except OSError:
-            return False
-        return True
+Supervised = Callable[[bool], bool]
 
 
 class BrokerLiveness:
     """State of one broker: answering or not. `report` gets a message when that changes.
 
-    `run_dir` is None for a cluster on another machine, whose supervisor lock cannot be read. `halts`: it halts the
-    commands of a client that it has lost.
+    `where`: the run directory, for people. `supervised`: whether the supervisor lives; its argument is the answer for a
+    cluster that was started by hand. None for a cluster on another machine, whose supervisor lock cannot be read.
+    `halts`: it halts the commands of a client that it has lost.
     """
 
-    def __init__(self, run_dir: Path | None, report: Report | None, halts: bool = False) -> None:
-        self._run_dir = run_dir
+    def __init__(
+        self, where: str = "", supervised: Supervised | None = None, report: Report | None = None, halts: bool = False
+    ) -> None:
+        self._where, self._supervised, self._report = where, supervised, report
         self._meanwhile = "it halts your commands after some seconds without a sign of you" if halts else CONTINUE
-        self._report = report
         self._reported = False  # that the broker does not answer
 
     def check(self, unanswered: int, replaced: bool = False, lost: bool = False) -> None:
@@ -63,13 +40,13 @@ class BrokerLiveness:
         """
         if replaced:
             raise NoCluster(
-                f"the cluster {f'in {self._run_dir} ' if self._run_dir else ''}is gone, and another one is in its "
+                f"the cluster {f'in {self._where} ' if self._supervised else ''}is gone, and another one is in its "
                 "place; commands that had not ended will not end. "
                 "Connect again, and submit them again if they are meant for this cluster"
             )
-        if unanswered and self._run_dir is not None and not supervised(self._run_dir):
+        if unanswered and self._supervised is not None and not self._supervised(True):
             raise NoCluster(
-                f"the cluster in {self._run_dir} is gone: its supervisor has ended, and all its processes with it; "
+                f"the cluster in {self._where} is gone: its supervisor has ended, and all its processes with it; "
                 "commands that had not ended will not end. Start a new cluster with: rtc up -d"
             )
         silent = lost or unanswered >= REPORT_AFTER
@@ -80,10 +57,20 @@ class BrokerLiveness:
             self._send("the broker answers again")
         self._reported = silent or (self._reported and unanswered > 0)
 
-    def restarting(self) -> None:
-        """Report that the broker was absent at the first connection and that its supervisor is there."""
-        self._send("the broker does not answer yet; waiting for it, because its supervisor is running")
+    def is_restarting(self) -> bool:
+        """Whether a broker that was absent at the first connection will come: its supervisor is there. Reports it."""
+        if self._supervised is None or not self._supervised(False):
+            return False
+        if not self._reported:
+            self._send("the broker does not answer yet; waiting for it, because its supervisor is running")
         self._reported = True
+        return True
+
+    def no_answer(self) -> NoCluster:
+        """The error of a broker that has not sent its first Welcome."""
+        return NoCluster(
+            f"no broker answers in {self._where}; look at `rtc status`, or start a cluster with: rtc up -d"
+        )
 
     def _send(self, words: str) -> None:
         if self._report is not None:

@@ -14,7 +14,7 @@ import msgspec
 import pytest
 import zmq
 
-from rtc.client import connection, halt
+from rtc.client import core, halt
 from rtc.client.client import Client
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import (
@@ -395,7 +395,7 @@ def test_a_client_of_the_same_name_has_requests_of_its_own(broker: SmallBroker, 
 
 def test_a_wait_ends_in_time_although_the_broker_is_long_away(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Given more to repeat than a queue holds, if it were repeated all the time."""
-    monkeypatch.setattr(connection, "SILENCE_S", 0.01)
+    monkeypatch.setattr(core, "SILENCE_S", 0.01)
     broker = SmallBroker(run_dir, accepting)
     rtc = Client(run_dir)
     first = rtc.submit("STOW LEFT-ARM 1")

@@ -8,24 +8,25 @@ from pathlib import Path
 
 import pytest
 
-from rtc.client import connection
+from rtc.client import core
 from rtc.client.client import Client
-from rtc.client.liveness import BrokerLiveness, supervised
+from rtc.client.liveness import BrokerLiveness
 from rtc.protocol.outcomes import NoCluster, OutcomeKind
+from rtc.runtime.run_dir import supervised
 from rtc.runtime.settings import LOCK, Settings
 from tests.client.test_client import SmallBroker, accepting, obliging
 
 
 @pytest.fixture
 def run_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(connection, "SILENCE_S", 0.05)  # of a client that asks more often
+    monkeypatch.setattr(core, "SILENCE_S", 0.05)  # of a client that asks more often
     Settings(run_dir=str(tmp_path)).save()
     return tmp_path
 
 
 def test_silence_and_its_end_are_reported_once(tmp_path: Path) -> None:
     reports: list[str] = []
-    liveness = BrokerLiveness(None, reports.append)
+    liveness = BrokerLiveness(report=reports.append)
 
     for unanswered in (0, 1, 2, 3, 1, 2, 0, 0, 1, 0):
         liveness.check(unanswered)
@@ -67,7 +68,7 @@ def test_a_broker_that_is_being_restarted_is_waited_for_from_the_start(
     run_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Given a supervisor and no broker, then the client comes to the one that is started meanwhile."""
-    monkeypatch.setattr(connection, "HELLO_S", 0.05)
+    monkeypatch.setattr(core, "HELLO_S", 0.05)
     started: list[SmallBroker] = []
 
     with open(run_dir / LOCK, "a") as lock:
@@ -79,7 +80,7 @@ def test_a_broker_that_is_being_restarted_is_waited_for_from_the_start(
 
 
 def test_a_broker_is_not_waited_for_when_its_supervisor_dies(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "HELLO_S", 0.05)
+    monkeypatch.setattr(core, "HELLO_S", 0.05)
 
     with open(run_dir / LOCK, "a") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

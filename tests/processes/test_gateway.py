@@ -22,7 +22,7 @@ import pytest
 import zmq
 
 from rtc.apps.demos.own_cluster import own_cluster
-from rtc.client import connection, halt
+from rtc.client import core, halt
 from rtc.client.client import Client
 from rtc.protocol import messages as m
 from rtc.protocol import wire
@@ -431,7 +431,7 @@ def test_the_refusal_of_an_unknown_key_has_advice(
     with pytest.raises(NoCluster, match="not the cluster of this key file"):
         Client(key=tmp_path / "wrong.key")
     other = KeyRing(tmp_path).new("bob", Role.OPERATOR, f"tcp://127.0.0.1:{free_ports()}", tmp_path / "unknown.key")
-    monkeypatch.setattr(connection, "REMOTE_HELLO_S", 0.3)  # nothing listens
+    monkeypatch.setattr(core, "REMOTE_HELLO_S", 0.3)  # nothing listens
     with pytest.raises(NoCluster, match="no answer from"):
         Client(key=tmp_path / "unknown.key")
 

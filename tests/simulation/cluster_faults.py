@@ -86,7 +86,7 @@ def _repeat(cluster: Cluster) -> None:
     """A client repeats all its requests without need."""
     client = cluster.random.choice(cluster.clients)
     cluster.log(f"{client.name} repeats all its requests")
-    client.repeat()
+    client.connected()
 
 
 def _stop_world(cluster: Cluster) -> None:

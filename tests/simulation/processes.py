@@ -10,13 +10,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-
+from rtc.client.core import ClientCore, SubmittedCommand
+from rtc.client.liveness import BrokerLiveness
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import ControlLaw
-from rtc.protocol.versions import ARRAYS, VERSION
+from rtc.protocol.versions import VERSION
 from rtc.subsystems.base.subsystem import BROKER, REPEAT_S
 from rtc.subsystems.motion.arm import HandCommand, Motion, Sample, Traits
 from rtc.subsystems.motion.subsystem import McmSubsystem
@@ -323,68 +323,73 @@ class Mcm:
 
 
 class Client:
-    """rtc/client/connection.py: hello, say open requests again to a new broker and after a silence, until the last
-    answer."""
+    """A real `ClientCore`, and its connection."""
 
-    PROBE_S = 2.0
+    LOOK_S = 0.5
+    key_refused = lost = is_slow = False
 
     def __init__(self, cluster: Cluster, name: str) -> None:
         self.cluster, self.name = cluster, name
-        self.open: dict[str, m.CommandText] = {}
         self.texts: dict[str, m.CommandText] = {}
         self.command_of: dict[str, str] = {}
         self.results: dict[str, m.CommandEnded | m.Declined] = {}
-        self._received_at_s = cluster.clock.now_s
-        self._met = 0
-        self.line = Dealer(cluster.clock, name.encode(), self._receive, self._connected)
+        self.handshakes = 0
+        self.core = ClientCore(name, self, BrokerLiveness(), cluster.clock.now_s, "simulated", False, 1 << 18)
+        self.line = Dealer(cluster.clock, name.encode(), self._receive, self.connected)
         cluster.attach("front", self.line)
-        self._send(m.ClientHello(protocol=VERSION, client=name, abilities=[ARRAYS]))
-        cluster.clock.after(self.PROBE_S, self._look)
+        self._send()
+        cluster.clock.after(self.LOOK_S, self._look)
+
+    @property
+    def is_up(self) -> bool:
+        return self.line.router is not None
+
+    def diagnose(self) -> str:
+        return ""
+
+    @property
+    def open(self) -> bool:
+        return self.texts.keys() != self.results.keys()
 
     def submit(self, text: str) -> None:
         request = f"{self.name}/{len(self.texts) + 1}"
-        sentence = m.CommandText(request=request, text=text, sent_at_s=self.cluster.clock.now_s, cluster="simulated")
-        self.texts[request] = self.open[request] = sentence
-        self._send(sentence)
+        sentence = m.CommandText(request=request, text=text, sent_at_s=self.cluster.clock.now_s)
+        self.texts[request] = sentence
+        self.core.submit(SubmittedCommand(text), sentence, self.cluster.clock.now_s)
+        self._send()
 
-    def repeat(self) -> None:
-        self._received_at_s = self.cluster.clock.now_s
-        self._send(m.ClientHello(protocol=VERSION, client=self.name, abilities=[ARRAYS]))
-        open_ones = [
-            msgspec.structs.replace(sentence, known_as=self.command_of.get(request, ""))
-            for request, sentence in self.open.items()
-        ]
-        for parts in wire.together(open_ones):
+    def connected(self) -> None:
+        """The first connection repeats nothing; every later one repeats what is open."""
+        self.handshakes += 1
+        self.core.connected(self.cluster.clock.now_s)
+        self._send()
+
+    def _send(self) -> None:
+        for parts in self.core.frames_to_send():
             self.line.send(parts)
 
-    def _send(self, message: m.ClientToBroker) -> None:
-        self.line.send(wire.frames(message))
-
-    def _connected(self) -> None:
-        self._met += 1
-        if self._met > 1:
-            self.repeat()
-
     def _look(self) -> None:
-        if self.cluster.over:
-            return
-        if self.open and self.cluster.clock.now_s - self._received_at_s > self.PROBE_S:
-            self.repeat()
-        self.cluster.clock.after(self.PROBE_S / 4, self._look)
+        if not self.cluster.over:
+            self.core.tick(self.cluster.clock.now_s)
+            self._send()
+            self.cluster.clock.after(self.LOOK_S, self._look)
 
     def _receive(self, parts: Frames) -> None:
-        self._received_at_s = self.cluster.clock.now_s
+        now_s = self.cluster.clock.now_s
         for message in read_client(parts):
-            self._take(message)
+            self._check(message)
+        self.core.receive(parts, now_s)
+        while self.core.take_next(now_s):
+            pass
+        self._send()
 
-    def _take(self, message: m.BrokerToClient) -> None:
+    def _check(self, message: m.BrokerToClient) -> None:
         match message:
             case m.Accepted():
                 before = self.command_of.setdefault(message.request, message.command)
                 if before != message.command:
                     self.cluster.wrong(f"{message.request} was accepted twice: {before}, {message.command}")
             case m.CommandEnded() | m.Declined():
-                self.open.pop(message.request, None)
                 known = self.results.setdefault(message.request, message)
                 if known != message:
                     self.cluster.wrong(f"{message.request} got two outcomes: {known}, {message}")

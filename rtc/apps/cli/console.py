@@ -15,11 +15,12 @@ from rich.text import Text
 from rtc.apps.cli.cluster_cell import cell_file
 from rtc.apps.cli.output import RunDir, With, cli_error
 from rtc.apps.cli.output import console as screen
-from rtc.client.client import Client, running_settings
+from rtc.client.client import Client
 from rtc.model.cells.cell import Cell
 from rtc.protocol.roles import Role
 from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.run_dir import running_settings
 from rtc.runtime.settings import default_run_dir
 
 PORT = 8400

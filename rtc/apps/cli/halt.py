@@ -17,9 +17,9 @@ from rtc.apps.cli.halt_words import confirmed, in_words, state_of
 from rtc.apps.cli.output import AsJson, RunDir, With, console, emit_json, errors, exits_with
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.client.halt import HALT_ENDPOINTS, HaltLine, HaltResult, SubsystemHalt, local_settings
-from rtc.client.liveness import is_listening, not_running
 from rtc.protocol.outcomes import NoCluster
 from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.run_dir import is_listening, not_running
 from rtc.runtime.settings import default_run_dir
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.output import RunDir, With, cli_error, console, duration_s
-from rtc.client.client import running_settings
 from rtc.runtime import process
 from rtc.runtime.extras import missing
 from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.run_dir import running_settings
 from rtc.runtime.settings import Settings, default_run_dir
 
 HERE = "127.0.0.1"

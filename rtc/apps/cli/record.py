@@ -14,10 +14,11 @@ from rich.text import Text
 
 from rtc.apps.cli.cluster_cell import cell_file
 from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, duration_s, emit_json, errors
-from rtc.client.client import Client, running_settings
+from rtc.client.client import Client
 from rtc.runtime import process
 from rtc.runtime.extras import missing
 from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.run_dir import running_settings
 from rtc.runtime.settings import Settings, default_run_dir
 
 

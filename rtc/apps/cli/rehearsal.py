@@ -13,8 +13,9 @@ from rich.text import Text
 from rtc.apps.cli import sentence_files
 from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_json, exit_code, exits_with
 from rtc.apps.cli.sentence_files import Line
-from rtc.client.client import Client, as_text
+from rtc.client.client import Client
 from rtc.client.rehearsing import digest_of, rehearse
+from rtc.client.session import as_text
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.rehearsal import Rehearsal

@@ -8,7 +8,8 @@ from functools import partial
 
 from rtc.apps.cli.progress import Board
 from rtc.apps.cli.sentence_files import Labels, Line
-from rtc.client.client import ANSWER_S, Client
+from rtc.client.client import Client
+from rtc.client.core import ANSWER_S
 from rtc.client.rehearsing import AboutTest, is_test
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import TimedOut

@@ -32,7 +32,8 @@ from rtc.apps.cli.progress import Board
 from rtc.apps.cli.sentence_files import Labels, Line
 from rtc.apps.cli.sentence_program import SentenceProgram
 from rtc.apps.cli.stdio import OutputClosed
-from rtc.client.client import Client, Source, as_text
+from rtc.client.client import Client
+from rtc.client.session import Source, as_text
 from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind, RequestDeclined

@@ -15,7 +15,7 @@ from rtc import __version__
 from rtc.apps.cli import inject
 from rtc.apps.cli.main import COMMANDS, main
 from rtc.apps.cli.programs import _loaded
-from rtc.client import connection
+from rtc.client import core
 from rtc.protocol.messages import ProgramLoaded, WorkerKind
 from rtc.runtime.process_table import in_words
 from rtc.runtime.settings import LOCK, Settings, shell_command
@@ -71,7 +71,7 @@ def test_a_check_of_a_program_needs_no_cluster(
 def test_a_status_that_no_broker_gives_the_supervisor_gives(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection, "RESTART_S", 0.1, raising=False)
+    monkeypatch.setattr(core, "RESTART_S", 0.1, raising=False)
     Settings(run_dir=str(tmp_path)).save()
     rows = [{"name": "broker", "pid": 7, "state": "starting", "restarts": 3, "since_s": 0.0, "node": None, "notes": []}]
     report = {"pid": 1, "cluster": "abc", "started_at": 0.0, "processes": rows}
