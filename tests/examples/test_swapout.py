@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,14 @@ def test_an_arm_is_judged_over_several_samples_however_quickly_the_broker_is_bac
     assert faults.judged_speed_rad_s(samples, struck_s=1.001, back_s=0.005) == 0.3
     assert faults.judged_speed_rad_s([*samples, (1.1, 0.01)], struck_s=1.001, back_s=0.005) == 0.01
     assert faults.judged_speed_rad_s([], struck_s=1.001, back_s=0.005) == 0.0
+
+
+def test_rtc_demo_becomes_the_program_of_the_example(tmp_path: Path):
+    program = "from rtc.apps.cli.entry import main; main()"
+    words = [sys.executable, "-c", program, "demo", "swapout", "--part", "insertoin"]
+    refused = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    assert refused.returncode == 2
+    assert "insertion" in refused.stderr
 
 
 @pytest.mark.slow

@@ -29,6 +29,7 @@ from rtc.runtime.settings import LOCK, Settings, shell_command
         ("demo grasp --speed abc", "--speed is a number above 0, or max; not abc"),
         ("demo grasp --speed 0", "--speed is a number above 0, or max; not 0"),
         ("demo graps", "did you mean grasp?"),
+        ("demo grasp --part insertion", "--test and --part are for the demo swapout, not for grasp"),
         ("up --speed inf", "--speed is a number above 0, or max; not inf"),
         ("up --speed nan", "--speed is a number above 0, or max; not nan"),
         ("up --speed=-1", "--speed is a number above 0, or max; not -1"),
