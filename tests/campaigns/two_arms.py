@@ -31,7 +31,7 @@ from sim_mcm.arms.bullet_arm import BulletCell
 from tests.campaigns import RESULTS, advice
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.one_process import OneProcess
-from workers.planning.motion.beside import SPACE_M, clear_from, course
+from workers.planning.motion.beside import SPACE_M, course, waits
 from workers.planning.motion.path import joint_line
 from workers.planning.motion.plan import find_joint_way
 from workers.planning.motion.request import PlanningRequest
@@ -98,7 +98,7 @@ def _crosses(starts: dict[str, Array], goals: dict[str, Array]) -> bool:
         return False
     check = MODEL.collision.compare_arms(*ARMS, AS_BUILT)
     courses = [course(line.trajectory(), reach) for line, reach in zip(lines, check.reaches, strict=True)]
-    return clear_from(check, courses[0], courses[1], SPACE_M) != 0.0
+    return waits(check, courses[0], courses[1], SPACE_M) != []
 
 
 def _possible(starts: dict[str, Array], goals: dict[str, Array]) -> bool:

@@ -25,7 +25,7 @@ from rtc.protocol.primitive import (
 )
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.refusals import refusal_of
-from workers.planning.motion.beside import SPACE_M, clear_from, course, space_of, start_conditions
+from workers.planning.motion.beside import SPACE_M, course, space_of, start_conditions, waits
 from workers.planning.motion.path import joint_line
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import time_path
@@ -79,7 +79,7 @@ def test_motions_with_spaces_apart_have_no_start_condition_and_those_that_meet_a
 
 @pytest.mark.skipif(not compiled(), reason="spaces are computed by the compiled kernel")
 def test_motions_with_spaces_apart_are_not_searched(monkeypatch):
-    monkeypatch.setattr("workers.planning.motion.beside.clear_from", None)
+    monkeypatch.setattr("workers.planning.motion.beside.waits", None)
     theirs = motion(RIGHT, at(RIGHT, -0.4), at(RIGHT, -0.3))
     mine = motion(LEFT, at(LEFT, 0.4), at(LEFT, 0.3), "C-2.1")
     assert conditions(msgspec.structs.replace(mine, space_mm=space(mine)), theirs) == []
@@ -122,8 +122,9 @@ def test_no_posture_of_a_motion_meets_what_the_other_has_before_it(seed):
     theirs = motion(RIGHT, at(RIGHT, y[2]), at(RIGHT, -0.4 - y[3])).trajectory
     check = MODEL.collision.compare_arms(LEFT, RIGHT, SCENE)
     courses = [course(path, reach) for path, reach in zip((mine, theirs), check.reaches, strict=True)]
-    free_s = clear_from(check, courses[0], courses[1], SPACE_M)
-    assert free_s is not None
+    found = waits(check, courses[0], courses[1], SPACE_M)
+    assert found is not None
+    free_s = max((wait.until_s for wait in found), default=0.0)
     for _ in range(300):
         one = _at(mine, random.uniform(0.0, mine.duration_s))
         other = _at(theirs, random.uniform(free_s, theirs.duration_s))

@@ -183,15 +183,6 @@ def _in_the_way(arm: str, other: Primitive, their: str) -> Refusal:
     )
 
 
-def clear_from(check: SeparationCheck, mine: TimedPostures, theirs: TimedPostures, clearance_m: float) -> float | None:
-    """The time on their course (s) from which on the rest of it is clear of all of mine: 0 if all of it is.
-
-    None: their end is not clear of my path.
-    """
-    found = waits(check, mine, theirs, clearance_m)
-    return None if found is None else max((wait.until_s for wait in found), default=0.0)
-
-
 def waits(
     check: SeparationCheck, mine: TimedPostures, theirs: TimedPostures, clearance_m: float, cuts: int = 1
 ) -> list[Wait] | None:
