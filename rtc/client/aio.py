@@ -20,7 +20,7 @@ import contextlib
 import math
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
@@ -171,10 +171,10 @@ class Client:
     async def submit(self, text: str, **how: Any) -> CommandHandle:
         """Submit one sentence; its handle, after the cluster has journalled it. `how`: as in `rtc.Client.submit`.
 
-        Raises RequestDeclined if the cluster does not accept it.
+        Raises RequestDeclined if the cluster does not accept it, TimedOut if it does not answer.
         """
         handle = self._begin(text, **how)
-        await handle.wait_for_answer()
+        await self._within(ANSWER_S, "the sentence was not accepted", handle.wait_for_answer())
         return handle
 
     async def run(self, text: str, timeout_s: float | None = None, **how: Any) -> m.CommandEnded:
@@ -270,15 +270,19 @@ class Client:
         self._waiting.add(changed)
         self._exchange_soon()
         try:
-            async with asyncio.timeout(within_s + self._session.round_trip_s):
-                await changed.wait()
+            await self._within(within_s, "the broker did not answer", changed.wait())
             self.raise_if_lost()
             return query.result
-        except TimeoutError:
-            raise TimedOut(f"the broker did not answer (waited {within_s:.1f} s)") from None
         finally:
             self._waiting.discard(changed)
             self._core.forget(query)
+
+    async def _within(self, seconds: float, otherwise: str, waiting: Awaitable[object]) -> None:
+        """Wait, and for the round trip in addition. Raises TimedOut with the text `otherwise`."""
+        try:
+            await asyncio.wait_for(waiting, seconds + self._session.round_trip_s)
+        except TimeoutError:
+            raise TimedOut(f"{otherwise} (waited {seconds:.1f} s)") from None
 
     def _subscribe(self, endpoint: str, read: Callable[[Sequence[bytes]], Published]) -> AsyncIterator[Published]:
         return _each(subscribed(self._session.context, self._session.endpoints, endpoint), read)

@@ -217,8 +217,10 @@ class ClientCore:
 
     def frames_to_send(self) -> list[list[bytes]]:
         """The frames to send now, in this order; each is given once."""
-        found, self._frames = self._frames + together(self._parts), []
-        self._parts.clear()
+        found, self._frames = self._frames, []
+        if self._parts:
+            found += together(self._parts)
+            self._parts.clear()
         return found
 
     def queue_is_full(self) -> None:

@@ -7,7 +7,7 @@ import webbrowser
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.text import Text
@@ -17,6 +17,7 @@ from rtc.apps.cli.output import RunDir, With, cli_error
 from rtc.apps.cli.output import console as screen
 from rtc.client.client import Client
 from rtc.model.cells.cell import Cell
+from rtc.protocol import messages as m
 from rtc.protocol.roles import Role
 from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
@@ -61,12 +62,15 @@ def console(
 
 def _serve(port: int, role: Role, browse: bool, run_dir: Path, key: Path | None) -> None:
     from rtc.apps.console import gateway
+    from rtc.client import aio
 
     endpoints: Endpoints = KeyFile.load(key) if key else running_settings(run_dir)
     role = endpoints.role if isinstance(endpoints, KeyFile) else role
-    connect = partial(Client, run_dir, name="console", key=key)
-    with connect() as client:
+    how: dict[str, Any] = {"name": "console", "key": key}
+    with Client(run_dir, **how) as client:
         cell = _cell_of(client)
+        grammar = client.program(m.WorkerKind.PARSER).body.decode()
+        round_trip_s = client.round_trip_s
     process.log_to_stderr(logging.WARNING)
     try:
         listening = gateway.listen(PORT if port == ANY else port, others=port == ANY)
@@ -74,7 +78,8 @@ def _serve(port: int, role: Role, browse: bool, run_dir: Path, key: Path | None)
         words = f"port {port} cannot be used: {error.strerror or error}; choose another, or --port 0"
         raise cli_error(words, 2) from None
     with process.start("rtc console", Path()) as me, listening:
-        given = gateway.ConsoleOptions(endpoints, connect, cell, role)
+        make_client = partial(aio.Client, run_dir, **how)
+        given = gateway.ConsoleOptions(endpoints, make_client, cell, grammar, role, round_trip_s)
         gateway.serve(me, given, listening, partial(_opened, browse))
 
 

@@ -24,19 +24,18 @@ import uvicorn
 from rtc.apps.console import halt_door, token
 from rtc.apps.console.access import Access
 from rtc.apps.console.camera_pictures import CameraPictures
-from rtc.apps.console.desk import Desk
 from rtc.apps.console.halt_door import HaltDoor, take_connections
 from rtc.apps.console.halts import Halts
 from rtc.apps.console.hub import Hub
 from rtc.apps.console.paced import PacedSocket, configured, taker
+from rtc.apps.console.reopened import ReopenedClient
 from rtc.apps.console.server import Console
 from rtc.apps.console.truth import TruthReader
 from rtc.apps.observers.feed import Feed
-from rtc.client.client import Client
+from rtc.client import aio
 from rtc.language.parse import Grammar
 from rtc.model.cells.cell import Cell
-from rtc.protocol import messages as m
-from rtc.protocol.outcomes import ClusterError, RtcError
+from rtc.protocol.outcomes import ClusterError
 from rtc.protocol.roles import Role
 from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
@@ -48,7 +47,6 @@ HOST = "127.0.0.1"
 NICENESS = -5
 TICK_S = 0.05
 WAIT_S = 0.25
-READ_AGAIN = 20  # commands before the start of the gateway that are shown
 START_S = 10.0
 
 
@@ -56,9 +54,11 @@ class ConsoleOptions(NamedTuple):
     """What `rtc console` was called with."""
 
     endpoints: Endpoints
-    connect: Callable[[], Client]
+    make_client: Callable[[], aio.Client]
     cell: Cell
+    grammar: str
     role: Role
+    round_trip_s: float  # to the cluster
 
 
 def listen(port: int, others: bool) -> sockets.socket:
@@ -84,14 +84,14 @@ def serve(me: Process, given: ConsoleOptions, listening: sockets.socket, opened:
     access = Access(port, secret, given.role)
     process.nice(NICENESS)  # a person looks at its pages while workers compute
     process.nice_session(NICENESS)
-    with _parts(given, access) as (console, hub, questions, round_trip_s):
-        door = HaltDoor(_for_halts(given, access, round_trip_s), listening)
-        web = _Web(console.app(), door.channel, hub)
-        reader = _reader(settings, hub, web)
+    with _parts(given, access) as console:
+        door = HaltDoor(_for_halts(given, access), listening)
+        web = _Web(console, door.channel)
+        reader = _reader(settings, console.hub, web)
         try:
             web.start()
             opened(f"http://{HOST}:{port}/#{access.token}")
-            _follow(me, Feed(me, given.endpoints, world=True), hub, web, questions, door)
+            _follow(me, Feed(me, given.endpoints, world=True), console.hub, web, door)
         finally:
             if reader is not None:
                 reader.close()
@@ -99,39 +99,30 @@ def serve(me: Process, given: ConsoleOptions, listening: sockets.socket, opened:
             door.close()
 
 
-def _for_halts(given: ConsoleOptions, access: Access, round_trip_s: float) -> halt_door.HaltDoorOptions:
+def _for_halts(given: ConsoleOptions, access: Access) -> halt_door.HaltDoorOptions:
     arms = [arm.name for arm in given.cell.arms]
-    stated = halt_door.HaltDoorOptions(access=access, arms=arms, round_trip_s=round_trip_s)
+    stated = halt_door.HaltDoorOptions(access=access, arms=arms, round_trip_s=given.round_trip_s)
     if isinstance(given.endpoints, KeyFile):
         return msgspec.structs.replace(stated, key=given.endpoints)
     return msgspec.structs.replace(stated, settings=given.endpoints)
 
 
 @contextlib.contextmanager
-def _parts(given: ConsoleOptions, access: Access) -> Iterator[tuple[Console, Hub, Desk, float]]:
-    """What pages use: desks with clients, halt lines, pictures. Also the round trip to the cluster (s)."""
+def _parts(given: ConsoleOptions, access: Access) -> Iterator[Console]:
+    """What answers pages, with its halt lines and pictures."""
     endpoints = given.endpoints
-    sentences, questions = Desk("sentences", given.connect), Desk("questions", given.connect)
-    halts: Halts | None = None
-    settings = endpoints if isinstance(endpoints, Settings) else None
-    pictures = CameraPictures(settings.cell) if settings is not None else None
+    pictures = CameraPictures(endpoints.cell) if isinstance(endpoints, Settings) else None
+    halts = Halts(endpoints, [arm.name for arm in given.cell.arms], given.round_trip_s)
+    hello: dict[str, Any] = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
+    hello |= {"delay_s": 0.5 * given.round_trip_s} if endpoints.far else {}
+    hub = Hub(given.cell, now_s, hello)
+    client, grammar = ReopenedClient(given.make_client), Grammar(given.grammar)
     try:
-        with given.connect() as client:
-            grammar = Grammar(client.program(m.WorkerKind.PARSER).body.decode())
-            round_trip_s, far = client.round_trip_s, client.far
-        halts = Halts(endpoints, [arm.name for arm in given.cell.arms], round_trip_s)
-        hello: dict[str, Any] = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
-        hello |= {"delay_s": 0.5 * round_trip_s} if far else {}
-        hub = Hub(given.cell, now_s, hello)
-        console = Console(hub, access, halts, sentences, questions, grammar, pictures, endpoints)
-        yield console, hub, questions, round_trip_s
+        yield Console(hub, access, halts, client, grammar, pictures, endpoints)
     finally:
         if pictures is not None:
             pictures.close()
-        sentences.close()
-        questions.close()
-        if halts is not None:
-            halts.close()
+        halts.close()
 
 
 def _where(endpoints: Endpoints) -> str:
@@ -141,8 +132,10 @@ def _where(endpoints: Endpoints) -> str:
 class _Web:
     """The thread that serves pages. `call` runs a function in its event loop."""
 
-    def __init__(self, app: Any, channel: sockets.socket, hub: Hub) -> None:
-        self._server, self._channel, self._hub = uvicorn.Server(configured(app, PacedSocket)), channel, hub
+    def __init__(self, console: Console, channel: sockets.socket) -> None:
+        self._server, self._channel = uvicorn.Server(configured(console.app(), PacedSocket)), channel
+        self._console = console
+        self._reading: set[asyncio.Task[None]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._started = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="pages", daemon=True)
@@ -171,11 +164,18 @@ class _Web:
             await self._server.serve(sockets=[])  # it listens nowhere: connections are handed over
         finally:
             ticking.cancel()
+            await self._console.close()
 
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(TICK_S)
-            self._hub.tick()
+            self._console.hub.tick()
+
+    def read_records(self, live: bool) -> None:
+        """Called in the event loop."""
+        task = asyncio.create_task(self._console.read_records(live))
+        self._reading.add(task)
+        task.add_done_callback(self._reading.discard)
 
 
 def _reader(settings: Settings | None, hub: Hub, web: _Web) -> TruthReader | None:
@@ -189,10 +189,10 @@ def _reader(settings: Settings | None, hub: Hub, web: _Web) -> TruthReader | Non
     )
 
 
-def _follow(me: Process, feed: Feed, hub: Hub, web: _Web, questions: Desk, door: HaltDoor) -> None:
+def _follow(me: Process, feed: Feed, hub: Hub, web: _Web, door: HaltDoor) -> None:
     """Raises ClusterError if the process for halts has ended."""
-    _read_again(hub, web, questions, _latest)
     lost = 0
+    web.call(web.read_records, False)
     while not me.stopping and not feed.over():
         if door.ended:
             raise ClusterError("the console ends, because its process for halts has; start rtc console again")
@@ -201,24 +201,4 @@ def _follow(me: Process, feed: Feed, hub: Hub, web: _Web, questions: Desk, door:
         if feed.lost > lost:
             web.call(hub.story.take_lost, feed.lost - lost, now_s())
             lost = feed.lost
-            _read_again(hub, web, questions, functools.partial(_these, list(hub.story.live)))
-
-
-def _read_again(hub: Hub, web: _Web, questions: Desk, which: Callable[[Client], list[str]]) -> None:
-    """Let the records of these commands be read, in the thread of the questions."""
-
-    def read(client: Client) -> None:
-        for command in which(client):
-            with contextlib.suppress(RtcError):
-                web.call(hub.story.take_record, client.trace(command))
-
-    questions.submit(read)
-
-
-def _these(commands: list[str], _: Client) -> list[str]:
-    return commands
-
-
-def _latest(client: Client) -> list[str]:
-    last = client.status().commands_accepted
-    return [f"C-{n}" for n in range(max(1, last - READ_AGAIN + 1), last + 1)]
+            web.call(web.read_records, True)

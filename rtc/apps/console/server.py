@@ -16,6 +16,7 @@ The socket /halt is in a process of its own (`halt_door`).
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 from collections.abc import Awaitable, Coroutine
 from pathlib import Path
@@ -33,13 +34,13 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from rtc.apps.console.access import Access, body, objects
 from rtc.apps.console.admission import Admission, same
 from rtc.apps.console.camera_pictures import CameraPictures
-from rtc.apps.console.desk import Desk
 from rtc.apps.console.halts import Halts
 from rtc.apps.console.hub import Hub
 from rtc.apps.console.operating import OperatorStream
 from rtc.apps.console.pages import FrameSlot, Mailbox
+from rtc.apps.console.reopened import ReopenedClient
 from rtc.apps.console.sentences import check
-from rtc.client.client import Client
+from rtc.client.aio import CommandHandle
 from rtc.drawing.scene import true_scene
 from rtc.language.fastpath import halt_scope
 from rtc.language.parse import Grammar
@@ -52,26 +53,25 @@ from rtc.wording.commands import why
 NOT_HERE = 4404  # close code of a socket
 STATIC = Path(__file__).parent / "static"
 TRUTH_S, TRUTH_LOOKS = 0.1, 30  # a picture waits for a true scene that is new
+READ_AGAIN = 20  # commands before the start of the gateway that are shown
 CHARACTERS = 4000  # of a sentence that is checked while it is typed
 
 
 class Console:
-    """Answers pages. `sentences` and `questions`: threads with clients of their own."""
+    """Answers pages. `client`: that of all pages."""
 
     def __init__(
         self,
         hub: Hub,
         access: Access,
         halts: Halts,
-        sentences: Desk,
-        questions: Desk,
+        client: ReopenedClient,
         grammar: Grammar,
         pictures: CameraPictures | None,
         endpoints: Endpoints,
     ) -> None:
         self.hub, self._access, self._halts = hub, access, halts
-        self._sentences, self._questions = sentences, questions
-        self._grammar, self._pictures, self._endpoints = grammar, pictures, endpoints
+        self._client, self._grammar, self._pictures, self._endpoints = client, grammar, pictures, endpoints
         self._operators = itertools.count(1)
         self._names = hub.names()
 
@@ -124,9 +124,24 @@ class Console:
         return JSONResponse(check(self._grammar, text, place, self._names))
 
     async def _chain(self, request: Request) -> Response:
-        command = request.path_params["command"]
-        record = await _or_refusal(self._questions.ask(lambda client: client.trace(command)))
+        record = await _or_refusal(self._trace(request.path_params["command"]))
         return JSONResponse({"lines": why(record)} if isinstance(record, m.CommandRecord) else record)
+
+    async def _trace(self, command: str) -> m.CommandRecord:
+        return await (await self._client.take()).trace(command)
+
+    async def read_records(self, live: bool) -> None:
+        """Let the story take the records of live commands anew; otherwise those of the latest."""
+        with contextlib.suppress(RtcError):
+            last = (await (await self._client.take()).status()).commands_accepted
+            latest = [f"C-{n}" for n in range(max(1, last - READ_AGAIN + 1), last + 1)]
+            for command in list(self.hub.story.live) if live else latest:
+                with contextlib.suppress(RequestDeclined):
+                    self.hub.story.take_record(await self._trace(command))
+
+    async def close(self) -> None:
+        """In the event loop of the pages."""
+        await self._client.close()
 
     async def _picture(self, request: Request) -> Response:
         camera = request.path_params["camera"]
@@ -155,20 +170,19 @@ class Console:
         if refused := self._access.refuses("front", m.CommandText):
             return JSONResponse(_refused(refused))
 
-        def submit(client: Client) -> dict[str, str]:
-            handle = client.submit(text, on_progress=self._take_report, if_tested=tested)
-            return {"command": handle.number}
+        answer = await _or_refusal(self._submit(text, tested))
+        if not isinstance(answer, CommandHandle):
+            return JSONResponse(answer)
+        self.hub.take_of_page(answer.number)
+        return JSONResponse({"command": answer.number})
 
-        self._loop = asyncio.get_running_loop()
-        answer = await _or_refusal(self._sentences.ask(submit))
-        if "command" in answer:
-            self.hub.take_of_page(answer["command"])
-        return JSONResponse(answer)
+    async def _submit(self, text: str, tested: str) -> CommandHandle:
+        return await (await self._client.take()).submit(text, on_progress=self._take_report, if_tested=tested)
 
     def _take_report(self, note: m.ProgressNote) -> None:
-        """A report of EVERY or WHEN, which the event stream lacks. In the thread of the sentences."""
+        """A report of EVERY or WHEN, which the event stream lacks."""
         if note.seq == 0:
-            self._loop.call_soon_threadsafe(self.hub.story.take, note)
+            self.hub.story.take(note)
 
     async def _halt(self, request: Request) -> Response:
         given = await body(request)
