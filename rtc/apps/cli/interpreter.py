@@ -19,7 +19,6 @@ from prompt_toolkit.patch_stdout import patch_stdout
 from rich.text import Text
 
 from rtc.apps.cli import log, names, trace, world
-from rtc.apps.cli.background import Background
 from rtc.apps.cli.halt import halt_by
 from rtc.apps.cli.language import in_one_line
 from rtc.apps.cli.live_state import ASK_S, LiveState, in_words
@@ -56,8 +55,8 @@ def interpret(run_dir: Path | None, key: Path | None = None) -> None:
     with Client(run_dir, on_silence=show_silence, key=key) as rtc:
         history = FileHistory(str(key.with_suffix(".history") if key else Path(rtc.run_dir) / "history"))
         console.print(f"cluster in {rtc.where}; help for help, Ctrl-D leaves")
-        with _background(run_dir, key) as background, LiveState(run_dir, key) as live:
-            shell = Shell(rtc, background)
+        with _live_state(run_dir, key) as live:
+            shell = Shell(rtc, live)
             session: PromptSession[str] = PromptSession(
                 history=history,
                 completer=Sentences(_names(rtc, shell, live), shell.grammar),
@@ -72,8 +71,8 @@ def interpret(run_dir: Path | None, key: Path | None = None) -> None:
 
 def obey_lines(lines: Iterable[str], run_dir: Path | None, key: Path | None = None) -> None:
     """Execute a program of sentences (`rtc shell < file`), without a prompt. Raises NoCluster."""
-    with Client(run_dir, on_silence=show_silence, key=key) as rtc, _background(run_dir, key) as background:
-        shell = Shell(rtc, background)
+    with Client(run_dir, on_silence=show_silence, key=key) as rtc, _live_state(run_dir, key) as live:
+        shell = Shell(rtc, live)
         for n, line in enumerate(map(str.strip, lines), 1):
             if line.lower() in LEAVE:
                 break
@@ -84,13 +83,11 @@ def obey_lines(lines: Iterable[str], run_dir: Path | None, key: Path | None = No
 
 
 @contextmanager
-def _background(run_dir: Path | None, key: Path | None) -> Iterator[Background]:
-    background = Background(run_dir, key, _print_end)
-    try:
-        yield background
-    finally:
-        if left := background.close():
-            console.print(f"left running: {', '.join(left)}; rtc status")
+def _live_state(run_dir: Path | None, key: Path | None) -> Iterator[LiveState]:
+    with LiveState(run_dir, key, _print_end) as live:
+        yield live
+    if live.watched:
+        console.print(f"left running: {', '.join(live.watched)}; rtc status")
 
 
 def _print_end(record: m.CommandRecord) -> None:
@@ -141,8 +138,8 @@ def _read(session: PromptSession[str]) -> str | None:
 class Shell:
     """Obeys one line after the other. Errors are printed, and the next line is read."""
 
-    def __init__(self, rtc: Client, background: Background) -> None:
-        self._rtc, self._background = rtc, background
+    def __init__(self, rtc: Client, live: LiveState) -> None:
+        self._rtc, self._live = rtc, live
         self._labels = Labels()
         self._grammar: tuple[str, Grammar] = ("", default_grammar())  # with the digest of the cluster's
         self.halted = False  # whether a command that it waited for was halted
@@ -187,7 +184,7 @@ class Shell:
             self._echo(text)
             command = self._rtc.submit(text, progress=False).number
             console.print(Text(f"{command} accepted"))
-            self._background.watch(command)
+            self._live.watched.append(command)
         else:
             self._echo(text)
             ended = _run(self._rtc, text, line.label)

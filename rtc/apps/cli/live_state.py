@@ -1,21 +1,22 @@
 """The state of a cluster while the shell waits for a line: a thread asks for it, the toolbar and completion read it.
 
-It has a client of its own, because a client belongs to one thread.
+It also reports the ends of commands sent with `&`. It has a client of its own, because a client belongs to one thread,
+and asks instead of receiving events, so that nothing is missed while a broker restarts.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rtc.client.client import Client
 from rtc.model.cells import taught
-from rtc.protocol.messages import CommandRow, Status
-from rtc.protocol.outcomes import RtcError
+from rtc.protocol.messages import CommandRecord, CommandRow, Status
+from rtc.protocol.outcomes import NoCluster, RtcError
 
-ASK_S = 0.5  # pause between two questions
+ASK_S = 0.25  # pause between two questions
 COMMANDS_SHOWN = 3
 
 Words = list[tuple[str, str]]  # of the toolbar: style, text
@@ -44,11 +45,15 @@ class Live(NamedTuple):
 
 
 class LiveState:
-    """Context manager. `now`: the latest state; any thread may read it."""
+    """Context manager. `now`: the latest state; any thread may read it. `watched`: commands in progress whose end will
+    be reported, by a call of `report` in the thread."""
 
-    def __init__(self, run_dir: Path | None, key: Path | None) -> None:
-        self._run_dir, self._key = run_dir, key
+    def __init__(
+        self, run_dir: Path | None, key: Path | None, report: Callable[[CommandRecord], None] = lambda record: None
+    ) -> None:
+        self._run_dir, self._key, self._report = run_dir, key, report
         self.now = Live()
+        self.watched: list[str] = []
         self._left = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
@@ -57,6 +62,7 @@ class LiveState:
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Report once more what has ended."""
         self._left.set()
         self._thread.join()
 
@@ -66,6 +72,8 @@ class LiveState:
                 with Client(self._run_dir, key=self._key) as rtc:
                     self._follow(rtc)
             except RtcError as error:
+                if isinstance(error, NoCluster):
+                    self.watched.clear()
                 self.now = self.now._replace(trouble=str(error))
                 self._left.wait(ASK_S)
 
@@ -78,7 +86,18 @@ class LiveState:
             version = view.version
             facts = facts | {fact.key: fact.value for fact in view.facts}
             self.now = Live(rtc.status(), facts)
+            self._report_ended(rtc)
             self._left.wait(ASK_S)
+        if self.watched:
+            self.now = Live(rtc.status(), facts)
+            self._report_ended(rtc)
+
+    def _report_ended(self, rtc: Client) -> None:
+        for command in [command for command in self.watched if command not in self.now.commands]:
+            record = rtc.trace(command)
+            if record.outcome is not None:  # else there are more live commands than a status shows, or it is newer
+                self.watched.remove(command)
+                self._report(record)
 
 
 def in_words(live: Live) -> Words:
