@@ -48,6 +48,7 @@ from examples.swapout import lines as demo_lines
 from examples.swapout import swapout
 from rtc.model.cells.cell import Cell
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from tests.campaigns import advice
 from tests.campaigns.advice import Answer
 from tests.campaigns.against_truth import judge
@@ -187,7 +188,7 @@ class Trial:
         if not last.succeeded:
             last = self._follow(text, last)
         if not last.succeeded:
-            self.run.line, self.run.cause, self.run.advice = label, last.message, last.clears
+            self.run.line, self.run.cause, self.run.advice = label, last.message, in_one_line(last.clears)
         return last.succeeded
 
     def _follow(self, text: str, answer: Answer) -> Answer:
@@ -196,7 +197,7 @@ class Trial:
         def say(sentence: str) -> Answer:
             nonlocal last
             if sentence.startswith("SET "):
-                return Answer(False, "only a person who looks can state a pose", "")
+                return Answer(False, "only a person who looks can state a pose")
             last = self._say(sentence)
             return last
 

@@ -209,11 +209,10 @@ class Trial:
         return done
 
     def _repaired(self, sentence: str, done: Run) -> bool:
-        """Whether the first step of the advice, and then the sentence again, succeed."""
-        advised = advice.steps(Answer.of(done).clears, sentence, self._truth)
-        first = advised[0] if advised else []
-        return any(self._do(one).succeeded for one in first[:1]) and (
-            first[0] == sentence or self._do(sentence).succeeded
+        """Whether the first sentence of the advice, and then the sentence again, succeed."""
+        advised = advice.first(Answer.of(done).clears, sentence, self._truth)[:1]
+        return any(self._do(one).succeeded for one in advised) and (
+            advised == [sentence] or self._do(sentence).succeeded
         )
 
     def _truth(self) -> dict[str, Any]:

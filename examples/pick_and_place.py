@@ -4,6 +4,7 @@ Needs a running cluster: rtc up -d
 """
 
 from rtc import Client, NotSucceeded
+from rtc.wording.advice import in_one_line
 
 TASK = [
     "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A",
@@ -21,7 +22,8 @@ def main() -> None:
                 ended = rtc.run(sentence).raise_for_outcome()
             except NotSucceeded as error:
                 refusal = error.outcome.refusal
-                raise SystemExit(f"{error}\nto clear it: {refusal.clears if refusal else 'see rtc why'}") from None
+                advice = in_one_line(refusal.clears) if refusal else ""
+                raise SystemExit(f"{error}\nto clear it: {advice or 'see rtc why'}") from None
             print(f"{ended.command}  {ended.took_s:5.1f} s  {sentence}")
 
 

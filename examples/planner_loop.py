@@ -1,13 +1,13 @@
 """A planner in forty lines: it has goals, methods for each, and a report for every sentence.
 
 A method is tested before it is done (`rtc.test`): one that is not feasible costs no motion. If a sentence fails in
-spite of its test, what would clear it is tried once. Then the next method follows.
+spite of its test, the first advice with sentences is followed once. Then the next method follows.
 Needs a running cluster: rtc up -d
 """
 
 from dataclasses import dataclass
 
-from rtc import Client, OutcomeKind
+from rtc import Client, Outcome, OutcomeKind
 
 DONE = OutcomeKind.SUCCEEDED
 
@@ -31,13 +31,20 @@ GOALS = [
 ]
 
 
+def advice(outcome: Outcome) -> list[str]:
+    """The sentences of the first alternative that a machine can do: none in which a person looks and states facts."""
+    options = outcome.refusal.clears if outcome.refusal else []
+    return next((one.sentences for one in options if one.sentences and not one.states and not one.instead), [])
+
+
 def perform(rtc: Client, sentences: list[str]) -> bool:
     """Whether all sentences have succeeded; what would clear a failure is tried once for each."""
     for sentence in sentences:
         outcome = rtc.run(sentence).outcome
-        if outcome.kind is not DONE and outcome.refusal and outcome.refusal.clears:
-            print(f"    {outcome.message}\n    clearing it: {outcome.refusal.clears}")
-            rtc.run(outcome.refusal.clears)
+        if outcome.kind is not DONE and (advised := advice(outcome)):
+            print(f"    {outcome.message}\n    clearing it: {', then '.join(advised)}")
+            for one in advised:
+                rtc.run(one)
             outcome = rtc.run(sentence).outcome
         print(f"    {outcome.kind.value}: {sentence}")
         if outcome.kind is not DONE:

@@ -54,6 +54,7 @@ from broker.decisions.events import (
 )
 from broker.decisions.state import Command, PendingJob, PendingOutcome, State, request_key
 from rtc.language.fastpath import halt_scope
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import Accepted, Declined, HaltOrder, NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
 from rtc.protocol.primitive_id import command_of
@@ -156,7 +157,7 @@ def _refusal_of(context: DecisionContext, event: CommandReceived, halt: str | No
         count = state.counts["declined"]
         halt_request.order(context, HaltOrder(halt=f"declined-{count}", scope=halt, called_at_s=context.now))
         message = f"{halt} is halted, but rest is not confirmed: {message}"
-    return Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
+    return Refusal(reason=RefusalReason.OVERLOAD, message=message, clears=by_person("wait until some have ended"))
 
 
 def _accept(context: DecisionContext, event: CommandReceived) -> Command:

@@ -12,6 +12,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import PublishNote
 from broker.decisions.events import JournalLost, Stimulus
 from broker.decisions.state import Command, PendingOutcome, State
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import CommandText, NoteKind, Phase, ProgressNote
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 
@@ -48,7 +49,7 @@ def unknown_number(state: State, sentence: CommandText) -> Refusal | None:
     else:
         message = f"no command was accepted as {sentence.known_as[:40]}; nothing is begun"
         clears = "leave known_as out: the sentence is then a new command"
-    return Refusal(reason=RefusalReason.STATE, message=message, where="known_as", clears=clears)
+    return Refusal(reason=RefusalReason.STATE, message=message, where="known_as", clears=by_person(clears))
 
 
 def number_of(name: str) -> int:

@@ -14,6 +14,7 @@ import msgspec
 
 from broker.decisions.resources import Resources
 from rtc.programs.action_stack import ActionStack
+from rtc.protocol.advice import Advice
 from rtc.protocol.messages import Breakpoint, OperatorAnswer, Phase, PictureTime, ProgressNote, SavedWorld, WorkerKind
 from rtc.protocol.outcomes import Compared, Measured, OutcomeKind, Refusal, StopReason
 from rtc.protocol.primitive import Box
@@ -47,6 +48,7 @@ class ParsedHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     hand: str | None = None
     to_hand: str | None = None
     object: str | None = None
+    attribute: str | None = None
     target: str | None = None
     after: str | None = None
     together_with: str | None = None
@@ -107,7 +109,7 @@ class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"
     trim: int = 0
     further: tuple[int, ...] = ()
     keep: dict[str, msgspec.Raw] = {}
-    clears: str = ""
+    clears: Advice = []
     by_operator: str = ""
     remark: str = ""
     compared: Compared | None = None
@@ -486,9 +488,9 @@ class Advised(msgspec.Struct):
     """What a sentence without success was advised."""
 
     command: str
-    clears: str
+    clears: Advice
     """By the workers."""
-    words: str
+    left: Advice
     """What is left of that."""
     in_vain: bool
     """Whether the sentence would end so again."""

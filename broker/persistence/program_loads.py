@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 from broker.decisions.effects import LoadPart
 from broker.persistence.program_store import ProgramStore, StoredProgram
 from rtc.programs.sandbox import CheckRequest, CheckResult, check
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import ProgramText
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
@@ -61,7 +62,9 @@ class ProgramLoads:
             return None
         if len(self._waiting) >= MAX_WAITING:
             words = f"{MAX_WAITING} programs are being checked"
-            return Refusal(reason=RefusalReason.OVERLOAD, message=words, clears="load it again a few seconds later")
+            return Refusal(
+                reason=RefusalReason.OVERLOAD, message=words, clears=by_person("load it again a few seconds later")
+            )
         self._waiting.append((asker, text))
         return None
 

@@ -11,6 +11,7 @@ import msgspec
 from rtc.programs import checks
 from rtc.programs.schema import ElaboratorProgram
 from rtc.programs.splice import spliced
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import Breakpoint
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
@@ -50,7 +51,7 @@ def refusal_of(points: Sequence[Breakpoint], bodies: ProgramBodies) -> Refusal |
 
 
 def _refusal(words: str, clears: str) -> Refusal:
-    return Refusal(reason=RefusalReason.NAME, message=words[:MAX_WORDS], clears=clears)
+    return Refusal(reason=RefusalReason.NAME, message=words[:MAX_WORDS], clears=by_person(clears))
 
 
 @lru_cache(maxsize=1)

@@ -21,6 +21,7 @@ from broker.router.queries import status, trace
 from broker.router.shutdown import Shutdown
 from rtc.protocol import messages as m
 from rtc.protocol import wire
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.runtime.allowance import Allowance
@@ -181,7 +182,7 @@ class ClientMessages:
         )
 
     def _decline(self, peer: bytes, message: Any, reason: RefusalReason, words: str, clears: str) -> None:
-        refusal = Refusal(reason=reason, message=words, clears=clears)
+        refusal = Refusal(reason=reason, message=words, clears=by_person(clears))
         text = message.text if isinstance(message, m.CommandText) else ""
         self._egress.decline(peer, message.request, refusal, text)
 

@@ -11,6 +11,7 @@ from broker.persistence.program_store import StoredProgram
 from broker.router.core import Core
 from rtc.programs import loader
 from rtc.protocol import wire
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import ProgramText, Script, ScriptContext, Step, StepWords
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
@@ -24,7 +25,7 @@ def begin(core: Core, effect: LoadPart, now: float) -> None:
         known = list(loader.parts(effect.kind))
         message = f"the delivered {effect.kind.value} programs have no part {effect.name}"
         clears = "one of the names expected; a file of your own: rtc load FILE INTO " + effect.kind.value
-        refusal = Refusal(reason=RefusalReason.NAME, message=message, expected=known, clears=clears)
+        refusal = Refusal(reason=RefusalReason.NAME, message=message, expected=known, clears=by_person(clears))
         core.enqueue(_declined(effect, refusal, now))
         return
     text = ProgramText(request=effect.job, kind=effect.kind, name=path.name, body=path.read_bytes())

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from typing import Any, NamedTuple
 
 from rtc.protocol import messages as m
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.versions import misfit
 
@@ -55,7 +56,7 @@ class RefusedPeers:
         if not words:
             return None
         clears = "install one version of rtc on all machines, then rtc down and rtc up"
-        refusal = Refusal(reason=RefusalReason.VERSION, message=words, clears=clears)
+        refusal = Refusal(reason=RefusalReason.VERSION, message=words, clears=by_person(clears))
         self.refuse(socket, peer, hello, refusal, now)
         return refusal
 

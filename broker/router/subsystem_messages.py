@@ -24,6 +24,7 @@ from broker.router.shutdown import Shutdown
 from broker.router.supervisor_messages import count_dropped
 from rtc.language.alike import unknown
 from rtc.protocol import messages as m
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.versions import ARRAYS
@@ -61,7 +62,7 @@ class SubsystemMessages:
             clears = "use another name"
             if bare not in of_cell:
                 words, clears = unknown("subsystem", bare, of_cell), "add it to `subsystems` of the cell"
-            refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears=clears)
+            refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears=by_person(clears))
             self._core.refused_peers.refuse("subsystems", peer, message, refusal, now)
             send(self._core.sockets["subsystems"], m.Declined(request=bare, refusal=refusal), peer)
         raise WireError(f"a stranger uses the name {bare}")

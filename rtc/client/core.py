@@ -23,6 +23,7 @@ import msgspec
 
 from rtc.client.liveness import BrokerLiveness
 from rtc.protocol import messages as m
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import (
     NoCluster,
     Outcome,
@@ -355,7 +356,7 @@ class ClientCore:
 
     def _take_welcome(self, welcome: m.Welcome, now_s: float) -> None:
         if words := misfit("this cluster", welcome.protocol, "this program"):
-            clears = "use the version of rtc that the cluster was started with"
+            clears = by_person("use the version of rtc that the cluster was started with")
             self._refused = Refusal(reason=RefusalReason.VERSION, message=words, clears=clears)
             return
         if self._hellos and self._far:

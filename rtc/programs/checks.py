@@ -19,6 +19,7 @@ from rtc.programs.schema import (
     ScriptStep,
     StopRow,
 )
+from rtc.protocol.advice import Advice
 from rtc.protocol.messages import Limits, StepWords
 from rtc.protocol.outcomes import OF_OPERATOR, Reflex, StopReason
 from rtc.protocol.sentence import ParsedCommand
@@ -227,10 +228,11 @@ def _analyzer(program: AnalyzerProgram) -> Problems:
     yield from _phases(program.phases)
     yield from _trimmers(program)
     for name, failure in program.classes.items():
-        fields = (("message", ()), ("clears", ()), ("again", ("target_cure",)), ("pressing", ("away", "leave")))
+        again, pressing = ("target_cure", "out_first"), ("away", "leave")
+        fields = (("message", ()), ("clears", ()), ("again", again), ("pressing", pressing))
         for field, more in fields:
             placeholders = (*extension_names.FAILURE_PLACEHOLDERS, *more)
-            for word in PLACEHOLDER.findall(getattr(failure, field)):
+            for word in PLACEHOLDER.findall(_text_of(getattr(failure, field))):
                 yield from known("placeholder", word, placeholders, f"classes.{name}.{field}")
     for field in ("unmet", "squeezed"):
         yield from known("class", getattr(program, field), ("", *program.classes), field)
@@ -240,6 +242,12 @@ def _analyzer(program: AnalyzerProgram) -> Problems:
             yield f"outcomes.{row}", f"no cell for {', '.join(missing)}"
         for reason, name in cells.items():
             yield from known("class", name, program.classes, f"outcomes.{row}.{reason}")
+
+
+def _text_of(row: str | Advice) -> str:
+    if isinstance(row, str):
+        return row
+    return " ".join(text for one in row for text in (*one.sentences, one.words, *one.states))
 
 
 def _trimmers(program: AnalyzerProgram) -> Problems:

@@ -76,7 +76,7 @@ PLACEHOLDERS = (
 #: placeholders in the failure texts of the analyzer
 FAILURE_PLACEHOLDERS = (
     *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
-    *("width", "wanted", "off", "or_load", "or_mass", "out_first", "excess", "grip", "speed", "short", "jam"),
+    *("width", "wanted", "off", "or_load", "or_mass", "excess", "grip", "speed", "short", "jam"),
     *("camera", "turned", "progress", "until"),
 )
 #: performers of steps

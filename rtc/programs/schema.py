@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import msgspec
 from msgspec import Meta
 
+from rtc.protocol.advice import Advice
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.protocol.sentence import OPERATOR
 
@@ -175,11 +176,11 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True, dict=True):
     instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
     cannot: dict[str, str] = {}  # verb that no script can perform -> the reason
     phases: list[str] = []  # of installed packages, in this order; each product passes through them
-    needs: dict[str, str] = {}  # registered condition of the world -> a command that makes it true
+    needs: dict[str, Advice] = {}  # registered condition of the world -> what makes it true
     settable: dict[str, SettableAttribute] = {}  # attribute that SET may change -> form of its value
     settable_of_seats: list[str] = []  # those of `settable` that SET may change for a seat
-    not_settable: dict[str, str] = {}  # attribute that SET may not change -> the command that measures it
-    clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
+    not_settable: dict[str, Advice] = {}  # attribute that SET may not change -> the command that measures it
+    clears: dict[str, Advice] = {}  # attribute of a fact -> what makes it valid again
     senses: dict[str, str] = {}  # suspect attribute of an arm -> piece of script that runs first
 
     @cached_property
@@ -240,7 +241,7 @@ class BinderProgram(ProgramPart, frozen=True, kw_only=True):
     holding: list[StopRow] = []  # rows added to F while an object is held
     guarded: dict[str, dict[str, float]] = {}  # verb -> parameters of its GUARDED reflexes (A6); "" = any other verb
     values: dict[str, Expression] = {}  # defaults of every primitive, over the numbers of the cell
-    clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
+    clears: dict[str, Advice] = {}  # attribute of a fact -> what makes it valid again
     phases: list[str] = []  # of installed packages, in this order; each product passes through them
 
 
@@ -261,9 +262,9 @@ class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
     drops: bool = False  # the hand is empty afterwards
     misplaced: bool = False  # the held object is not where the world has it; only vision can locate it
     # first hint for an arm that pressed on something when it was stopped; the hint for what it holds precedes it
-    pressing: str = ""
-    clears: str = ""  # next hint; the hints of `clears` of the program for each suspect fact follow
-    again: str = ""  # last hint: what to do after that
+    pressing: Advice = []
+    clears: Advice = []  # next hint; the hints of `clears` of the program for each suspect fact follow
+    again: Advice = []  # last hint: what to do after that
     retriable: bool = True  # a trim may be tried
 
 
@@ -312,7 +313,7 @@ class AnalyzerProgram(ProgramPart, frozen=True, kw_only=True):
     unmet: str = ""  # class of a step that has reached its end before the condition of UNTIL was true
     squeezed: str = ""  # class of a step that fingers have ended which press more than the GRIP-FORCE of the sentence
     values: dict[str, float] = {}  # tolerances: position_m, angle_rad, width_m
-    clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
+    clears: dict[str, Advice] = {}  # attribute of a fact -> what makes it valid again
     phases: list[str] = []  # of installed packages, in this order; each product passes through them
 
 

@@ -25,6 +25,7 @@ from typing import Any
 
 import msgspec
 
+from rtc.protocol.advice import Advice, by_person, by_sentence
 from rtc.protocol.causes import Cause, Effort
 from rtc.protocol.rehearsal import Rehearsal
 
@@ -174,7 +175,7 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     expected: list[str] = []  # what is allowed at that place
     nearest: list[str] = []  # the most similar known names
     owner: str = ""  # command that holds the resource, e.g. "C-3"
-    clears: str = ""  # what would clear it
+    clears: Advice = []  # what would clear it, the first choice first
     by_operator: str = ""  # the sentence that asks the operator for what was refused, or has failed
     cause: Cause | None = None
     in_the_way: str = ""  # arm that blocks the motion, now or on its way, and may leave
@@ -186,8 +187,7 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         """With the sentence that asks the operator instead, as the last advice (R81); unchanged if it is empty."""
         if not sentence:
             return self
-        clears = f"{self.clears}; or {sentence}" if self.clears else sentence
-        return msgspec.structs.replace(self, clears=clears, by_operator=sentence)
+        return msgspec.structs.replace(self, clears=[*self.clears, *by_sentence(sentence)], by_operator=sentence)
 
     def figures(self) -> dict[str, float | str | tuple[str, ...]]:
         """Cause, figures and effort by name, for people."""
@@ -224,11 +224,11 @@ class Refused(Exception):
         expected: Iterable[str] = (),
         nearest: Iterable[str] = (),
         owner: str = "",
-        clears: str = "",
+        clears: str | Advice = "",
         cause: Cause | None = None,
         in_the_way: str = "",
     ) -> Refused:
-        """With a new refusal; the fields are those of `Refusal`."""
+        """With a new refusal; the fields are those of `Refusal`. `clears`: words are for a person."""
         return cls(
             Refusal(
                 reason=reason,
@@ -237,7 +237,7 @@ class Refused(Exception):
                 expected=list(expected),
                 nearest=list(nearest),
                 owner=owner,
-                clears=clears,
+                clears=by_person(clears) if isinstance(clears, str) else clears,
                 cause=cause,
                 in_the_way=in_the_way,
             )

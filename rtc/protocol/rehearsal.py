@@ -10,6 +10,8 @@ from typing import Any
 
 import msgspec
 
+from rtc.protocol.advice import Advice
+
 
 class RehearsedStep(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One step that was bound on paper, with its predicted end."""
@@ -47,7 +49,7 @@ class FaultBranch(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     trims: list[str] = []  # that were tried on paper, in order
     recovered: bool = False
     message: str = ""  # how it ends without a recovery
-    clears: str = ""
+    clears: Advice = []
 
 
 class Repair(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

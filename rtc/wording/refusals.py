@@ -7,8 +7,10 @@ import re
 import msgspec
 
 from rtc.language.caret import show
+from rtc.protocol import units
+from rtc.protocol.advice import Alternative
 from rtc.protocol.outcomes import Refusal
-from rtc.protocol.units import in_words
+from rtc.wording.advice import in_one_line, in_words
 
 
 def refusal_lines(refusal: Refusal, text: str = "", *, details: bool = False) -> list[str]:
@@ -20,14 +22,20 @@ def refusal_lines(refusal: Refusal, text: str = "", *, details: bool = False) ->
         lines.append(f"owner: {refusal.owner}")
     if details and (figures := _figures(refusal)):
         lines.append(f"figures: {', '.join(figures)}")
-    if refusal.clears:
-        lines.append(f"to clear it: {refusal.clears}")
-    return lines
+    return [*lines, *advice_lines(refusal.clears)]
+
+
+def advice_lines(advice: list[Alternative]) -> list[str]:
+    """The alternatives, with the number that `rtc do --advice` takes if there are several."""
+    if len(advice) < 2:
+        return [f"to clear it: {in_words(one)}" for one in advice]
+    return ["to clear it, one of these:", *(f"  {n}. {in_words(one)}" for n, one in enumerate(advice, 1))]
 
 
 def _without_repetition(refusal: Refusal, *, located: bool) -> Refusal:
     """For display: the names that `clears` proposes are not listed as nearest too, nor as expected if they are all."""
-    proposed = bool(refusal.nearest) and all(name in refusal.clears for name in refusal.nearest)
+    advice = in_one_line(refusal.clears)
+    proposed = bool(refusal.nearest) and all(name in advice for name in refusal.nearest)
     return msgspec.structs.replace(
         refusal,
         column=refusal.column if located else None,
@@ -58,7 +66,7 @@ def with_unit(key: str, value: float | str | tuple[str, ...]) -> str:
         return f"{key} {'; '.join(value)}"
     if not ending or isinstance(value, str):
         return f"{key} {figure(value)}"
-    number, unit = in_words(value, UNITS[ending]).split(" ", 1)
+    number, unit = units.in_words(value, UNITS[ending]).split(" ", 1)
     shown = float(number)
     return f"{key.removesuffix(ending)} {shown:{'.4g' if abs(shown) < 1e4 else '.0f'}} {unit}"
 

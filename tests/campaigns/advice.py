@@ -1,26 +1,28 @@
 """Following an advice as a person would who does what it says, and no more.
 
-An advice has steps (`; ` or `, then ` between them), and a step has alternatives (`or`). An operator who looks sees:
-`SET X FRAME x y z` and `SET X STATE LOOSE or TIGHT` state the truth. `do it again` is the sentence on which the advice
-was given; a sentence with its verb and object, such as that for the rest of an amount, takes its place. A smaller
-distance of AVOID-NEIGHBORS is put into that sentence, and no other advice is followed. A sentence of which nothing is
-left is not given again: what is advised then frees the arm. Nor is one given again after a sentence that is advised
-`instead` of it.
+Of its alternatives the first one that succeeds is done, sentence by sentence. An operator who looks sees: a fact that
+an alternative `states` is stated as it truly is. A sentence with the verb and object of that on which the advice was
+given, such as that for the rest of an amount, takes its place. One with a smaller distance of AVOID-NEIGHBORS is given
+from then on. A sentence of which nothing is left is not given again: what is advised then frees the arm. Nor is one
+given again after a sentence that is advised `instead` of it.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 
+from msgspec.structs import replace
+
 from broker.decisions.command.nominal import failure
+from rtc.protocol.advice import Advice, Alternative
 from rtc.protocol.causes import AlreadyDone
 from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal
 from rtc.protocol.sentence import OPERATOR, ParsedCommand
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from tests.workers.conftest import GRAMMAR, Bench, Run
 from tests.workers.one_process import OneProcess
 from workers.parser.parse import parse_job
@@ -29,22 +31,8 @@ NOTHING_LEFT = "nothing is left of it"
 MAX_SENTENCES = 4  # for one obstacle
 MAX_OBSTACLES = 4
 LIMIT_S = 600.0  # of one sentence, in the time of the simulation
-
-VERBS = "LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|CLOSE|STOW|MOVE|GRASP|PLACE|INSERT|SET|APPROACH|HOLD|TRACK"
-VERBS += "|CARRY|TURN|PUSH|PULL|LOOSEN|TIGHTEN|EXTRACT|ALIGN"
-WORD = r"(?:[A-Z][A-Z0-9-]*|-?\d+(?:\.\d+)?)"
-SENTENCE = re.compile(rf"\b(?:{VERBS})(?: {WORD})+")
-ELSEWHERE = re.compile(r"MOVE (.+?) TO another place first \(([A-Z0-9-]+)")
-ANYWHERE = re.compile(r"MOVE ([A-Z0-9-]+) to a place")
-AGAIN = re.compile(r"\b(?:do it|try|give (?:it|the sentence|the command)) again")
-OTHER_ARM = re.compile(r"move (.+?) away first")
-CLOSER = re.compile(r"\b(AVOID-NEIGHBORS BY \S+ \S+), (?:or leave it out|if it may come as near)")
-NEIGHBORS = re.compile(r"\bAVOID-NEIGHBORS(?: BY \S+ \S+)?")
-CLAUSES = re.compile(r" MAINTAIN | (?=UNLESS|UNTIL|VIA|GUARDED|AFTER|TOGETHER-WITH|NOW)|$")
-STATED = re.compile(r"SET ([A-Z0-9-]+) (FRAME|ANGLE|STATE)")
-STEPS = re.compile(r"; |, then ")
-NUMBERED = re.compile(r"^as for C-\d+: |; rtc why C-\d+ .*$|C-\d+")  # says who got the same advice before
-ALTERNATIVES = re.compile(r", or | or (?=[A-Z]{3})")
+NEIGHBORS = "AVOID-NEIGHBORS"
+OWN = ("task", "data")  # kinds of sentences that are followed: none about other commands, and none for the operator
 
 Truth = Callable[[], dict[str, Any]]  # poses of objects (`poses`) and of seats (`seats`), world frame
 
@@ -54,7 +42,7 @@ class Answer(NamedTuple):
 
     succeeded: bool
     message: str
-    clears: str
+    clears: Sequence[Alternative] = ()
     done: bool = False  # nothing is left of the sentence
 
     @classmethod
@@ -62,16 +50,16 @@ class Answer(NamedTuple):
         failed = run.failure
         why = failure(failed).refusal if failed else run.refusal
         message = "; ".join(filter(None, (failed.message, failed.remark))) if failed else why.message if why else ""
-        return cls(run.succeeded, message, why.clears if why else "", _is_done(message, why))
+        return cls(run.succeeded, message, why.clears if why else [], _is_done(message, why))
 
     @classmethod
     def of_outcome(cls, outcome: Outcome) -> Answer:
         why = outcome.refusal
         done = _is_done(outcome.message, why)
-        return cls(outcome.kind is OutcomeKind.SUCCEEDED, outcome.message, why.clears if why else "", done)
+        return cls(outcome.kind is OutcomeKind.SUCCEEDED, outcome.message, why.clears if why else [], done)
 
     def __str__(self) -> str:
-        return "succeeded" if self.succeeded else f"{self.message} [{self.clears}]"
+        return "succeeded" if self.succeeded else f"{self.message} [{in_one_line(self.clears)}]"
 
 
 def _is_done(message: str, why: Refusal | None) -> bool:
@@ -87,77 +75,97 @@ class Followed(NamedTuple):
     history: list[str]
 
 
-def steps(advice: str, given: str, truth: Truth) -> list[list[str]]:
-    """The sentences of an advice on the `given` one: the steps in their order, each with its alternatives."""
-    found: list[list[str]] = []
-    for part in STEPS.split(advice):
-        options = ALTERNATIVES.split(part.removeprefix("or "))
-        sentences = [given if AGAIN.search(one) else _sentence(one, truth) for one in options]
-        sentences = [one for one in sentences if one]
-        if part.startswith("or ") and found:
-            found[-1] += sentences  # alternatives to what precedes it
-        elif sentences:
-            found.append(sentences)
-    return found
+def first(advice: Iterable[Alternative], given: str, truth: Truth) -> list[str]:
+    """The sentences of the first alternative of an advice that has one, with the `given` one if it comes again."""
+    options = ([*sentences(one, truth), *([given] if one.again else [])] for one in advice)
+    return next(filter(None, options), [])
+
+
+def sentences(one: Alternative, truth: Truth) -> list[str]:
+    """The sentences of an alternative, those that state a fact as it truly is; none for a person who performs it."""
+    found: list[str] = []
+    open_keys = [*one.states]
+    for text in one.sentences:
+        parsed = _parsed(text)
+        if parsed is None or parsed.kind not in OWN or parsed.performer == OPERATOR:
+            return []
+        key = f"{parsed.object}.{(parsed.attribute or '').lower()}"
+        states = key in open_keys
+        found.append((states and stated_fact(key, truth)) or text)
+        open_keys = [other for other in open_keys if other != key]
+    return [*found, *filter(None, (stated_fact(key, truth) for key in open_keys))]
 
 
 def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth) -> Followed:
     """Clear one obstacle after the other that a sentence, the aim, meets; `answer` is its first one.
 
-    Each step is done if one of its alternatives succeeds; the aim is given after at most four sentences.
+    The aim is given after at most four sentences.
     """
     given: list[str] = []
-    history, advised = [f"{aim}: {answer}"], {NUMBERED.sub("", answer.clears)}
+    history, advised = [f"{aim}: {answer}"], [_asked(answer.clears)]
     for _ in range(MAX_OBSTACLES):
-        advice, left = answer.clears, MAX_SENTENCES
-        closer = CLOSER.search(advice)
-        for step in [] if closer else steps(advice, "", truth):
-            for sentence in step[:left]:
-                left -= 1
-                given.append(sentence)
-                done = say(sentence)
-                history.append(f"{sentence}: {done}")
-                if done.succeeded and _takes_its_place(sentence, aim):
+        closer = next((text for one in answer.clears if (text := _closer(one, aim))), "")
+        tried: dict[str, bool] = {}
+        for one in [] if closer else answer.clears:
+            todo = sentences(one, truth)
+            if not todo or not all(tried.get(text, True) for text in todo):
+                continue
+            for text in [text for text in todo if text not in tried][: MAX_SENTENCES - len(tried)]:
+                given.append(text)
+                done = say(text)
+                history.append(f"{text}: {done}")
+                tried[text] = done.succeeded
+                if done.succeeded and _takes_its_place(text, aim):
                     return Followed("reached", given, history)
-                if done.succeeded and _is_instead(sentence, advice, truth):
+            if all(tried.get(text, False) for text in todo):
+                if one.instead:
                     return Followed("instead", given, history)
-                if done.succeeded:
-                    break
+                break
         if answer.done:
             return Followed("reached", given, history)
         if closer:
-            aim = _kept_apart(aim, closer[1])
-        elif left == MAX_SENTENCES and not AGAIN.search(advice):
+            aim = closer
+        elif not tried and not any(one.again for one in answer.clears):
             return Followed("no sentence", given, history)
         answer = say(aim)
         history.append(f"again: {answer}")
         if answer.succeeded:
             return Followed("reached", given, history)
-        if (words := NUMBERED.sub("", answer.clears)) in advised:
+        if (asked := _asked(answer.clears)) in advised:
             return Followed("same advice", given, history)
-        advised.add(words)
+        advised.append(asked)
     return Followed("too many obstacles", given, history)
 
 
-def _is_instead(sentence: str, advice: str, truth: Truth) -> bool:
-    """Whether the advice has this sentence in the place of the aim: it is not given again then."""
-    options = (one for part in STEPS.split(advice) for one in ALTERNATIVES.split(part.removeprefix("or ")))
-    return any(re.search(r"\binstead\b", one) and _sentence(one, truth) == sentence for one in options)
+def _asked(advice: Iterable[Alternative]) -> Advice:
+    return [one for one in advice if one.sentences or one.states or one.again]
+
+
+def _closer(one: Alternative, aim: str) -> str:
+    """The aim with another AVOID-NEIGHBORS, if that is what the alternative is."""
+    if not one.instead or len(one.sentences) != 1:
+        return ""
+    asked, now = _parsed(one.sentences[0]), _parsed(aim)
+    if asked is None or now is None or not any(item.slot == NEIGHBORS for item in asked.constraints):
+        return ""
+    others = [[item for item in each.constraints if item.slot != NEIGHBORS] for each in (asked, now)]
+    same = replace(asked, constraints=[]) == replace(now, constraints=[], report=None) and others[0] == others[1]
+    return one.sentences[0] if same else ""
+
+
+def is_own(text: str) -> bool:
+    parsed = _parsed(text)
+    return parsed is not None and parsed.kind in OWN
+
+
+def _parsed(text: str) -> ParsedCommand | None:
+    parsed = parse_job(GRAMMAR, text)
+    return parsed if isinstance(parsed, ParsedCommand) else None
 
 
 def _takes_its_place(sentence: str, aim: str) -> bool:
     """Whether an advised sentence does what the aim should: the same to the same, by what is left or another way."""
     return sentence.split()[:2] == aim.split()[:2] and (" BY " in aim or aim in sentence)
-
-
-def _kept_apart(sentence: str, by: str) -> str:
-    """The sentence with this item of MAINTAIN."""
-    if NEIGHBORS.search(sentence):
-        return NEIGHBORS.sub(by, sentence)
-    first = CLAUSES.search(sentence)
-    assert first is not None
-    more = " AND " if "MAINTAIN" in first[0] else " "
-    return f"{sentence[: first.start()]} MAINTAIN {by}{more}{sentence[first.end() :]}".rstrip()
 
 
 def follow_on_bench(bench: Bench, aim: str, done: Run) -> Followed:
@@ -183,21 +191,12 @@ def summary(ends: Iterable[str]) -> tuple[dict[str, float | None], tuple[str, st
     return {"advice_same_twice": float(counts["same advice"])}, ("advice of refusals and failures, followed", text)
 
 
-def _sentence(text: str, truth: Truth) -> str:
-    if other := OTHER_ARM.search(text):
-        return f"STOW {other[1]}"
-    if anywhere := ANYWHERE.search(text):
-        return f"MOVE {anywhere[1]} TO CLEAR-POINT-1"
-    if elsewhere := ELSEWHERE.search(text):
-        return f"MOVE {elsewhere[1]} TO {elsewhere[2]}"
-    if (about := STATED.search(text)) and about[2] == "FRAME":
-        return stated(about[1], truth())
-    if about and about[2] == "STATE":
-        return state_of(about[1], truth())
-    if OPERATOR in text:  # no person performs it here
-        return ""
-    sentence = SENTENCE.search(text)
-    return sentence[0] if sentence and isinstance(parse_job(GRAMMAR, sentence[0]), ParsedCommand) else ""
+def stated_fact(key: str, truth: Truth) -> str:
+    """The sentence that states the truth about a fact; empty if there is none."""
+    name, _, attribute = key.rpartition(".")
+    if attribute == "frame":
+        return stated(name, truth())
+    return state_of(name, truth()) if attribute == "state" else ""
 
 
 def stated(name: str, truth: dict[str, Any]) -> str:

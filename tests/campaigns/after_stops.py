@@ -288,7 +288,7 @@ def halt_and_follow(drawn: Drawn, random: np.random.Generator) -> Ran | None:
         if first.succeeded:
             return Ran(drawn, "done", "", 1, story)
         given.clear()
-    elif not advice.steps(first.clears, "", truth) and not advice.AGAIN.search(first.clears) and not first.done:
+    elif not advice.first(first.clears, aim, truth) and not first.done:
         first = say(aim)  # nothing holds the arm
         if first.succeeded:
             return Ran(drawn, "done", "", 1, story)

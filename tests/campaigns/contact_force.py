@@ -19,6 +19,7 @@ import pybullet
 
 from benchmarks.report import finish, question
 from rtc.spatial.geometry import Array
+from rtc.wording.advice import in_one_line
 from tests.campaigns import RESULTS
 from tests.workers.conftest import Bench, Physical
 
@@ -126,7 +127,7 @@ class Scene:
         run = self.bench.do(sentence)
         self.subsystem.disturb = None
         if run.refusal is not None:
-            return f"refused: {run.refusal.message}; {run.refusal.clears}"
+            return f"refused: {run.refusal.message}; {in_one_line(run.refusal.clears)}"
         report = run.reports[-1]
         speed = float(np.linalg.norm(places[-1] - places[-11])) / 0.010 if len(places) > 11 else 0.0
         return Touch(max(felt_n), report.peak_force_n, speed, report.reason.value, run.assessments[-1].message)

@@ -154,15 +154,15 @@ class Person:
             step = waits.clears[0] if waits is not None and waits.clears else ""
             if not step or step in done:
                 self.waits = True
-                return Answer(False, f"waits: {in_words(waits) if waits is not None else ''}", "")
+                return Answer(False, f"waits: {in_words(waits) if waits is not None else ''}")
             done.add(step)
             self.given.append(step)
             answer = cluster.give(step, client="bob")
             if not _settled(cluster, answer):
-                return Answer(False, f"{step} has no end", "")
+                return Answer(False, f"{step} has no end")
             self.story.append(f"{step}: {Answer.of_outcome(cluster.outcomes[answer])}")
         outcome = cluster.outcomes[command]
-        if outcome.kind is OutcomeKind.SUCCEEDED and sentence.split()[0] in advice.VERBS.split("|"):
+        if outcome.kind is OutcomeKind.SUCCEEDED and advice.is_own(sentence):
             self.moved = True
         return Answer.of_outcome(outcome)
 

@@ -31,6 +31,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol import faults as f
 from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
 from rtc.subsystems.motion.arm import CellState
+from rtc.wording.advice import in_one_line
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.faults import Injections
@@ -302,12 +303,12 @@ def leave(cluster: OneProcess, drawn: Drawn, ended: Outcome) -> tuple[bool, list
 
 
 def _advised(outcome: Outcome, given: str, cluster: OneProcess) -> list[str]:
-    """The sentences of its advice, of alternatives the first."""
-    return [step[0] for step in advice.steps(_clears(outcome), given, cluster.sim.truth)]
+    """The sentences of the first alternative of its advice."""
+    return advice.first(outcome.refusal.clears if outcome.refusal else [], given, cluster.sim.truth)
 
 
 def _clears(outcome: Outcome) -> str:
-    return outcome.refusal.clears if outcome.refusal else ""
+    return in_one_line(outcome.refusal.clears) if outcome.refusal else ""
 
 
 # --- the campaign ---------------------------------------------------------------------------------------------

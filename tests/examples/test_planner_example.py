@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from examples.swapout import lines, swapout
+from rtc.protocol.advice import by_sentence
 from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason
 from tests.workers.conftest import record
 
@@ -54,7 +55,7 @@ def test_what_a_test_refuses_is_not_begun() -> None:
 
 
 def test_a_refusal_is_cleared_once() -> None:
-    refusal = Refusal(reason=RefusalReason.STATE, message="the arm is not there", clears="STOW A")
+    refusal = Refusal(reason=RefusalReason.STATE, message="the arm is not there", clears=by_sentence("STOW A"))
     robot = Robot(failing={"LIFT A": [Outcome(kind=OutcomeKind.REFUSED, refusal=refusal)]})
     assert reach(robot)
     assert robot.done == ["GRASP A", "LIFT A", "STOW A", "LIFT A"]

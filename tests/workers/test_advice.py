@@ -6,6 +6,7 @@ import itertools
 
 import pytest
 
+from rtc.protocol.advice import Alternative, by_person, by_sentence
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.campaigns import advice
 from tests.campaigns.advice import Answer
@@ -20,32 +21,41 @@ TRUTH = {
 }
 
 
-def read(text: str) -> list[list[str]]:
-    return advice.steps(text, "STOW RIGHT-ARM", lambda: TRUTH)
+def looked(fact: str) -> Alternative:
+    return Alternative(states=[fact], words="look where it is, and state it")
 
 
 @pytest.mark.parametrize(
-    ("text", "steps"),
+    ("one", "sentences"),
     [
-        ("LOCATE MACS-NEW; try again", [["LOCATE MACS-NEW"], ["STOW RIGHT-ARM"]]),
-        ("look what is in the way, then RETRACT RIGHT-ARM", [["RETRACT RIGHT-ARM"]]),
+        (Alternative(sentences=["RETRACT RIGHT-ARM"], words="look what is in the way"), ["RETRACT RIGHT-ARM"]),
+        (looked("MACS-NEW.frame"), ["SET MACS-NEW FRAME 80.00 -80.00 60.00 CM 0.00 0.00 0.00 DEG"]),
+        (looked("BOLT-1.state"), ["SET BOLT-1 STATE TIGHT"]),
+        (looked("BOLT-2.state"), ["SET BOLT-2 STATE LOOSE"]),
         (
-            "LOCATE MACS-NEW, or state where it is: SET MACS-NEW FRAME x y z CM roll pitch yaw DEG",
-            [["LOCATE MACS-NEW", "SET MACS-NEW FRAME 80.00 -80.00 60.00 CM 0.00 0.00 0.00 DEG"]],
+            Alternative(
+                sentences=["SET MACS-NEW FRAME 1 2 3 CM 0 0 0 DEG", "STOW LEFT-ARM"], states=["MACS-NEW.frame"]
+            ),
+            ["SET MACS-NEW FRAME 80.00 -80.00 60.00 CM 0.00 0.00 0.00 DEG", "STOW LEFT-ARM"],
         ),
-        ("move LEFT-ARM away first", [["STOW LEFT-ARM"]]),
-        (
-            "another goal; or MOVE RIGHT-ARM TO another place first (CLEAR-POINT-1)",
-            [["MOVE RIGHT-ARM TO CLEAR-POINT-1"]],
-        ),
-        ("PLACE MACS-NEW ON RACK-1 or BAY-2, or another arm", [["PLACE MACS-NEW ON RACK-1"]]),
-        ("another goal: RACK-1 is there", []),
-        ("look and state it: SET BOLT-1 STATE LOOSE or TIGHT", [["SET BOLT-1 STATE TIGHT"]]),
-        ("look and state it: SET BOLT-2 STATE LOOSE or TIGHT", [["SET BOLT-2 STATE LOOSE"]]),
+        (Alternative(words="another goal: RACK-1 is there"), []),
+        (Alternative(sentences=["STOW LEFT-ARM VIA OPERATOR-INTERVENTION"]), []),
+        (Alternative(sentences=["ABORT C-3"]), []),
     ],
 )
-def test_the_sentences_of_an_advice_are_its_steps_and_their_alternatives(text: str, steps: list[list[str]]) -> None:
-    assert read(text) == steps
+def test_the_sentences_of_an_alternative_are_those_of_a_person_who_looks(
+    one: Alternative, sentences: list[str]
+) -> None:
+    assert advice.sentences(one, lambda: TRUTH) == sentences
+
+
+def test_the_first_alternative_with_a_sentence_is_followed_by_the_same_again() -> None:
+    options = [Alternative(words="wait"), Alternative(sentences=["LOCATE MACS-NEW"], again=True)]
+    assert advice.first(options, "STOW RIGHT-ARM", lambda: TRUTH) == ["LOCATE MACS-NEW", "STOW RIGHT-ARM"]
+
+
+def blocked(sentence: str) -> Answer:
+    return Answer(False, "blocked", by_sentence(sentence))
 
 
 class Obstacles:
@@ -61,10 +71,10 @@ class Obstacles:
             return self.answer()
         if self.cures and sentence == self.cures[0]:
             self.cures.pop(0)
-        return Answer(True, "", "")
+        return Answer(True, "")
 
     def answer(self) -> Answer:
-        return Answer(False, "blocked", self.cures[0]) if self.cures else Answer(True, "", "")
+        return blocked(self.cures[0]) if self.cures else Answer(True, "")
 
 
 def follow(scene: Obstacles) -> str:
@@ -79,54 +89,48 @@ def test_advice_that_clears_one_obstacle_after_the_other_reaches_the_aim() -> No
 
 def test_the_same_advice_twice_does_not_lead_out() -> None:
     scene = Obstacles("RETRACT LEFT-ARM")
-    scene.say = lambda sentence: scene.answer() if sentence == "STOW RIGHT-ARM" else Answer(True, "", "")
+    scene.say = lambda sentence: scene.answer() if sentence == "STOW RIGHT-ARM" else Answer(True, "")
     assert follow(scene) == "same advice"
 
 
 def test_two_advices_in_turn_do_not_lead_out() -> None:
     scene = Obstacles()
     turns = itertools.cycle(["LOCATE MACS-NEW", "RETRACT LEFT-ARM"])
-    scene.answer = lambda: Answer(False, "blocked", next(turns))
+    scene.answer = lambda: blocked(next(turns))
     assert follow(scene) == "same advice"
 
 
 def test_advice_without_a_sentence_is_a_case_of_its_own() -> None:
-    scene = Obstacles("another goal: RACK-1 is there")
+    scene = Obstacles("RACK-1")
+    scene.answer = lambda: Answer(False, "blocked", by_person("another goal: RACK-1 is there"))
     assert follow(scene) == "no sentence"
     assert scene.given == []
 
 
-def test_a_smaller_distance_from_neighbours_is_put_into_the_sentence() -> None:
+def test_a_smaller_distance_from_neighbours_is_kept_from_then_on() -> None:
     given = []
 
     def say(sentence: str) -> Answer:
         given.append(sentence)
-        return Answer(True, "", "")
+        return Answer(len(given) > 1, "near", by_sentence("STOW LEFT-ARM"))
 
     aim = "STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 1.5 CM AND SPEED 10 CM/S"
-    refused = Answer(False, "near", "AVOID-NEIGHBORS BY 14 MM, or leave it out; or another goal")
+    closer = "STOW RIGHT-ARM MAINTAIN SPEED 10 CM/S AND AVOID-NEIGHBORS BY 14 MM"
+    refused = Answer(False, "near", by_sentence(closer, instead=True))
     assert advice.follow(say, aim, refused, lambda: TRUTH).end == "reached"
-    assert given == ["STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 14 MM AND SPEED 10 CM/S"]
+    assert given == [closer, "STOW LEFT-ARM", closer]
 
 
-@pytest.mark.parametrize(
-    ("aim", "again"),
-    [
-        ("STOW RIGHT-ARM", "STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 4 MM"),
-        ("STOW RIGHT-ARM NOW", "STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 4 MM NOW"),
-        ("LIFT X MAINTAIN SPEED UNTIL CONTACT", "LIFT X MAINTAIN AVOID-NEIGHBORS BY 4 MM AND SPEED UNTIL CONTACT"),
-    ],
-)
-def test_a_distance_that_the_sentence_does_not_state_is_put_before_its_other_clauses(aim: str, again: str) -> None:
+def test_after_what_is_done_instead_the_aim_is_not_given() -> None:
     given = []
 
     def say(sentence: str) -> Answer:
         given.append(sentence)
-        return Answer(True, "", "")
+        return Answer(True, "")
 
-    refused = Answer(False, "near", "MAINTAIN AVOID-NEIGHBORS BY 4 MM, if it may come as near; or RELEASE X")
-    assert advice.follow(say, aim, refused, lambda: TRUTH).end == "reached"
-    assert given == [again]
+    refused = Answer(False, "no way", by_sentence("STOW RIGHT-ARM", instead=True))
+    assert advice.follow(say, "GRASP MACS-NEW", refused, lambda: TRUTH).end == "instead"
+    assert given == ["STOW RIGHT-ARM"]
 
 
 def test_a_sentence_for_the_rest_takes_the_place_of_the_aim() -> None:
@@ -134,9 +138,9 @@ def test_a_sentence_for_the_rest_takes_the_place_of_the_aim() -> None:
 
     def say(sentence: str) -> Answer:
         given.append(sentence)
-        return Answer(True, "", "")
+        return Answer(True, "")
 
-    refused = Answer(False, "late", "OPEN DOOR-2 BY 12.5 DEG WITH LEFT-ARM")
+    refused = Answer(False, "late", by_sentence("OPEN DOOR-2 BY 12.5 DEG WITH LEFT-ARM", instead=True))
     assert advice.follow(say, "OPEN DOOR-2 BY 60 DEG WITH LEFT-ARM", refused, lambda: TRUTH).end == "reached"
     assert given == ["OPEN DOOR-2 BY 12.5 DEG WITH LEFT-ARM"]
 

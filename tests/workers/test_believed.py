@@ -13,6 +13,7 @@ from rtc.protocol import faults as f
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from sim_mcm.faults import Injections
 from tests.campaigns.against_truth import judge
 from tests.workers.conftest import Bench, Physical
@@ -105,7 +106,7 @@ def test_the_advice_after_a_failure_in_a_seat_names_the_seat(bench) -> None:
         assert bench.do(sentence).succeeded
     bench.subsystem.seats = False  # nothing is touched where the bottom of the seat should be
     failed = bench.do(f"PLACE {MODULE} ON BAY-2").failure
-    assert "SET BAY-2 FRAME 93 0 70 CM 0 0 0 DEG" in failed.clears
+    assert "SET BAY-2 FRAME 93 0 70 CM 0 0 0 DEG" in in_one_line(failed.clears)
     refused = bench.elaborate(f"PLACE {MODULE} ON BAY-2")
     assert refused.reason is RefusalReason.SUSPECT
 

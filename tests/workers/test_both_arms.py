@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from rtc.model.cells import parts
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import EndReport, Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import ClearanceBelow, ForceAbove, TcpOutside, TcpSpeedAbove, TcpTurned
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from rtc.world.facts import TRUSTED
-from tests.campaigns import advice
 from tests.campaigns.carry import CARRIED, Carrier
 from tests.workers.conftest import CELL, MODEL, Bench
 from workers.planning.robot_models import CellModel
@@ -99,13 +100,13 @@ def test_the_second_arm_complies_while_its_hand_closes(one_holds):
 def test_a_wrong_second_grasp_is_refused_with_the_sentence_that_clears_it(one_holds, sentence, message, clears):
     run = one_holds.do(sentence)
     assert message in run.refusal.message
-    assert clears in run.refusal.clears
+    assert clears in in_one_line(run.refusal.clears)
     assert run.primitives == []
 
 
 def test_a_module_in_a_doubtful_grasp_is_not_taken_by_a_second_hand(one_holds):
     one_holds.set_fact(f"{MODULE}.frame", one_holds.world.value(f"{MODULE}.frame"), Validity.SUSPECT)
-    assert one_holds.do(TAKE).refusal.clears == "VERIFY MACS-NEW AT RIGHT-ARM"
+    assert sentences_of(one_holds.do(TAKE).refusal.clears) == ["VERIFY MACS-NEW AT RIGHT-ARM"]
 
 
 def test_a_close_of_the_second_hand_on_nothing_makes_the_grasp_of_the_first_one_doubtful(one_holds):
@@ -114,7 +115,7 @@ def test_a_close_of_the_second_hand_on_nothing_makes_the_grasp_of_the_first_one_
     assert run.failure.reason is StopReason.NO_CONTACT
     assert hands(one_holds) == (MODULE, "", RIGHT)
     assert one_holds.world.get(f"{MODULE}.grasp").validity not in TRUSTED
-    assert "VERIFY MACS-NEW AT RIGHT-ARM" in run.failure.clears
+    assert "VERIFY MACS-NEW AT RIGHT-ARM" in in_one_line(run.failure.clears)
 
 
 @pytest.mark.parametrize(("arm", "other"), [(RIGHT, LEFT), (LEFT, RIGHT)])
@@ -301,7 +302,7 @@ def test_what_two_arms_at_one_object_cannot_do_is_refused(holding, sentence, mes
     assert run.refusal is not None
     assert message in run.refusal.message
     assert run.primitives == []
-    assert "RETRACT" not in run.refusal.clears  # of one arm, which cannot move alone
+    assert "RETRACT" not in in_one_line(run.refusal.clears)  # of one arm, which cannot move alone
 
 
 @pytest.mark.parametrize("holder", [{}, {RIGHT: MODULE}, {RIGHT: MODULE, LEFT: "MACS-OLD"}])
@@ -363,7 +364,7 @@ def test_a_verb_without_a_script_for_two_arms_names_one_sentence_for_each(bench,
     assert bench.do("MOVE RIGHT-ARM TO CLEAR-POINT-1").succeeded
     refused = bench.elaborate(f"{verb} BOTH-ARMS")
     assert isinstance(refused, Refusal)
-    offered = [sentence for (sentence,) in advice.steps(refused.clears, "", dict)]
+    offered = sentences_of(refused.clears)
     assert offered == [f"{verb} {RIGHT}", f"{verb} {LEFT}"]
     for sentence in offered:
         assert bench.do(sentence).succeeded, sentence

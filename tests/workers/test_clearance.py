@@ -9,6 +9,7 @@ import pytest
 
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.wording.advice import in_one_line
 from rtc.world.spread import even
 from tests.campaigns import laden_ways
 
@@ -82,7 +83,7 @@ def test_near_an_object_whose_place_is_not_known_well_the_refusal_says_so(bench)
     refusal = bench.do(sentence).refusal
 
     assert 0.005 < refusal.cause.distance_m < refusal.cause.margin_m
-    assert refusal.clears.startswith("LOCATE MACS-NEW")
+    assert refusal.clears[0].sentences == ["LOCATE MACS-NEW"]
     for advised in ("LOCATE MACS-NEW", sentence):
         run = bench.do(advised)
         assert run.succeeded, (advised, run.refusal, run.assessments)
@@ -92,4 +93,4 @@ def test_without_room_for_the_clearance_a_look_is_not_advised(bench):
     bench.unsurveyed()
     refusal = bench.elaborate("MOVE RIGHT-ARM TO POSITION 68.3 -80 60 CM")
     assert isinstance(refusal, Refusal)
-    assert "LOCATE" not in refusal.clears
+    assert "LOCATE" not in in_one_line(refusal.clears)

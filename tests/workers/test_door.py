@@ -13,6 +13,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Look, TurnAbove
 from rtc.spatial import geometry, hinges
+from rtc.wording.advice import in_one_line
 from tests.workers.conftest import Bench, Physical, Reporter
 from workers.planning import scenes
 from workers.planning.robot_models import CellModel
@@ -168,7 +169,7 @@ def test_a_door_without_an_angle_is_opened_as_the_refusal_advises(bench, hand) -
     refusal = bench.do(f"OPEN {DOOR}{hand}").refusal
     assert refusal is not None
     ways = ("BY an angle in DEG", "TO an angle in DEG", "UNTIL a condition")
-    assert refusal.clears == "; or ".join(f"OPEN {DOOR} {way}" for way in ways)
+    assert in_one_line(refusal.clears) == "; or ".join(f"OPEN {DOOR} {way}" for way in ways)
 
 
 def test_let_go_it_stays_at_its_angle(bench) -> None:
@@ -196,7 +197,7 @@ def test_a_halted_door_goes_on_after_the_command_that_the_refusal_states(bench) 
     refusal = bench.do(OPEN).refusal
     assert refusal is not None
     assert refusal.reason is RefusalReason.SUSPECT
-    run = bench.do(refusal.clears)
+    run = bench.do(refusal.clears[0].sentences[0])
     assert run.succeeded, (run.refusal, run.failure)
     assert bench.world.get(f"{DOOR}.angle").validity == "valid"
     assert bench.do(OPEN).succeeded
@@ -228,8 +229,8 @@ def test_a_door_that_no_camera_sees_is_taken_again_after_its_angle_is_stated() -
     refusal = bench.do(GRASP).refusal
     assert refusal is not None
     assert refusal.reason is RefusalReason.SUSPECT
-    assert f"SET {DOOR} ANGLE" in refusal.clears
-    assert bench.do(refusal.clears.partition("state it: ")[2].partition(",")[0]).succeeded
+    assert refusal.clears[0].states == [f"{DOOR}.angle"]
+    assert bench.do(refusal.clears[0].sentences[0]).succeeded
     assert angle_deg(bench) == pytest.approx(before, abs=0.01)
     assert bench.do(GRASP).succeeded
 
@@ -247,7 +248,7 @@ def test_a_door_stays_on_its_hinge(bench, stated, word) -> None:
     refusal = bench.do(f"SET {DOOR} {stated}").refusal
     assert refusal is not None
     assert word in refusal.message
-    assert "ANGLE" in refusal.clears
+    assert "ANGLE" in in_one_line(refusal.clears)
     assert bench.world.get(f"{DOOR}.frame") == before
     assert bench.do(f"SET {DOOR} FRAME 75.4 17.3 70 CM 0 1 -30 DEG").succeeded  # the survey of its hinge was not exact
     assert angle_deg(bench) == pytest.approx(30.0, abs=0.5)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rtc.model.cells.cell import Cell
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import Script, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason
 from rtc.protocol.primitive import Look, TurnAbove
@@ -202,8 +203,8 @@ def test_a_bay_that_is_not_seen_names_its_satellite_once() -> None:
     bench.subsystem.eyes.blind = True
     failure = bench.do(f"LOCATE {BAY}").failure
     assert failure is not None
-    assert failure.clears.startswith(f"{LOCATE}, on which {BAY} is; then do it again")
+    assert (failure.clears[0].sentences, failure.clears[0].again) == ([LOCATE], True)
     bench.subsystem.eyes.blind = False
     assert bench.do(LOCATE).succeeded
     bench.subsystem.eyes.blind = True
-    assert LOCATE not in bench.do(f"LOCATE {BAY}").failure.clears
+    assert LOCATE not in sentences_of(bench.do(f"LOCATE {BAY}").failure.clears)

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from rtc.drawing.scene import SceneView
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.spatial import geometry
 from rtc.subsystems.perception.look_task import Evaluated, Windows
+from rtc.wording.advice import in_one_line
 from rtc.world.spread import even
 from tests.workers.conftest import CELL
 from tests.workers.eyes import NOTHING, Drawn, Ideal
@@ -78,7 +80,7 @@ def test_a_module_that_moves_is_not_grasped_and_its_pose_is_not_trusted(bench) -
     run = bench.do(GRASP)
     assert run.failure.reason is StopReason.OUT_OF_RANGE
     assert "3.0 mm/s" in run.failure.message
-    assert f"TRACK {MODULE}" in run.failure.clears
+    assert f"TRACK {MODULE} FOR 10 S" in sentences_of(run.failure.clears)
     assert [made.performer for made in run.primitives] == ["CAMERA-1"]  # no arm has moved
     assert frame(bench, MODULE).validity is Validity.SUSPECT
     assert bench.do(f"LOCATE {MODULE}").failure.reason is StopReason.OUT_OF_RANGE
@@ -135,7 +137,7 @@ def test_a_body_without_tags_is_refused_before_it_begins(bench) -> None:
     run = bench.do("LOCATE BAY-2")
     assert run.refusal.reason is RefusalReason.INFEASIBLE
     assert "has no tags" in run.refusal.message
-    assert "SET BAY-2 FRAME" in run.refusal.clears
+    assert "SET BAY-2 FRAME" in in_one_line(run.refusal.clears)
 
 
 def test_what_no_camera_sees_is_refused_unless_one_is_named(bench) -> None:
@@ -170,7 +172,7 @@ def test_verify_confirms_a_place_or_makes_the_pose_suspect(bench) -> None:
     run = bench.do(f"VERIFY {OTHER} AT RACK-2 VIA CAMERA-2")
     assert run.failure.reason is StopReason.OUT_OF_RANGE
     assert "20.0 mm" in run.failure.message
-    assert run.failure.clears.startswith(f"LOCATE {OTHER}")
+    assert run.failure.clears[0].sentences[0] == f"LOCATE {OTHER}"
     assert frame(bench, OTHER).validity is Validity.SUSPECT
 
     assert bench.do(f"LOCATE {OTHER}").succeeded  # the seat has moved too, so it is in its place again
@@ -182,7 +184,7 @@ def test_verify_at_another_place_leaves_a_pose_that_the_camera_confirms(bench) -
     run = bench.do(f"VERIFY {MODULE} AT BAY-2 VIA CAMERA-1")
     assert run.failure.reason is StopReason.OUT_OF_RANGE
     assert "believed" in run.failure.message
-    assert "PLACE" in run.failure.clears
+    assert f"PLACE {MODULE} ON BAY-2" in sentences_of(run.failure.clears)
     assert frame(bench, MODULE) == before
 
 
@@ -327,7 +329,7 @@ def test_a_doubtful_pose_that_no_camera_sees_is_refused_as_before(bench) -> None
     bench.set_fact(f"{MODULE}.frame", away, Validity.SUSPECT)
     run = bench.do(GRASP)
     assert run.refusal.reason is RefusalReason.SUSPECT
-    assert "SET MACS-NEW FRAME" in run.refusal.clears
+    assert "SET MACS-NEW FRAME" in in_one_line(run.refusal.clears)
 
 
 def test_a_doubtful_pose_that_a_camera_does_not_find_stops_the_command_before_the_arm_moves(bench) -> None:
@@ -351,9 +353,9 @@ def test_an_object_that_is_not_seen_in_its_hand_is_felt_for_and_not_looked_for_a
     holding.subsystem.eyes.blind = True
     advice = holding.do(f"LOCATE {MODULE}").failure.clears
     felt = f"VERIFY {MODULE} AT RIGHT-ARM"
-    assert advice == f"{felt}, or state where it is: SET {MODULE} FRAME x y z CM roll pitch yaw DEG"
+    assert [(one.sentences, one.states) for one in advice] == [([felt], []), ([], [f"{MODULE}.frame"])]
     assert holding.do(felt).succeeded
-    assert "VERIFY" not in holding.do(f"LOCATE {OTHER}").failure.clears
+    assert "VERIFY" not in in_one_line(holding.do(f"LOCATE {OTHER}").failure.clears)
 
 
 def lifted(bench, slip=(0.0, 0.0, 0.004)):
@@ -409,7 +411,7 @@ def test_an_object_that_was_lost_stops_the_command_before_the_arm_moves(holding)
     run = holding.do(f"PLACE {MODULE} ON RACK-1")
     assert run.failure.reason is StopReason.OBJECT_LOST
     assert [made.performer for made in run.primitives] == ["CAMERA-1"]
-    assert run.failure.clears == f"GRASP {MODULE}"
+    assert in_one_line(run.failure.clears) == f"GRASP {MODULE}"
     assert holding.world.value("RIGHT-ARM.holding") == ""
     assert geometry.distance(frame(holding, MODULE).value, holding.subsystem.poses[MODULE]) < 1e-6
 
@@ -437,7 +439,7 @@ def test_what_is_in_doubt_and_out_of_sight_is_refused_with_what_would_clear_it(b
     run = bench.do(f"PLACE {MODULE} ON BAY-2")
     assert run.refusal.reason is RefusalReason.SUSPECT
     assert run.refusal.where == fact
-    assert cure in run.refusal.clears
+    assert cure in in_one_line(run.refusal.clears)
     assert not run.primitives
 
 

@@ -32,6 +32,7 @@ from rtc.protocol.primitive import (
 )
 from rtc.spatial import geometry
 from rtc.spatial.solid_boxes import CORNERS
+from rtc.wording.advice import in_one_line
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 
@@ -94,7 +95,7 @@ def test_a_cell_that_gives_no_meaning_refuses_an_item_without_its_argument(bench
     assert isinstance(refusal, Refusal)
     assert refusal.reason is RefusalReason.NO_SCRIPT
     assert f"{slot} needs " in refusal.message
-    assert f"give {slot} " in refusal.clears
+    assert f"give {slot} " in in_one_line(refusal.clears)
 
 
 # --- in the plan -----------------------------------------------------------------------------------------

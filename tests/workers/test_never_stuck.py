@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from rtc.protocol import causes
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import Script, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from rtc.world.spread import even, widened
 from tests.campaigns import left_alone
 from tests.campaigns.after_stops import Drawn, halt_and_follow
@@ -49,7 +51,7 @@ def test_out_of_a_handle_that_is_stated_to_be_there_after_all(in_the_handle, sen
 def test_out_of_a_handle_that_is_known_within_millimetres_straight_back_first(in_the_handle):
     assert in_the_handle.do(SAME_PLACE).succeeded
     refusal = in_the_handle.do("STOW RIGHT-ARM").refusal
-    assert refusal.clears.startswith("RETRACT RIGHT-ARM first")
+    assert refusal.clears[0].sentences == ["RETRACT RIGHT-ARM"]
     for sentence in ("RETRACT RIGHT-ARM", "STOW RIGHT-ARM"):
         assert in_the_handle.do(sentence).succeeded
 
@@ -71,7 +73,7 @@ def test_on_physics_out_of_a_handle_that_is_not_where_it_is_believed_to_be(physi
 
     refused = physical.do("STOW RIGHT-ARM")
     assert not refused.primitives
-    for sentence in (refused.refusal.clears.partition(" first")[0], "STOW RIGHT-ARM"):
+    for sentence in (*refused.refusal.clears[0].sentences, "STOW RIGHT-ARM"):
         run = physical.do(sentence)
         assert run.succeeded, (sentence, run.refusal, run.assessments)
         assert run.reports[-1].peak_force_n < 3.0
@@ -110,9 +112,7 @@ def test_nothing_is_released_in_the_air_unless_commanded(in_the_air):
 
     assert refusal.reason is RefusalReason.STATE
     assert "would drift away" in refusal.message
-    assert refusal.clears == (
-        "PLACE MACS-NEW ON RACK-1 or BAY-2; or RELEASE MACS-NEW VIA FREE-DRIFT, if it may drift away"
-    )
+    assert sentences_of(refusal.clears) == ["PLACE MACS-NEW ON RACK-1", "RELEASE MACS-NEW VIA FREE-DRIFT"]
 
 
 def test_an_object_released_in_the_air_is_in_doubt_until_its_pose_is_stated(in_the_air):
@@ -120,7 +120,7 @@ def test_an_object_released_in_the_air_is_in_doubt_until_its_pose_is_stated(in_t
 
     assert in_the_air.world.value("RIGHT-ARM.holding") == ""
     assert in_the_air.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
-    assert "SET MACS-NEW FRAME" in in_the_air.do(GRASP).refusal.clears
+    assert "SET MACS-NEW FRAME" in in_one_line(in_the_air.do(GRASP).refusal.clears)
     assert in_the_air.do("RETRACT RIGHT-ARM BY 5 CM").succeeded
     assert in_the_air.do("STOW RIGHT-ARM").succeeded
     assert in_the_air.do("SET MACS-NEW FRAME 78 -78 80 CM 0 0 -10 DEG").succeeded
@@ -147,7 +147,7 @@ def test_free_drift_is_a_strategy_of_one_verb(bench):
 
 def test_the_refusal_for_a_full_hand_in_the_air_names_a_free_seat(in_the_air):
     refusal = in_the_air.do("GRASP MACS-OLD WITH RIGHT-ARM").refusal
-    assert refusal.clears == "PLACE MACS-NEW ON RACK-1 or BAY-2, or GRASP MACS-OLD WITH LEFT-ARM instead"
+    assert sentences_of(refusal.clears) == ["PLACE MACS-NEW ON RACK-1", "GRASP MACS-OLD WITH LEFT-ARM"]
     assert in_the_air.do("PLACE MACS-NEW ON RACK-1").succeeded
 
 

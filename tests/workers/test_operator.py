@@ -389,7 +389,7 @@ def test_a_command_whose_trims_are_used_up_is_surrendered_and_goes_on_after_him(
     refusal = rtc.outcomes[command].refusal
     assert refusal is not None
     assert refusal.by_operator == "MOVE RIGHT-ARM TO BAY-2-FRONT VIA OPERATOR-INTERVENTION"
-    assert refusal.clears.endswith(f"or {refusal.by_operator}")
+    assert refusal.clears[-1].sentences == [refusal.by_operator]
     assert {rtc.state.commands[name].phase for name in (after, in_line)} == {m.Phase.HELD}
     rests = it.executor.sample.joints
     rtc.give(refusal.by_operator)

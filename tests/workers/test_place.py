@@ -12,6 +12,7 @@ from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import ForceAbove, TorqueAbove
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from rtc.world.spread import even
 from tests.workers.conftest import CELL, MODEL
 from workers.planning import scenes
@@ -74,7 +75,7 @@ def test_on_physics_ways_found_by_sampling_are_followed(physical):
     seated = physical.do("STOW RIGHT-ARM")
     assert not seated.primitives
     for sentence in (
-        seated.refusal.clears.partition(" first")[0],
+        seated.refusal.clears[0].sentences[0],
         "LIFT MACS-NEW BY 5 CM",
         "MOVE RIGHT-ARM TO POSITION 57 -62 52 CM",
         "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN POSE-DURING-MOTION LEVEL",
@@ -99,8 +100,8 @@ def test_what_touches_nothing_is_not_in_its_seat(bench):
     assert (last.verdict, last.reason) == ("abort", StopReason.NO_CONTACT)
     assert bench.world.value("RIGHT-ARM.holding") == "MACS-NEW"
     assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
-    assert "SET MACS-NEW FRAME" in last.clears
-    assert "VERIFY" not in last.clears  # fingers feel nothing of what is wrong
+    assert "SET MACS-NEW FRAME" in in_one_line(last.clears)
+    assert "VERIFY" not in in_one_line(last.clears)  # fingers feel nothing of what is wrong
 
 
 def test_what_gives_way_to_a_tug_is_not_let_go(bench):
@@ -155,7 +156,8 @@ def test_after_a_place_that_failed_the_advice_leads_to_one_that_does_not(bench):
         "LIFT MACS-NEW BY 30 CM",
         "PLACE MACS-NEW ON BAY-2",
     ):
-        assert sentence.split()[0] in failed.assessments[-1].clears
+        verb, thing, *_ = sentence.split()
+        assert f"{verb} {thing}" in in_one_line(failed.assessments[-1].clears) or verb == "PLACE"
         run = bench.do(sentence)
         assert run.succeeded, (sentence, run.refusal, run.assessments)
 
@@ -194,14 +196,15 @@ def test_on_physics_a_bay_that_is_14_mm_off_is_named_and_the_advice_leads_in(phy
 
     failed = physical.do("PLACE MACS-NEW ON BAY-2")
 
-    clears = failed.assessments[-1].clears
-    assert clears.index("LIFT MACS-NEW BY 30 CM") < clears.index("SET BAY-2 FRAME") < clears.index("LOCATE BAY-2")
+    stated, looked = failed.assessments[-1].clears
+    assert (stated.sentences, stated.states[-1:]) == (["LIFT MACS-NEW BY 30 CM"], ["BAY-2.frame"])
+    assert looked.sentences == ["LIFT MACS-NEW BY 30 CM", "LOCATE BAY-2"]
     assert physical.world.get("BAY-2.frame").validity is Validity.SUSPECT
     for sentence in ("LIFT MACS-NEW BY 30 CM", "STOW RIGHT-ARM", "LOCATE BAY-2"):
         assert physical.do(sentence).succeeded, sentence
     again = physical.do("PLACE MACS-NEW ON BAY-2")
     assert not again.succeeded
-    assert "LOCATE BAY-2" not in again.assessments[-1].clears  # the cameras know no better
+    assert "LOCATE BAY-2" not in in_one_line(again.assessments[-1].clears)  # the cameras know no better
     stated = f"SET BAY-2 FRAME {x:.1f} {y:.1f} {z:.1f} CM 0 0 0 DEG"
     for sentence in (stated, "LIFT MACS-NEW BY 30 CM", "PLACE MACS-NEW ON BAY-2"):
         run = physical.do(sentence)
@@ -259,5 +262,5 @@ def test_a_module_whose_way_out_is_blocked_is_not_sent_the_same_way_again(bench)
     bench.set_fact("MACS-OLD.frame", above.tolist())
     bench.set_fact("MACS-OLD.seat", "")
     refusal = bench.do("LIFT MACS-NEW BY 15 CM").refusal
-    assert refusal.clears.startswith("RELEASE MACS-NEW: MACS-OLD is in its way out of RACK-1")
+    assert refusal.clears[0].sentences == ["RELEASE MACS-NEW"]
     assert bench.do("RELEASE MACS-NEW").succeeded  # the hand backs off without it

@@ -13,6 +13,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from rtc.world.model import World, initial_facts
 from tests.workers.conftest import CELL, MODEL, Bench, Reporter
 from tests.workers.eyes import Ideal
@@ -444,7 +445,7 @@ def test_what_is_held_in_a_doubtful_grasp_is_not_given_on(held: Bench) -> None:
     held.without_cameras()
     held.set_fact(f"{MODULE}.grasp", held.world.value(f"{MODULE}.grasp"), Validity.SUSPECT)
     for sentence in (GIVE, BOTH, f"CARRY {MODULE} TO BAY-2"):
-        assert refusal_of(held, sentence).clears == f"VERIFY {MODULE} AT {RIGHT}"
+        assert in_one_line(refusal_of(held, sentence).clears) == f"VERIFY {MODULE} AT {RIGHT}"
 
 
 # --- INSERT ------------------------------------------------------------------------------------------------

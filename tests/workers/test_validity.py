@@ -10,6 +10,7 @@ import pytest
 from rtc.protocol.messages import Phase, SavedFact, SavedWorld, Validity, WorldChange
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.workers.conftest import CELL
@@ -43,7 +44,7 @@ def test_a_pose_that_is_stated_to_be_unknown_is_relied_on_by_no_step_until_it_is
     refusal = refused(bench, GRASP)
     assert (refusal.reason, refusal.where) == (RefusalReason.SUSPECT, "MACS-NEW.frame")
     assert "unknown" in refusal.message
-    assert bench.do(refusal.clears.partition(",")[0]).succeeded  # LOCATE MACS-NEW
+    assert bench.do(refusal.clears[0].sentences[0]).succeeded  # LOCATE MACS-NEW
     assert validity(bench, "MACS-NEW.frame") is Validity.VALID
     assert bench.do(GRASP).succeeded
 
@@ -52,8 +53,8 @@ def test_without_cameras_it_must_be_stated(bench):
     bench.without_cameras()
     assert bench.do("SET MACS-NEW FRAME UNKNOWN").succeeded
     refusal = refused(bench, GRASP)
-    assert "SET MACS-NEW FRAME x y z" in refusal.clears
-    assert "believed" not in refusal.clears
+    assert "SET MACS-NEW FRAME x y z" in in_one_line(refusal.clears)
+    assert "believed" not in in_one_line(refusal.clears)
     assert bench.do("SET MACS-NEW FRAME 80 -80 60 CM").succeeded
     assert not isinstance(bench.elaborate(GRASP), Refusal)
 
@@ -109,11 +110,11 @@ def test_fingers_that_meet_nothing_disprove_the_place_of_what_they_held(bench):
     judged = bench.analyze(bound, lost)
     bench.world = bench.world.overlay(judged.changes)
     assert validity(bench, "MACS-NEW.frame") is Validity.INVALID
-    assert "LOCATE MACS-NEW" in judged.clears
+    assert "LOCATE MACS-NEW" in in_one_line(judged.clears)
     assert bench.do("OPEN RIGHT-ARM").succeeded
     refusal = refused(bench, GRASP)  # not sensed on the way: it may be anywhere
     assert "invalid" in refusal.message
-    assert refusal.clears.startswith("LOCATE MACS-NEW")
+    assert refusal.clears[0].sentences == ["LOCATE MACS-NEW"]
 
 
 # --- changing --------------------------------------------------------------------------------------------
@@ -223,7 +224,7 @@ def test_a_file_is_refused_as_a_whole(bench):
 
 
 def test_the_sentence_and_the_facts_belong_together(bench):
-    assert "rtc world restore" in refused(bench, "SET WORLD FACTS SAVED").clears
+    assert "rtc world restore" in in_one_line(refused(bench, "SET WORLD FACTS SAVED").clears)
     bench.saved = saved(bench.world)
     assert refused(bench, "STOW RIGHT-ARM").reason is RefusalReason.SENTENCE
 

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from rtc.model.cells.cell import Cell
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import EndReport, Script
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import JointTrajectory
@@ -79,15 +80,15 @@ def test_a_way_that_ends_early_says_how_much_is_left(
     laden: Bench, sentence: str, begins: str, ends: str, reason: StopReason
 ) -> None:
     left_m, made = ended(laden, sentence, 0.5, reason)
-    advised = next(part for part in made.clears.split("; ") if part.startswith(begins))
+    advised = next(text for text in sentences_of(made.clears) if text.startswith(begins))
     assert ends in advised
     assert abs(float(advised.removeprefix(begins).split()[0])) == pytest.approx(100.0 * left_m, abs=0.1)
-    assert record(advised.partition(", ")[0])
+    assert record(advised)
 
 
 def test_a_turn_that_ends_early_says_how_much_is_left(at_door: Bench) -> None:
     _, made = ended(at_door, "OPEN DOOR-2 BY 60 DEG WITH LEFT-ARM", 0.5, StopReason.HALT)
-    advised = made.clears.split("; ")[-1]
+    advised = made.clears[0].sentences[-1]
     assert advised.startswith("OPEN DOOR-2 BY ")
     assert float(advised.split()[3]) == pytest.approx(28.5, abs=3.0)  # the path is longer than the turn
 
@@ -102,4 +103,4 @@ def test_a_turn_that_was_reached_has_succeeded_beside_a_displaced_hinge(at_door:
 
 def test_what_has_come_to_its_end_leaves_nothing(laden: Bench) -> None:
     _, made = ended(laden, "MOVE RIGHT-ARM BY 10 CM ALONG Z", 1.0, StopReason.HALT)
-    assert "MOVE RIGHT-ARM" not in made.clears
+    assert not any(text.startswith("MOVE RIGHT-ARM") for text in sentences_of(made.clears))

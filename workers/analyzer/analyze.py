@@ -13,6 +13,7 @@ from rtc.language.alike import unknown
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.world.model import World
@@ -143,7 +144,8 @@ def _success(task: AnalyzeTask) -> Assessment:
     trim = _trim_of_grip(task) if of_grip else 0
     drift = comparison.in_words(drifts)
     if of_grip and not trim:
-        drift += f"; {trust.remedy(task.query, f'{task.evaluation.held}.grasp', task.program.clears)}"
+        cure = trust.remedy(task.query, f"{task.evaluation.held}.grasp", task.program.clears)
+        drift += f"; {', then '.join(sentences_of(cure[:1]))}"
     return Assessment(
         verdict="abort" if task.data.closing else "trim" if trim else "continue",
         reason=task.report.reason,

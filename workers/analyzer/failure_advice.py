@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-import re
 
 import numpy as np
+from msgspec.structs import replace
 
 from rtc.programs.schema import OutcomeClass
+from rtc.protocol.advice import NOTHING, Advice, Alternative, by_person, fill_in, in_order
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
-from workers.analyzer import what_is_left
+from workers.analyzer import failure_words, what_is_left
 from workers.analyzer.analyze_task import AnalyzeTask
-from workers.analyzer.failure_words import fill_in
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
 from workers.analyzer.world_changes import Changes
 from workers.planning import trust
@@ -38,15 +38,12 @@ DOUBTFUL = (Validity.SUSPECT, Validity.INVALID)
 IN_SLOT_M = 0.010  # a shorter way back into a slot frees nothing
 
 
-AGAIN = re.compile(r"\b(?:do it|try) again")  # of a relative sentence: the rest
-
-
 BACKWARDS = 0.7  # cosine of the angle between the way of a hand and its tool axis from which on it went back
 
 
 def what_clears(
     task: AnalyzeTask, reason: StopReason, failure: OutcomeClass, changes: Changes, *, asked: bool, pressed: bool
-) -> str:
+) -> Advice:
     """What to do now: first about what the hand holds and presses on, then about facts in doubt, then try again.
 
     `asked`: a reflex of the command has ended the step. `pressed`: the hand presses on something."""
@@ -54,41 +51,47 @@ def what_clears(
     # A seat needs a better known pose in the hand than VERIFY leaves after that, and a free motion more room.
     misplaced = failure.misplaced or askew or (pressed and bool(target))
     cures = _ways_to_clear(task, changes, moved=pressed or misplaced, misplaced=misplaced)
-    pressing, doubtful = _leaving(task, task.program.clears.get("asked", "") if asked else failure.pressing)
+    pressing, doubtful = _leaving(task, task.program.clears.get("asked", []) if asked else failure.pressing)
     held = [cure for key, cure in cures.items() if doubtful and key.rpartition(".")[0] == task.evaluation.held]
     own = [*held, pressing]
-    again, rest = "", what_is_left.sentence(task)
+    again: Advice = []
+    rest = [Alternative(sentences=[left], instead=True)] if (left := what_is_left.sentence(task)) else []
     if not asked:
-        own += [_felt(task, reason) or failure.clears, *_higher_limit(task)]
-        again = "" if askew else failure.again  # the fingers close no further
-        again = AGAIN.sub(rest, again) if rest else again
+        own += [_felt(task, reason) or failure.clears, by_person(*_higher_limit(task))]
+        again = [] if askew else failure.again  # the fingers close no further
+        again = [_the_rest(one, rest) if rest and one.again else one for one in again]
     if asked or reason is StopReason.HALT:
-        again = again or ("" if pressing else rest)
-    if "{target_cure}" in again:
-        cure = cures.pop(f"{target}.frame", "")
-        again = again.replace("{target_cure}; ", f"{cure}; " if cure else "")
-    todo = dict.fromkeys(word for word in (*own, *cures.values(), again) if word)
-    return fill_in("; ".join(todo), task, reason)
+        again = again or ([] if pressing else rest)
+    if any("{target_cure}" in one.sentences for one in again):
+        again = fill_in(again, {"target_cure": cures.pop(f"{target}.frame", [NOTHING])})
+    out_first = [Alternative(sentences=failure_words.out_first(task))]
+    todo = in_order(*own, *cures.values(), again)
+    return fill_in(todo, {**failure_words.texts(task, reason), "out_first": out_first})
 
 
-def _felt(task: AnalyzeTask, reason: StopReason) -> str:
+def _the_rest(one: Alternative, rest: Advice) -> Alternative:
+    """The rest of a relative sentence in the place of that sentence."""
+    return replace(one, sentences=[*one.sentences, *rest[0].sentences], again=False, instead=True)
+
+
+def _felt(task: AnalyzeTask, reason: StopReason) -> Advice:
     """The advice if cameras do not see a body where the class of the failure does not help. In a hand, the fingers tell
     whether it is there; mounted on another body, it is where that is."""
     body = task.evaluation.body
     if reason is StopReason.NOT_SEEN and body and (cover := _uncovered(task, body)):
         return cover
     if reason is StopReason.NOT_SEEN and (carrier := task.query.bodies.get(body)) and _unlocated(task, carrier):
-        return task.program.clears.get("carrier", "").replace("{carrier}", carrier)
+        return fill_in(task.program.clears.get("carrier", []), {"carrier": carrier})
     if reason is not StopReason.NOT_SEEN or not body or not task.query.held_by(body):
-        return ""
-    return trust.remedy(task.query, f"{body}.grasp", {"grasp": task.program.clears.get("unseen_in_hand", "")})
+        return []
+    return trust.remedy(task.query, f"{body}.grasp", {"grasp": task.program.clears.get("unseen_in_hand", [])})
 
 
-def _uncovered(task: AnalyzeTask, body: str) -> str:
+def _uncovered(task: AnalyzeTask, body: str) -> Advice:
     """How to take away what is before a body, if a camera then sees it: a door is opened, an arm goes away."""
     query, clears, cameras = task.query, task.program.clears, task.step.cameras
     if query.held_by(body):
-        return ""
+        return []
     for name in hiders(query, cameras, body)[1]:
         door = any(thing.name == name and thing.hinge is not None for thing in query.cell.objects)
         if door:
@@ -100,9 +103,8 @@ def _uncovered(task: AnalyzeTask, body: str) -> str:
         else:
             continue
         if hiders(query.after([gone]), cameras, body)[0]:
-            words = clears.get(row, "").replace("{turn}", turn_in_words(query, name))
-            return words.replace("{before}", name)
-    return ""
+            return fill_in(clears.get(row, []), {"turn": turn_in_words(query, name), "before": name})
+    return []
 
 
 def _unlocated(task: AnalyzeTask, carrier: str) -> bool:
@@ -124,7 +126,7 @@ def _higher_limit(task: AnalyzeTask) -> list[str]:
     return [f"a FORCE-LIMIT above {limit_n:g} N, if nothing is in the way"] if own else []
 
 
-def _ways_to_clear(task: AnalyzeTask, changes: Changes, *, moved: bool, misplaced: bool) -> dict[str, str]:
+def _ways_to_clear(task: AnalyzeTask, changes: Changes, *, moved: bool, misplaced: bool) -> dict[str, Advice]:
     """The advice that clears the facts made suspect or invalid by these changes, by the first fact that it clears.
 
     `moved`: what is held may have moved in the hand. `misplaced`: its fingers do not help."""
@@ -138,20 +140,21 @@ def _ways_to_clear(task: AnalyzeTask, changes: Changes, *, moved: bool, misplace
         seen = "seen" in clears and held and after.cameras(held)
         row = "seen" if seen else "misplaced" if misplaced else "grasp"
         clears = {**clears, "grasp": clears[row]}
-    first: dict[str, str] = {}
+    first: dict[str, Advice] = {}
     for key in suspect:
-        if key.rpartition(".")[2] in clears:
-            first.setdefault(trust.remedy(after, key, clears), key)
-    return {key: advice for advice, key in first.items()}
+        if key.rpartition(".")[2] in clears and (cure := trust.remedy(after, key, clears)) not in first.values():
+            first[key] = cure
+    return first
 
 
-def _leaving(task: AnalyzeTask, template: str) -> tuple[str, bool]:
+def _leaving(task: AnalyzeTask, row: Advice) -> tuple[Advice, bool]:
     """The advice for an arm that pressed on something, and whether it moves no object in the hand that is in doubt."""
-    if not template or not pressing_n(task):
-        return "", False
-    row, back = _way_to_leave(task)
-    words = template.replace("{leave}", task.program.clears.get(row, "")).replace("{back}", back)
-    return words.replace("{away}", _away(task)), row != BACK or "{leave}" not in template
+    if not row or not pressing_n(task):
+        return [], False
+    way, back = _way_to_leave(task)
+    leaves = any("{leave}" in one.sentences for one in row)
+    advice = fill_in(row, {"leave": task.program.clears.get(way, [])})
+    return fill_in(advice, {"back": back, "away": _away(task)}), way != BACK or not leaves
 
 
 def _way_to_leave(task: AnalyzeTask) -> tuple[str, str]:

@@ -41,9 +41,16 @@ def _message(failure: OutcomeClass, task: AnalyzeTask) -> str:
 
 def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:
     """The message with its placeholders filled in."""
+    for name, text in texts(task, reason).items():
+        message = message.replace("{" + name + "}", text)
+    return message
+
+
+def texts(task: AnalyzeTask, reason: StopReason) -> dict[str, str]:
+    """The texts of the placeholders, by name."""
     evaluation, report = task.evaluation, task.report
     least, most = evaluation.width_m or (0.0, 0.0)
-    figures = {
+    return {
         "reason": reason.value,
         "measured": "?" if report.measured is None else figure(report.measured),
         "limit": "the" if report.limit is None else figure(report.limit),
@@ -66,25 +73,21 @@ def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:
         "grip": figure(task.context.limits.grip_force_n or 0.0),
         "short": _short(task),
         "progress": turning.in_words(task),
-        "out_first": _out_first(task),
         "until": task.context.until.sentence if task.context.until else "the condition",
     }
-    for name, text in figures.items():
-        message = message.replace("{" + name + "}", text)
-    return message
 
 
-def _out_first(task: AnalyzeTask) -> str:
-    """What comes before a held body can go elsewhere: a second hand lets go of it, and it leaves the slot that it is
+def out_first(task: AnalyzeTask) -> list[str]:
+    """Sentences before a held body can go elsewhere: a second hand lets go of it, or it leaves the slot that it is
     still in. Empty if neither is needed."""
     query, body = task.query, task.evaluation.body
     arm = query.held_by(body) if body else ""
     if not arm or query.hinge(body) is not None:
-        return ""
+        return []
     if sharing := query.sharers(arm):
-        return f"RELEASE {body} WITH {hand_in_words(sharing[0])}; "
+        return [f"RELEASE {body} WITH {hand_in_words(sharing[0])}"]
     seat = query.slot_at(query.frame(body))
-    return f"{in_seat.way_out_in_words(query, arm, seat)}; " if seat else ""
+    return [in_seat.way_out_in_words(query, arm, seat)] if seat else []
 
 
 def _short(task: AnalyzeTask) -> str:

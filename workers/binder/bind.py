@@ -17,6 +17,7 @@ from rtc.programs import expressions
 from rtc.programs.extension_names import PERFORMERS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram
+from rtc.protocol.advice import by_sentence
 from rtc.protocol.causes import Cause, GripForceExceeded, OpeningExceeded
 from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason
@@ -184,7 +185,7 @@ def _now(task: BindTask, stated: Any) -> Any:
         RefusalReason.SUSPECT,
         f"{stated[NOW]} is {fact.validity.value if fact else 'unknown'}: where {arm} stands is not sure",
         where=stated[NOW],
-        clears=f"the next motion reads the joints first, such as HOLD {hand_in_words(arm)} FOR 1 SEC",
+        clears=by_sentence(f"HOLD {hand_in_words(arm)} FOR 1 SEC", words="it reads the joints first"),
     )
 
 

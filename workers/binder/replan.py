@@ -7,6 +7,7 @@ import math
 
 import msgspec
 
+from rtc.protocol.advice import again_after
 from rtc.protocol.messages import Binding
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
@@ -16,7 +17,7 @@ from workers.planning.world_query import WorldQuery
 
 MOVED_M = 0.0005  # smaller displacements need no replanning
 MOVED_RAD = math.radians(0.2)
-AGAIN = "give the sentence again: it is planned with what was measured"
+AGAIN = "it is planned with what was measured"
 
 
 def current_pose(query: WorldQuery, arm: str, binding: Binding) -> Array:
@@ -39,7 +40,7 @@ def current_pose(query: WorldQuery, arm: str, binding: Binding) -> Array:
 def _planned_before(why: Refusal) -> Refusal:
     """The refusal of a plan that does not fit what was measured after it: a new one rests on that."""
     message = f"planned before the last look, which has found it elsewhere: {why.message}"
-    return msgspec.structs.replace(why, message=message, clears=f"{AGAIN}; or {why.clears}")
+    return msgspec.structs.replace(why, message=message, clears=[*again_after(AGAIN), *why.clears])
 
 
 def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding]:

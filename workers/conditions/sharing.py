@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol.advice import Advice, fill_in
 from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.planning.world_query import WorldQuery
 
 
-def refuse_alone(query: WorldQuery, arm: str, partner: str, clears: Mapping[str, str]) -> None:
+def refuse_alone(query: WorldQuery, arm: str, partner: str, clears: Mapping[str, Advice]) -> None:
     """Refuse a motion of one arm whose object another arm holds too."""
     sharing = query.sharers(arm)
     if partner or not sharing:
         return
     held = query.holding(arm)
     message = f"{arm} cannot move alone: {sharing[0]} holds {held} too"
-    advice = clears.get("shared", "").replace("{held}", held).replace("{other}", hand_in_words(sharing[0]))
+    advice = fill_in(clears.get("shared", []), {"held": held, "other": hand_in_words(sharing[0])})
     raise Refused.because(RefusalReason.STATE, message, clears=advice)
 
 

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.protocol import causes
+from rtc.protocol.advice import ANOTHER_ARM, Advice, by_person, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
@@ -169,7 +170,7 @@ def here(candidate: TaskCandidate) -> Anchor:
     """The tcp pose when the command is planned (world frame)."""
     arm = candidate.arm.name
     if not candidate.query.trusts(f"{arm}.joints"):
-        clears = candidate.program.clears.get("stands", "").replace("{arm}", hand_in_words(arm))
+        clears = fill_in(candidate.program.clears.get("stands", []), {"arm": hand_in_words(arm)})
         raise _state(f"it is not certain where {arm} stands", clears)
     return Anchor(pose=candidate.query.tcp(arm).tolist())
 
@@ -206,7 +207,7 @@ def named(candidate: TaskCandidate, name: str) -> Anchor:
         f"{candidate.arm.name} has no posture for {name}; {', '.join(able)} can",
         where=name,
         expected=able,
-        clears=f"another arm, or a place that {candidate.arm.name} can go to",
+        clears=[ANOTHER_ARM, *by_person(f"a place that {candidate.arm.name} can go to")],
         cause=causes.NoPosture(arm=candidate.arm.name, place=name),
     )
 
@@ -237,7 +238,7 @@ def _no_grasp_point(thing: str) -> Refused:
     )
 
 
-def _state(message: str, clears: str) -> Refused:
+def _state(message: str, clears: str | Advice) -> Refused:
     return Refused.because(RefusalReason.STATE, message, clears=clears)
 
 

@@ -11,6 +11,7 @@ from rtc.language.hands import hand_in_words
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.protocol.advice import by_sentence
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.protocol.sentence import BOTH_ARMS, Destination, ParsedCommand
@@ -99,7 +100,7 @@ def _shared(
 def _neither_object_nor_hand(unknown: Refusal, parsed: ParsedCommand, cell: cells.Cell) -> Refused:
     named = next((arm for arm in cell.arms if parsed.object in (arm.name, arm.end_effector)), None)
     if named is not None:  # a further arm, without its ARM
-        clears = f"{parsed.verb} {hand_in_words(named.name)}"
+        clears = by_sentence(f"{parsed.verb} {hand_in_words(named.name)}", instead=True)
         return Refused(msgspec.structs.replace(unknown, nearest=[], clears=clears))
     alone = [arm.end_effector for arm in cell.arms if hand_in_words(arm.name) == arm.name]  # written without ARM
     known = [*unknown.expected, *(hand_in_words(arm.name) for arm in cell.arms), *alone]

@@ -25,6 +25,7 @@ from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile
 from rtc.protocol.messages import Binding, PlannedPath, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.sentence import Constraint, ParsedCommand, Quantity
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array
@@ -32,6 +33,7 @@ from rtc.world.model import location
 from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.elaborator import anchors, two_hands
 from workers.elaborator.anchors import ANCHORS, Anchor
+from workers.elaborator.sentence_of import sentence_of
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import advice, axes, in_seat, scenes, segments, shared_hold, suggestions, trust
 from workers.planning.motion.request import PlanningRequest
@@ -41,6 +43,7 @@ from workers.planning.step_target import target_of
 
 MAX_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
 FRAME, GRASP = "frame", "grasp"  # attributes that cameras sense
+NEIGHBORS = "AVOID-NEIGHBORS"
 
 
 class Planned(msgspec.Struct, frozen=True):
@@ -193,8 +196,16 @@ def _search(
     clears, limits = candidate.program.clears, candidate.limits
     goal = (candidate.parsed.place.name if candidate.parsed.place else None) or ""
     out = any(step.words.get("leaves") == "seat" for step in script.steps)
-    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits, goal, out)
+    closer = partial(_closer, candidate.parsed)
+    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits, goal, out, closer)
     raise Refused(first.after(ways_tried=len(ways)))
+
+
+def _closer(parsed: ParsedCommand, room_mm: int) -> str:
+    """The same sentence with another AVOID-NEIGHBORS; empty if it cannot be written."""
+    others = [one for one in parsed.constraints if one.slot != NEIGHBORS]
+    room = Constraint(slot=NEIGHBORS, value=Quantity(value=room_mm / 1000.0, unit="m"))
+    return sentence_of(replace(parsed, constraints=[*others, room]))
 
 
 def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, list[float]], bool]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from rtc.language.hands import hand_in_words
 from rtc.programs.schema import ScriptFile
 from rtc.protocol import causes
+from rtc.protocol.advice import fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.elaborator.task_candidate import TaskCandidate
 
@@ -28,9 +29,8 @@ def refuse(script: ScriptFile, candidate: TaskCandidate) -> None:
         return
     if not message:
         return
-    places = ", ".join(place.name for place in candidate.query.places)
-    clears = candidate.program.needs.get(row, "").replace("{hand}", hand_in_words(candidate.arm.name))
-    clears = candidate.fill_in(clears.replace("{places}", places))
+    texts = {"hand": hand_in_words(candidate.arm.name), "place": [place.name for place in candidate.query.places]}
+    clears = fill_in(candidate.program.needs.get(row, []), {**texts, **candidate.texts})
     raise Refused.because(RefusalReason.STATE, message, clears=clears, cause=causes.AlreadyDone(object=thing.name))
 
 

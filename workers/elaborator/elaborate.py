@@ -18,6 +18,7 @@ from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.programs.splice import spliced
+from rtc.protocol.advice import Advice, Alternative, sentences_of
 from rtc.protocol.causes import Changing, Collides, Distrusted, OutOfReach, TooUncertain
 from rtc.protocol.messages import ElaboratorInput, SavedWorld, Script, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
@@ -111,13 +112,17 @@ def _advised(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusa
     """The refusal, without the sentences of its advice, and the other arms, that would be refused as well; with one
     that is accepted instead if none is left."""
 
-    def other_arms() -> list[str]:
+    def other_arms() -> Advice:
         """If the sentence names no arm, all were candidates; if it is about the hand itself, another one is no help."""
         arms = [arm.name for arm in query.cell.arms]
         others = arms if asked.hand in arms and (asked.object or asked.place) else []
         changed = {arm: msgspec.structs.replace(asked, hand=arm) for arm in others if arm != asked.hand}
         able = [(arm, parsed) for arm, parsed in changed.items() if why(parsed) is None]
-        return [sentence_of(parsed) or hand_in_words(arm) for arm, parsed in able]
+        sentences = [(sentence_of(parsed), arm) for arm, parsed in able]
+        return [
+            Alternative(sentences=[one] if one else [], words="" if one else hand_in_words(arm), instead=True)
+            for one, arm in sentences
+        ]
 
     why = _Why(compiled, query)
     refusal = _of_what_remains(compiled, query, asked, refusal)
@@ -202,7 +207,7 @@ def _elaborated(
     if not options:
         hinged = parsed.object is not None and query.hinge(parsed.object) is not None
         raise no_script.refused_form(parsed, branches, hinged=hinged)
-    notes = [f"not generated: {why.message}; {why.clears}" for why in unstated]
+    notes = [f"not generated: {why.message}; {', '.join(sentences_of(why.clears))}" for why in unstated]
     return _first_feasible(compiled, options, notes, advise=advise)
 
 

@@ -8,6 +8,7 @@ from rtc.model.cells import parts
 from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile, ScriptStep
 from rtc.protocol import causes
+from rtc.protocol.advice import by_person, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.conditions import reflexes
 from workers.elaborator.task_candidate import TaskCandidate
@@ -25,7 +26,7 @@ def refuse_other_motion(script: ScriptFile, candidate: TaskCandidate) -> None:
         return
     if candidate.thing is not None and candidate.thing.name == held:
         return
-    clears = candidate.program.needs.get("hinge_held", "").replace("{held}", held)
+    clears = fill_in(candidate.program.needs.get("hinge_held", []), {"held": held})
     message = f"{candidate.arm.name} holds {held}, which only turns about its hinge"
     raise Refused.because(RefusalReason.STATE, message, clears=clears)
 
@@ -84,7 +85,7 @@ def _turn(step: ScriptStep, candidate: TaskCandidate, thing: str) -> tuple[float
 
 def _there(candidate: TaskCandidate, thing: str, angle: float) -> Refused:
     at = f"{round(math.degrees(angle), 2) + 0.0:g} deg"
-    clears = candidate.program.needs.get("hinge_there", "").replace("{at}", at.upper()).replace("{held}", thing)
+    clears = fill_in(candidate.program.needs.get("hinge_there", []), {"at": at.upper(), "held": thing})
     message = f"{thing} is at {at}: nothing to turn"
     return Refused.because(RefusalReason.STATE, message, clears=clears)
 
@@ -93,8 +94,8 @@ def _beyond(candidate: TaskCandidate, hinge: parts.Hinge, wanted: float, now: fl
     """The refusal to turn the object to `wanted` (rad), beyond a stop."""
     least, most = hinge.range_rad
     thing = candidate.body
-    row = candidate.program.needs.get("hinge_shut" if wanted < least else "hinge_far", "")
-    row = row.replace("{far}", f"{SHARE_OF_RANGE * math.degrees(most):.0f}").replace("{held}", thing)
+    row = candidate.program.needs.get("hinge_shut" if wanted < least else "hinge_far", [])
+    turn = fill_in(row, {"far": f"{SHARE_OF_RANGE * math.degrees(most):.0f}", "held": thing})
     angles = f"an angle from {math.degrees(least):g} to {math.degrees(most):g} deg"
     return Refused.because(
         RefusalReason.INFEASIBLE,
@@ -102,6 +103,6 @@ def _beyond(candidate: TaskCandidate, hinge: parts.Hinge, wanted: float, now: fl
             f"{thing} turns from {math.degrees(least):g} deg to {math.degrees(most):g} deg, "
             f"and not to {math.degrees(wanted):.4g} deg; it is at {round(math.degrees(now), 2) + 0.0:g} deg"
         ),
-        clears="; or ".join(filter(None, (row, angles))),
+        clears=[*turn, *by_person(angles)],
         cause=causes.BeyondStop(value_rad=wanted, least_rad=least, most_rad=most),
     )

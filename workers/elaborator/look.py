@@ -9,6 +9,7 @@ from rtc.model.cells import parts
 from rtc.programs.extension_names import CAMERA
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol import causes
+from rtc.protocol.advice import Advice, fill_in
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
@@ -107,8 +108,5 @@ def _unseen(program: ElaboratorProgram, query: WorldQuery, body: str, known: lis
     )
 
 
-def _advice(program: ElaboratorProgram, row: str, body: str, **words: str) -> str:
-    advice = program.clears.get(row, "")
-    for name, text in {"location": body, **words}.items():
-        advice = advice.replace("{" + name + "}", text)
-    return advice
+def _advice(program: ElaboratorProgram, row: str, body: str, **words: str) -> Advice:
+    return fill_in(program.clears.get(row, []), {"location": body, **words})

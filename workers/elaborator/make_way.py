@@ -13,6 +13,7 @@ import msgspec
 from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol.advice import fill_in
 from rtc.protocol.messages import Limits, WorldChange
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial.geometry import Floats
@@ -33,8 +34,8 @@ def advise(
         there = WorldChange(key=f"{other}.joints", value=[float(q) for q in joints])
         after = replace(candidate, query=query.after([there]))
         if can_be_planned(after) and _can_go(query, other, joints):
-            words = clears.get(row, "").replace("{other}", hand_in_words(other)).replace("{place}", place)
-            return msgspec.structs.replace(refusal, clears=words)
+            advice = fill_in(clears.get(row, []), {"other": hand_in_words(other), "place": place})
+            return msgspec.structs.replace(refusal, clears=advice)
     return None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rtc.programs.schema import Branch, ElaboratorProgram
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from workers.elaborator import command_fields
@@ -19,7 +20,7 @@ def refused_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refused:
         (f"{parsed.verb} cannot be performed: {cannot}" if cannot else f"there is no script for {parsed.verb} yet"),
         where=parsed.verb,
         expected=scripted,
-        clears="; or ".join(filter(None, (instead, load))),
+        clears=by_person(instead, load),
     )
 
 
@@ -35,7 +36,7 @@ def refused_form(parsed: ParsedCommand, branches: list[Branch], *, hinged: bool 
         RefusalReason.NO_SCRIPT,
         f"{parsed.verb} has no script for this form of the sentence",
         where=parsed.verb,
-        clears="; or ".join(dict.fromkeys(f"{begun if kept is not changes else parsed.verb} {one}" for one in wanted)),
+        clears=by_person(*dict.fromkeys(f"{begun if kept is not changes else parsed.verb} {one}" for one in wanted)),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Collection
 from rtc.model.cells import parts
 from rtc.programs import attributes
 from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol.advice import by_person, fill_in
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from workers.planning.world_query import WorldQuery
 
@@ -32,12 +33,14 @@ def why_unstated(
     word = attribute.upper().replace("_", "-")
     if thing is None:
         message = f"{missing} is an attribute of an object, and this use of the verb is without one"
-        return Refusal(reason=RefusalReason.PROGRAM, message=message, where=missing, clears="a sentence with an object")
+        return Refusal(
+            reason=RefusalReason.PROGRAM, message=message, where=missing, clears=by_person("a sentence with an object")
+        )
     fact = query.world.get(f"{thing.name}.{attribute}")
     why = "is not known" if fact is None or fact.value is None else f"is {fact.validity.value}"
-    clears = program.clears.get("stated", "state {attribute} of {location}")
-    for name, text in (("location", thing.name), ("attribute", word), ("example", program.settable[attribute].example)):
-        clears = clears.replace("{" + name + "}", text)
+    texts = {"location": thing.name, "attribute": word, "key": attribute}
+    example = program.settable[attribute].example
+    clears = fill_in(program.clears.get("stated", []), {**texts, "example": example})
     message = f"{word} of {thing.name} {why}; the program needs it"
     return Refusal(reason=RefusalReason.STATE, message=message, where=f"{thing.name}.{attribute}", clears=clears)
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc.programs.schema import ScriptFile
+from rtc.protocol.advice import fill_in
 from rtc.protocol.messages import Script
 from rtc.protocol.outcomes import Refusal
 from workers.elaborator.script_options import ScriptOption, fits_sentence
@@ -36,9 +37,8 @@ def _spaces(script: ScriptFile) -> set[str]:
 def offered(refusal: Refusal, first: ScriptOption, other: ScriptOption) -> Refusal:
     """The refusal with the sentence that asks for the other option, which was tested, as its first advice."""
     sentence = asking_for(first, other)
-    row = other.candidate.program.clears.get("other_motion", "") if sentence else ""
-    words = row.replace("{sentence}", sentence)
-    return msgspec.structs.replace(refusal, clears="; or ".join(filter(None, (words, refusal.clears))))
+    row = other.candidate.program.clears.get("other_motion", []) if sentence else []
+    return msgspec.structs.replace(refusal, clears=[*fill_in(row, {"sentence": sentence}), *refusal.clears])
 
 
 def asking_for(first: ScriptOption, other: ScriptOption) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol.advice import Advice, Texts, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from workers.elaborator.task_candidate import TaskCandidate
@@ -198,9 +199,8 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
     row = lack.row or need
     if candidate.parsed.hand and f"{row}_by" in rows:  # with the hand of the sentence first
         row = f"{row}_by"
-    clears = rows.get(row, "").replace("{let_go}", let_go(rows, candidate.query, thing))
-    clears = clears.replace("{hand}", hand_in_words(candidate.arm.name))
-    clears = candidate.fill_in(clears).replace("{held}", lack.held)
+    texts: Texts = {"let_go": let_go(rows, candidate.query, thing), "hand": hand_in_words(candidate.arm.name)}
+    clears = fill_in(rows.get(row, []), {**texts, **candidate.texts, "held": lack.held})
     doubt = (
         trust.distrusted(candidate.query, f"{candidate.thing.name}.held_by", {})
         if candidate.thing is not None
@@ -210,14 +210,14 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
     raise Refused.because(RefusalReason.STATE, message, clears=clears)
 
 
-def let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:
+def let_go(rows: dict[str, Advice], query: WorldQuery, thing: str) -> Advice:
     """The command that empties the hand: in place if the object stays there; else into a free seat in its reach."""
     if thing not in {known.name for known in query.cell.objects} or query.hinge(thing) or seat_of(query, thing):
-        return rows.get("let_go", "").replace("{held}", thing)
+        return fill_in(rows.get("let_go", []), {"held": thing})
     taken = {query.seat(known.name) for known in query.cell.objects if known.name != thing}
     free = [seat.name for seat in query.cell.seats if seat.name not in taken and _reaches(query, thing, seat.name)]
     row = "let_go_in_air" if free else "let_go"
-    return rows.get(row, "").replace("{held}", thing).replace("{free}", " or ".join(free))
+    return fill_in(rows.get(row, []), {"held": thing, "free": free})
 
 
 def _reaches(query: WorldQuery, thing: str, seat: str) -> bool:

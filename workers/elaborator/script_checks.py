@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from rtc.programs.schema import ScriptFile
 from rtc.protocol import causes
+from rtc.protocol.advice import fill_in
 from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
@@ -98,7 +99,7 @@ def why_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | 
         reason=RefusalReason.SUSPECT,
         message=f"{name} is known within {spread} only, and no camera finds it: too uncertain for {script.script}",
         where=f"{name}.frame",
-        clears=clears.get("spread", "sense {location} again").replace("{location}", name),
+        clears=fill_in(clears.get("spread", []), {"location": name}),
         cause=causes.TooUncertain(fact=f"{name}.frame"),
     )
 

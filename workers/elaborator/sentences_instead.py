@@ -10,20 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import msgspec
 from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol.advice import by_sentence, sentences_of
 from rtc.protocol.causes import Collides, TooUncertain
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, Quantity
 from workers.elaborator.script_steps import Compiled
 from workers.elaborator.sentence_of import relative_amount, sentence_of
-from workers.elaborator.tested_advice import SENTENCE, STEP, AdviceTest, without_sequel
+from workers.elaborator.tested_advice import AdviceTest
 from workers.planning.world_query import WorldQuery
 
 ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.NO_SCRIPT, RefusalReason.SUSPECT)
-OR_STEP = "; or "
 ATTITUDE = "POSE-DURING-MOTION"  # MAINTAIN that protects nothing but what is carried
 INTO_SEAT = "seat_free"  # precondition of a script that brings an object into a seat
 SHARES = (0.9, 0.5)  # of the free part of a way
@@ -38,18 +37,16 @@ def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: Wor
         return refusal
     nearer = (*_by_less(asked, refusal), *_by_any_way(asked)) if isinstance(refusal.cause, Collides) else ()
     if less := test.first(map(sentence_of, nearer)):
-        return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (f"{less} instead", refusal.clears))))
-    if any(map(test.leads_on, SENTENCE.findall(refusal.clears))):
+        return replace(refusal, clears=[*by_sentence(less, instead=True), *refusal.clears])
+    if any(map(test.leads_on, sentences_of(refusal.clears))):
         return refusal
-    steps = refusal.clears.split(STEP)
-    kept = STEP.join(without_sequel(["" if test.is_refused(step) else step for step in steps])).removeprefix("or ")
+    kept = [one for one in refusal.clears if not test.is_refused(one)]
     if other := test.first(filter(None, map(sentence_of, _other_forms(compiled, asked, query, refusal)))):
-        return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (f"{other} instead", kept))))
+        return replace(refusal, clears=[*by_sentence(other, instead=True), *kept])
     if refusal.reason is RefusalReason.NO_SCRIPT:
         return refusal
     if freeing := test.first(_freeing(compiled.program.frees, asked, query)):
-        words = f"{freeing} instead, which frees the arm"
-        return msgspec.structs.replace(refusal, clears=OR_STEP.join(filter(None, (kept, words))))
+        return replace(refusal, clears=[*kept, *by_sentence(freeing, words="which frees the arm", instead=True)])
     return refusal
 
 

@@ -14,6 +14,7 @@ from rtc.language.alike import nearest
 from rtc.model.cells import parts
 from rtc.programs.attributes import PLAIN
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
+from rtc.protocol.advice import Texts, fill_in
 from rtc.protocol.messages import SavedWorld, Script, ScriptContext, Step, StepWords
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
@@ -133,7 +134,7 @@ def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, quer
             RefusalReason.NOT_ALLOWED,
             f"{parsed.attribute} of {thing.name} cannot be set; the cluster determines it",
             where=parsed.attribute or "",
-            clears=program.not_settable[attribute].replace("{object}", thing.name),
+            clears=fill_in(program.not_settable[attribute], {"object": thing.name}),
         )
     if attribute in program.settable:
         row = program.settable[attribute]
@@ -245,8 +246,8 @@ def _state(program: ElaboratorProgram, values: list[Any], thing: Thing, query: W
 def _refuse_held(program: ElaboratorProgram, thing: Thing, query: WorldQuery) -> None:
     if holder := query.held_by(thing.name):
         message = f"{thing.name} is held by {holder}"
-        let_go = preconditions.let_go(program.needs, query, thing.name)
-        clears = program.needs["object_free"].replace("{let_go}", let_go).replace("{object}", thing.name)
+        texts: Texts = {"let_go": preconditions.let_go(program.needs, query, thing.name), "object": thing.name}
+        clears = fill_in(program.needs["object_free"], texts)
         raise Refused.because(RefusalReason.STATE, message, clears=clears)
 
 

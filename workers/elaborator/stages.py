@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from rtc.language.hands import hand_in_words
 from rtc.programs.extension_names import PARTNER
 from rtc.programs.schema import PlanLine, ScriptFile
+from rtc.protocol.advice import Texts, fill_in
 from rtc.protocol.messages import Binding, Step, WorldChange
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial import geometry
@@ -68,10 +69,13 @@ def _of_stage(refusal: Refusal, candidate: TaskCandidate, arm: str) -> Refusal:
     if refusal.in_the_way not in (candidate.arm.name, candidate.partner and candidate.partner.name):
         return refusal
     rows, thing = candidate.program.needs, candidate.body
-    clears = rows.get("other_grasp", "").replace("{let_go}", preconditions.let_go(rows, candidate.query, thing))
+    texts: Texts = {
+        "let_go": preconditions.let_go(rows, candidate.query, thing),
+        "hand": hand_in_words(candidate.arm.name),
+    }
     depth_m = max((seat.depth_m for seat in candidate.query.cell.seats), default=0.0)
-    clears = clears.replace("{free_cm}", f"{math.ceil(100.0 * (depth_m + in_seat.SPARE_M) - 0.05)}")
-    clears = candidate.fill_in(clears.replace("{hand}", hand_in_words(candidate.arm.name)))
+    free_cm = f"{math.ceil(100.0 * (depth_m + in_seat.SPARE_M) - 0.05)}"
+    clears = fill_in(rows.get("other_grasp", []), {**texts, "free_cm": free_cm, **candidate.texts})
     return msgspec.structs.replace(refusal, clears=clears, in_the_way="")
 
 

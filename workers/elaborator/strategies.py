@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from rtc.programs.schema import Branch, ElaboratorProgram, ScriptFile
+from rtc.protocol.advice import by_person, by_sentence
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import OPERATOR, ParsedCommand
 from workers.elaborator.teach import NONE, Stated
@@ -80,7 +81,7 @@ def _default_first(parsed: ParsedCommand, branches: list[Branch], query: WorldQu
 def refused(parsed: ParsedCommand, others: list[str]) -> Refused:
     """The refusal of a strategy that does not fit the object and the hand as they are."""
     message = f"{parsed.verb} VIA {parsed.performer}: this strategy does not fit {parsed.object or 'this'} now"
-    clears = "; or ".join(["leave out VIA", *(f"VIA {name}" for name in others)])
+    clears = by_person("leave out VIA", *(f"VIA {name}" for name in others))
     return Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", expected=others, clears=clears)
 
 
@@ -100,7 +101,7 @@ def stated(program: ElaboratorProgram, parsed: ParsedCommand) -> Stated:
     name = values[0] if len(values) == 1 and isinstance(values[0], str) else ""
     if parsed.attribute != DEFAULT or not name:
         message = f"of {place} only {DEFAULT} can be set, to the name of a strategy or to {NONE}"
-        clears = f"{parsed.verb} {place} {DEFAULT} {names(rows)[0]}"
+        clears = by_sentence(f"{parsed.verb} {place} {DEFAULT} {names(rows)[0]}", instead=True)
         raise Refused.because(RefusalReason.SENTENCE, message, where=parsed.attribute or "", clears=clears)
     if name != NONE and not any(is_strategy(name, verb, row.script) for row in rows):
         raise suggestions.unknown(f"{verb} strategy", name, [*names(rows), NONE])

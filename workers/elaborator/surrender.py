@@ -12,6 +12,7 @@ import msgspec
 
 from rtc.language.hands import hand_in_words
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.protocol.advice import fill_in, sentences_of
 from rtc.protocol.outcomes import Refused
 from rtc.protocol.sentence import OPERATOR, SHARED, ParsedCommand, Quantity
 from rtc.protocol.units import in_words
@@ -51,7 +52,8 @@ def _same_task(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], ca
 
 def _the_arm(program: ElaboratorProgram, candidate: TaskCandidate, arm: str) -> str:
     """The sentence that gives him the arm for a task with an object; empty if the program has none."""
-    return program.clears.get("operator", "").replace("{arm}", hand_in_words(arm)) if candidate.thing else ""
+    row = program.clears.get("operator", []) if candidate.thing else []
+    return next(iter(sentences_of(fill_in(row, {"arm": hand_in_words(arm)}))), "")
 
 
 def _shares(parsed: ParsedCommand) -> bool:

@@ -11,6 +11,7 @@ import msgspec
 
 from rtc.model.cells import taught
 from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol.advice import by_sentence
 from rtc.protocol.messages import SavedWorld
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
@@ -47,7 +48,7 @@ def posture(parsed: ParsedCommand, query: WorldQuery) -> Stated:
     if len(values) != len(arm.joints) or parsed.value_unit != "rad" or slides:
         wanted = "HERE or NONE" if slides else f"HERE, NONE, or {len(arm.joints)} angles in DEG"
         message = f"the posture of {name} is {wanted}"
-        clears = f"{parsed.verb} {place} {parsed.attribute} {HERE}"
+        clears = by_sentence(f"{parsed.verb} {place} {parsed.attribute} {HERE}", instead=True)
         where = parsed.attribute or ""
         raise Refused.because(RefusalReason.SENTENCE, message, where=where, clears=clears)
     return {key: values}, [place]
@@ -75,13 +76,13 @@ def world(
     Refused."""
     if (parsed.attribute, parsed.value) not in (("FACTS", [INITIAL]), ("FACTS", [SAVED])):
         message = f"of {taught.WORLD} only FACTS {INITIAL} or FACTS {SAVED} can be set"
-        clears = f"{parsed.verb} {taught.WORLD} FACTS {INITIAL}"
+        clears = by_sentence(f"{parsed.verb} {taught.WORLD} FACTS {INITIAL}", instead=True)
         raise Refused.because(RefusalReason.SENTENCE, message, clears=clears)
     for arm in query.cell.arms:
         if held := query.holding(arm.name):
             let_go = preconditions.let_go(program.needs, query, held)
             message = f"{arm.name} holds {held}; other facts would deny that, and move nothing"
-            raise Refused.because(RefusalReason.STATE, message, where=held, clears=f"first {let_go}")
+            raise Refused.because(RefusalReason.STATE, message, where=held, clears=let_go)
     cell = query.cell
     concerned = [part.name for group in (cell.arms, cell.objects, cell.seats) for part in group]
     if parsed.value == [INITIAL]:

@@ -1,35 +1,28 @@
 """The advice of a refusal, without the sentences that would be refused themselves. Pure.
 
-An advice has steps, and a step has alternatives. Tested is what can be given now: the first sentence of a step, while
-no step before it has one. Left out is what has no way: what is out of reach, say. A sentence that is refused for a
-state or a doubt comes after the sentence that its own refusal advises, if that can be given. Another arm is named, or
-left out if none can do it.
+Tested is what can be given now: the first sentence of each alternative. Left out is what has no way: what is out of
+reach, say. A sentence that is refused for a state or a doubt comes after the sentence that its own refusal advises, if
+that can be given. For another arm its sentence is stated, or nothing if none can do it.
 """
 
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Callable, Iterable
 
-import msgspec
+from msgspec.structs import replace
 
 from rtc.language.parse import default_grammar, parse
+from rtc.protocol.advice import ANOTHER_ARM, Advice, Alternative, sentences_of
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import OPERATOR, ParsedCommand
 
 TESTED = 6  # maximum number of sentences of an advice that are tested
 TRIED = 8  # maximum number of sentences of each kind that are tested in the place of the refused one
 ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.SUSPECT)
-SEQUEL = "then "  # begins a step that goes on from the one before
-STEP, OR, THEN = "; ", ", or ", ", then "
-SENTENCE = re.compile(r"[A-Z][A-Z0-9-]+(?: (?:[A-Z][A-Z0-9-]*(?:/[A-Z]+)?|-?\d[\d.]*))+")
-ANOTHER_PLACE = re.compile(r"([A-Z-]+ .+ TO) another place first \(([A-Z0-9, -]+)\)")
-
-ANOTHER_ARM = "another arm"
 
 Why = Callable[[ParsedCommand], Refusal | None]  # the refusal of a sentence in this world; None: it is accepted
-OtherArms = Callable[[], list[str]]  # that can do what is asked, in words
+OtherArms = Callable[[], Advice]  # that can do what is asked
 
 
 def without_infeasible(refusal: Refusal, test: AdviceTest) -> Refusal:
@@ -37,25 +30,15 @@ def without_infeasible(refusal: Refusal, test: AdviceTest) -> Refusal:
     unchanged, and one of which only a strategy would remain that gives something up (VIA)."""
     if refusal.reason not in ABOUT or refusal.in_the_way:
         return refusal
-    kept = without_sequel([test.step(step) for step in refusal.clears.split(STEP)])
-    plain, left = (_without_strategy(words) for words in (refusal.clears, STEP.join(kept)))
-    if not kept or (plain and not left and SENTENCE.search(STEP.join(kept))):
+    kept = test.feasible(refusal.clears)
+    if not kept or (_gives_nothing_up(refusal.clears) and sentences_of(kept) and not _gives_nothing_up(kept)):
         return refusal
-    kept[0] = kept[0].removeprefix("or ")
-    return msgspec.structs.replace(refusal, clears=STEP.join(kept))
+    return replace(refusal, clears=kept)
 
 
-def without_sequel(steps: list[str]) -> list[str]:
-    """The steps that are left, without those that go on from one that is not."""
-    kept: list[str] = []
-    for before, step in itertools.pairwise(["-", *steps]):
-        if step and (before or not step.startswith(SEQUEL)):
-            kept.append(step)
-    return kept
-
-
-def _without_strategy(words: str) -> list[str]:
-    return [one for one in SENTENCE.findall(words) if " VIA " not in one]
+def _gives_nothing_up(advice: Advice) -> bool:
+    tasks = [task for sentence in sentences_of(advice) if (task := _task(sentence)) is not None]
+    return any(task.performer is None for task in tasks)
 
 
 class AdviceTest:
@@ -64,18 +47,20 @@ class AdviceTest:
     def __init__(self, why: Why, other_arms: OtherArms = list, asked: ParsedCommand | None = None) -> None:
         self._why, self._other_arms, self._asked = why, other_arms, asked
         self._known: dict[str, Refusal | None] = {}
-        self._later = False  # a step before has a sentence, and changes what is feasible
 
-    def step(self, words: str) -> str:
-        """The step without the alternatives that are not feasible; empty if there is no other."""
-        follows = not words.startswith("or ")
-        if follows and self._later:
-            return words
-        options = words.split(OR)
-        kept = [left for option in options if (left := self._option(option))]
-        self._later = self._later or (follows and any(SENTENCE.search(one) for one in kept))
-        prefix = "" if follows or not kept or kept[0].startswith("or ") else "or "
-        return prefix + OR.join(kept)
+    def feasible(self, advice: Advice) -> Advice:
+        """The alternatives that can be given now; of those that differ in a place or a seat, the first one."""
+        kept: Advice = []
+        known: list[ParsedCommand] = []
+        for one in advice:
+            task = _task(one.sentences[0]) if one.sentences else None
+            anywhere = None if task is None else replace(task, place=None, target=None)
+            if anywhere is not None and anywhere in known:
+                continue
+            options = self._other_arms() if one == ANOTHER_ARM else self._option(one)
+            kept += options
+            known += [anywhere] if anywhere is not None and options else []
+        return kept
 
     def leads_on(self, sentence: str) -> bool:
         """Whether it is a task of an arm or a camera that is accepted, and not the `asked` one."""
@@ -87,41 +72,29 @@ class AdviceTest:
         some = itertools.islice(dict.fromkeys(sentences), TRIED)
         return next((one for one in some if self.leads_on(one)), "")
 
-    def is_refused(self, words: str) -> bool:
-        """Whether this step of an advice has nothing but sentences of arms that have no way."""
-        sentences = [one for one in SENTENCE.findall(words) if isinstance(parse(default_grammar(), one), ParsedCommand)]
-        own = [task for one in sentences if (task := _task(one)) is not None]
-        return bool(own) and len(own) == len(sentences) and all(map(self._is_infeasible, own))
+    def is_refused(self, one: Alternative) -> bool:
+        """Whether this alternative has nothing but sentences of arms that have no way."""
+        tasks = [_task(sentence) for sentence in one.sentences]
+        return bool(tasks) and all(task is not None and self._is_infeasible(task) for task in tasks)
 
     def _is_infeasible(self, task: ParsedCommand) -> bool:
         refusal = self._why(task)
         return refusal is not None and refusal.reason is RefusalReason.INFEASIBLE
 
-    def _option(self, words: str) -> str:
-        """The alternative, with a place that can be reached; empty if it is not feasible."""
-        if elsewhere := ANOTHER_PLACE.search(words):
-            places = [f"{elsewhere[1]} {name}" for name in elsewhere[2].split(", ")]
-            place = next((one for one in places if self._is_feasible(one)), "")
-            return words.replace(elsewhere[0], f"{place} first") if place else ""
-        if ANOTHER_ARM in words:
-            arms = " or ".join(self._other_arms())
-            return words.replace(ANOTHER_ARM, f"{arms} instead") if arms else ""
-        sentence = SENTENCE.search(words)
-        refusal = self._refusal(sentence[0]) if sentence is not None else None
-        if refusal is None or sentence is None:
-            return words
+    def _option(self, one: Alternative) -> Advice:
+        """The alternative, after the sentence that its first one needs; empty if that is not feasible."""
+        first = next(iter(one.sentences), "")
+        refusal = self._refusal(first) if first else None
+        if refusal is None:
+            return [one]
         if refusal.reason is RefusalReason.INFEASIBLE:
-            return ""
-        before = SENTENCE.search(refusal.clears) if refusal.reason in ABOUT else None
-        if before is not None and before[0] == sentence[0]:
-            return ""  # it is refused for what it should clear
-        if before is None or not self._is_accepted(before[0]):
-            return words
-        return f"{words[: sentence.start()]}{before[0]}{THEN}{words[sentence.start() :]}"
-
-    def _is_feasible(self, sentence: str) -> bool:
-        refusal = self._refusal(sentence)
-        return refusal is None or refusal.reason is not RefusalReason.INFEASIBLE
+            return []
+        before = next(iter(sentences_of(refusal.clears)), "") if refusal.reason in ABOUT else ""
+        if before == first:
+            return []  # it is refused for what it should clear
+        if not before or not self._is_accepted(before):
+            return [one]
+        return [replace(one, sentences=[before, *one.sentences])]
 
     def _is_accepted(self, sentence: str) -> bool:
         """Whether it is a task that can be given now."""
@@ -136,7 +109,7 @@ class AdviceTest:
 
 
 def _task(sentence: str) -> ParsedCommand | None:
-    """The record of a task of an arm or a camera; None for other words."""
+    """The record of a task of an arm or a camera; None for other sentences."""
     parsed = parse(default_grammar(), sentence)
     is_task = isinstance(parsed, ParsedCommand) and parsed.kind == "task" and parsed.performer != OPERATOR
     return parsed if is_task else None  # type: ignore[return-value]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile
 from rtc.protocol import causes
+from rtc.protocol.advice import by_sentence, fill_in, in_order
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.elaborator import two_hands
@@ -51,8 +52,8 @@ def refuse_too_much_torque(script: ScriptFile, candidate: TaskCandidate) -> None
 
 def _there(candidate: TaskCandidate, now: float, most: float) -> Refused:
     message = f"{candidate.body} is {now:g} of {most:g} turns out: nothing to turn"
-    clears = candidate.program.needs.get("turned_out" if now > most - LEAST_TURNS else "turned_in", "")
-    return Refused.because(RefusalReason.STATE, message, clears=clears.replace("{bolt}", candidate.body))
+    clears = candidate.program.needs.get("turned_out" if now > most - LEAST_TURNS else "turned_in", [])
+    return Refused.because(RefusalReason.STATE, message, clears=fill_in(clears, {"bolt": candidate.body}))
 
 
 def _beyond(candidate: TaskCandidate, there: float, now: float, most: float) -> Refused:
@@ -62,7 +63,7 @@ def _beyond(candidate: TaskCandidate, there: float, now: float, most: float) -> 
     return Refused.because(
         RefusalReason.INFEASIBLE,
         f"{candidate.body} has {most:g} turns, and is {now:g} out: it does not turn to {there:g}",
-        clears=f"{candidate.parsed.verb} {candidate.body} BY {left:g} TURNS or less, or without BY",
+        clears=by_sentence(f"{candidate.parsed.verb} {candidate.body} BY {left:g} TURNS", instead=True),
         cause=causes.BeyondThread(value_turns=there, most_turns=most),
     )
 
@@ -90,6 +91,6 @@ def refuse_fastened(script: ScriptFile, candidate: TaskCandidate) -> None:
             RefusalReason.STATE if known else RefusalReason.SUSPECT,
             words if known else f"{names} may not be turned out of {seat}",
             where=seat,
-            clears="; ".join(candidate.program.needs.get(row, "").replace("{bolt}", bolt) for bolt in bolts),
+            clears=in_order(*(fill_in(candidate.program.needs.get(row, []), {"bolt": bolt}) for bolt in bolts)),
             cause=causes.Fastened(seat=seat),
         )

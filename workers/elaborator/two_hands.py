@@ -8,6 +8,7 @@ from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.programs.extension_names import PARTNER
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.protocol.advice import by_person, by_sentence, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from workers.conditions import sharing
@@ -25,9 +26,9 @@ def both_arms(
     able = [row.verb for row in rows]
     if parsed.verb not in able:
         message = f"{parsed.verb} has no script for two arms"
-        each = ", then ".join(f"{parsed.verb} {hand_in_words(arm.name)}" for arm in query.cell.arms)
-        one = "name one arm" if parsed.object else f"one sentence for each arm: {each}"
-        clears = f"{one}; {', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}"
+        each = by_sentence(*(f"{parsed.verb} {hand_in_words(arm.name)}" for arm in query.cell.arms), instead=True)
+        others = by_person(f"{', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}")
+        clears = [*(by_person("name one arm") if parsed.object else each), *others]
         raise Refused.because(RefusalReason.NO_SCRIPT, message, clears=clears)
     if any(reflex.action != "stop" for reflex in parsed.reflexes):
         message = f"{BOTH_ARMS} can only stop when an UNLESS becomes true: another reflex would pull at the object"
@@ -48,13 +49,13 @@ def _unshared(program: ElaboratorProgram, query: WorldQuery) -> Refused:
     message = f"{BOTH_ARMS} must hold one object; " + ", ".join(
         f"{arm} holds {thing or 'nothing'}" for arm, thing in held.items()
     )
-    clears = program.needs.get("both_hands", "")
+    clears = program.needs.get("both_hands", [])
     first = next((thing for thing in held.values() if thing), "")
     empty = next((arm for arm in query.cell.arms if not held[arm.name]), None)
     free = shared_hold.free_points(query, first) if first else []
     if free and empty is not None:
-        clears = program.needs.get("second_hand", "").replace("{held}", first).replace("{free}", free[0])
-        clears = clears.replace("{hand}", hand_in_words(empty.name))
+        texts = {"held": first, "free": free[0], "hand": hand_in_words(empty.name)}
+        clears = fill_in(program.needs.get("second_hand", []), texts)
     return Refused.because(RefusalReason.STATE, message, clears=clears)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import msgspec
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol.advice import ANOTHER_ARM, Advice, Alternative, fill_in
 from rtc.protocol.causes import Collides
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal
@@ -24,13 +25,15 @@ def advise_on_collision(
     refusal: Refusal,
     query: WorldQuery,
     arm: str,
-    clears: Mapping[str, str],
+    clears: Mapping[str, Advice],
     limits: Limits = UNLIMITED,
     goal: str = "",
     leaves_seat: bool = False,
+    closer: Callable[[int], str] = lambda _: "",
 ) -> Refusal:
     """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged. `limits`: of
-    the command. `goal`: the place that it names. `leaves_seat`: it takes the held object out of its seat."""
+    the command. `goal`: the place that it names. `leaves_seat`: it takes the held object out of its seat. `closer`: the
+    same sentence with AVOID-NEIGHBORS of so many millimetres."""
     cause = refusal.cause
     if not isinstance(cause, Collides):
         return refusal
@@ -58,25 +61,28 @@ def advise_on_collision(
         or ("way_shared" if query.sharers(arm) else "way_far" if _far(refusal) and "way_far" in clears else "way")
     )
     known = [place for place in query.places if arm in place.poses or arm in place.joints_deg]
-    places = [place.name for place in known if place.name != goal]
-    texts = {
-        "closer": clears.get("way_closer", "") if _is_room(cause, limits) else "",
+    texts: dict[str, str | list[str] | Advice] = {
+        "closer": _closer(cause, closer) if row == "way_neighbors" or _is_room(cause, limits) else [],
+        "place": [place.name for place in known if place.name != goal],
+        "another_arm": [ANOTHER_ARM] if not held and _another_may(query, arm, goal) else [],
         "arm": hand_in_words(arm),
         "held": held,
         "seat": seat,
         "lift": in_seat.way_out_in_words(query, arm, seat) if seat else "",
         "body": leaves or body,
         "other": hand_in_words(other),
-        "places": ", ".join(places),
-        "or_arm": "" if held or not _another_may(query, arm, goal) else ", or another arm",
         "turn": turn_in_words(query, body),
         "angle": f"{math.degrees(query.angle(body)) if query.hinge(body) else 0.0:.0f}",
-        "room": f"{_room_mm(cause)} MM",
     }
-    words = clears.get(row, "") if places else clears.get(row, "").replace(" ({places})", "")
-    for name, text in texts.items():
-        words = words.replace("{" + name + "}", text)
-    return msgspec.structs.replace(refusal, clears=words)
+    return msgspec.structs.replace(refusal, clears=fill_in(clears.get(row, []), texts))
+
+
+def _closer(cause: Collides, closer: Callable[[int], str]) -> Advice:
+    """The sentence with a distance for which there is room; in words if it is not known."""
+    room_mm = _room_mm(cause)
+    sentence = closer(room_mm)
+    words = "" if sentence else f"MAINTAIN AVOID-NEIGHBORS BY {room_mm} MM"
+    return [Alternative(sentences=[sentence] if sentence else [], words=words, instead=bool(sentence))]
 
 
 def _another_may(query: WorldQuery, arm: str, goal: str) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from rtc.language.hands import hand_in_words
 from rtc.protocol import causes
+from rtc.protocol.advice import Advice, by_sentence, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
@@ -23,7 +24,7 @@ ASIDE_M, TURNED_RAD = 0.003, math.radians(1.0)  # maximum deviation of a line fr
 
 
 def refuse_other_way(
-    query: WorldQuery, arm: str, space: str, tcp: Floats, goal: Floats | None, clears: Mapping[str, str]
+    query: WorldQuery, arm: str, space: str, tcp: Floats, goal: Floats | None, clears: Mapping[str, Advice]
 ) -> None:
     """Refuse a motion that starts with the held object in a slot, and that does not follow the way out.
 
@@ -35,14 +36,12 @@ def refuse_other_way(
     seat = query.slot_at(frame) if frame is not None and query.hinge(held) is None else ""
     if not seat or (goal is not None and space == "move_both" and _follows(query, seat, tcp, goal)):
         return
+    lift = way_out_in_words(query, arm, seat, frame)
     raise Refused.because(
         RefusalReason.STATE,
         f"{held} is in {seat}, and leaves it only in a straight line",
         where=held,
-        clears=clears.get("way_seated", "{lift} first: {held} is in {seat}")
-        .replace("{lift}", way_out_in_words(query, arm, seat, frame))
-        .replace("{held}", held)
-        .replace("{seat}", seat),
+        clears=fill_in(clears.get("way_seated", by_sentence(lift)), {"lift": lift, "held": held, "seat": seat}),
         cause=causes.InSeat(arm=arm, seat=seat),
     )
 

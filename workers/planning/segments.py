@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from rtc.protocol.advice import by_person
 from rtc.protocol.causes import OtherBranch
 from rtc.protocol.messages import PlannedPath
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
@@ -178,7 +179,7 @@ def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal 
     return Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"a straight line of {request.arm.name} reaches the same pose with other joint values than those given",
-        clears="JOINT-MOTION, or a place instead of joint values",
+        clears=by_person("JOINT-MOTION, or a place instead of joint values"),
         cause=OtherBranch(arm=request.arm.name, off_rad=off_rad),
     )
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from rtc.language.hands import hand_in_words
 from rtc.protocol import causes
+from rtc.protocol.advice import Advice, by_person, fill_in
 from rtc.protocol.messages import Limits, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
@@ -31,7 +32,7 @@ UNSURE_STEP_M = 0.001  # spreads are rounded up to a multiple of this: a way sta
 AHEAD_S = 10.0
 
 
-def distrusted(query: WorldQuery, key: str, clears: Mapping[str, str], own: str = "") -> Refusal | None:
+def distrusted(query: WorldQuery, key: str, clears: Mapping[str, Advice], own: str = "") -> Refusal | None:
     """The refusal for a fact that is not trusted; None if it is trusted.
 
     `own`: the id of the running command. A fact that this command itself made suspect is accepted, because its
@@ -60,13 +61,13 @@ def _changing(key: str, arm: str) -> Refusal:
         reason=RefusalReason.SUSPECT,
         message=f"the {attribute} of {location} is changing: {arm} moves",
         where=key,
-        clears=f"wait until {arm} is at rest",
+        clears=by_person(f"wait until {arm} is at rest"),
         cause=causes.Changing(fact=key),
         in_the_way=arm,
     )
 
 
-def remedy(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
+def remedy(query: WorldQuery, key: str, clears: Mapping[str, Advice]) -> Advice:
     """The remedy that would make this fact trusted again. For a held object, clearing the grasp also clears the
     frame."""
     location, _, attribute = key.rpartition(".")
@@ -80,17 +81,15 @@ def remedy(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
         row = "seat_seen" if "seat_seen" in clears and query.is_seat(location) else "seen"
     elif row == "frame" and not query.placed(location):
         row = "unplaced" if "unplaced" in clears else row
-    words = clears.get(row, "sense {location} again")
-    if "{position}" in words:
+    texts = {"location": location, "holder": [hand_in_words(holder)] if holder else []}
+    if any(location == part.name for group in (query.cell.objects, query.cell.seats) for part in group):
         frame = query.pose(location)
-        words = words.replace("{position}", _figures(100 * frame[:3]))
-        words = words.replace("{attitude}", _figures(np.degrees(geometry.to_rpy(frame))))
-    words = words.replace("{angle}", _figures(np.degrees([query.angle(location)])))
-    hand = hand_in_words(holder) or "the hand that holds it"
-    return words.replace("{location}", location).replace("{holder}", hand)
+        texts |= {"position": _figures(100 * frame[:3]), "attitude": _figures(np.degrees(geometry.to_rpy(frame)))}
+    texts["angle"] = _figures(np.degrees([query.angle(location)]))
+    return fill_in(clears.get(row, []), texts) or by_person(f"sense {location} again")
 
 
-def narrows(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
+def narrows(query: WorldQuery, key: str, clears: Mapping[str, Advice]) -> Advice:
     """The remedy that makes the spread of the pose of an object or seat smaller. What a look has just measured, the
     next one does not know better."""
     location, _, _ = key.rpartition(".")
@@ -101,8 +100,8 @@ def narrows(query: WorldQuery, key: str, clears: Mapping[str, str]) -> str:
         row = "spread_seen"
     elif "spread_shown" in clears and not query.cameras(location) and (place := shown_at(query, location)):
         row = "spread_shown"
-    words = clears.get(row, "sense {location} again").replace("{location}", location).replace("{place}", place)
-    return words.replace("{holder}", query.held_by(location))
+    texts = {"location": location, "place": place, "holder": hand_in_words(query.held_by(location))}
+    return fill_in(clears.get(row, []), texts) or by_person(f"sense {location} again")
 
 
 def shown_at(query: WorldQuery, held: str) -> str:
@@ -172,7 +171,7 @@ def motion_time_s(query: WorldQuery, limits: Limits) -> float:
 
 
 def why_uncertain(
-    query: WorldQuery, arm: str, step: Step, clears: Mapping[str, str], ahead_s: float = 0.0
+    query: WorldQuery, arm: str, step: Step, clears: Mapping[str, Advice], ahead_s: float = 0.0
 ) -> Refusal | None:
     """The refusal of a step for which the grasp of the held object is too uncertain; None: certain, or an empty hand.
 

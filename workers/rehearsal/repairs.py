@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from rtc.language.hands import ARM_OF_WORD, OWN_WORDS, hand_in_words
 from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.causes import Collides, OutOfReach, TooUncertain
 from rtc.protocol.messages import Fact
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -29,8 +30,6 @@ SAME = 1e-6  # m and rad: a difference below this is none
 #: reasons of refusals that another sentence may avoid
 REPAIRABLE = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.SUSPECT, RefusalReason.NAME)
 NAMES = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:[-_][A-Za-z0-9]+)*")
-#: words in capitals and figures: a sentence in the midst of advice
-SENTENCE = re.compile(r"[A-Z][A-Z0-9-]+(?: (?:[A-Z][A-Z0-9-]*|-?\d[\d.]*))+")
 
 InVain = Callable[[World], bool]  # the world after the first sentence -> whether it cannot help the next one
 #: sentences -> predicted duration of all (s); None: not feasible, or the first one is in vain
@@ -53,7 +52,7 @@ def tested(sentence: Infeasible, program: ElaboratorProgram, rehearse: Rehearse)
     found: list[Repair] = []
     options = {tuple(one): changes for one, changes in _options(sentence, program)}
     for sentences, changes in list(options.items())[:TRIED]:
-        advised = sentences[0] in sentence.refusal.clears  # the refusal knows more than its cause says
+        advised = sentences[0] in sentences_of(sentence.refusal.clears)  # the refusal knows more than its cause says
         predicted_s = rehearse([*sentences], _never if advised else partial(in_vain, sentence))
         if predicted_s is not None:
             found.append(Repair(sentences=[*sentences], changes=changes, predicted_s=predicted_s))
@@ -147,7 +146,7 @@ def _elsewhere(sentence: Infeasible, word: str) -> Iterable[str]:
 
 
 def _one_sentence_before(sentence: Infeasible, program: ElaboratorProgram) -> Iterator[Option]:
-    advised = [one for one in SENTENCE.findall(sentence.refusal.clears) if one != sentence.refusal.by_operator]
+    advised = [one for one in sentences_of(sentence.refusal.clears) if one != sentence.refusal.by_operator]
     for before in (*advised, *_listed(sentence, program)):
         yield [before, sentence.text], f"{before} first"
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from rtc.plugins import guard
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.world.model import World, problem
@@ -40,7 +41,7 @@ def refusal(kind: str, error: Exception, data: Any, doubtful: str) -> Refusal:
         reason=RefusalReason.INFEASIBLE,
         message=f"the {kind} cannot compute {words or 'this'} ({guard.in_words(error)}){cause}",
         where=words,
-        clears="SET the fact anew"
-        if doubtful
-        else "other figures in the sentence; the log of the worker has the place",
+        clears=by_person(
+            "SET the fact anew" if doubtful else "other figures in the sentence; the log of the worker has the place"
+        ),
     )

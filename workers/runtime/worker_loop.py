@@ -25,6 +25,7 @@ from rtc.plugins import guard
 from rtc.plugins.guard import PluginError
 from rtc.protocol import messages as m
 from rtc.protocol import wire
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, Refused, WireError, refuse_if
 from rtc.runtime.link import Link
 from rtc.runtime.process import Every, Process, inbox, now_s, send, show_name
@@ -275,7 +276,7 @@ class WorkerLoop:
             result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=refused.refusal)
         except PluginError as error:
             failed = Refusal(
-                reason=RefusalReason.PROGRAM, message=str(error), clears="correct or uninstall its package"
+                reason=RefusalReason.PROGRAM, message=str(error), clears=by_person("correct or uninstall its package")
             )
             result = m.JobRefused(id=job.id, attempt=job.attempt, refusal=failed)
         except ClusterError as error:  # the world database is unavailable; the broker decides on a retry

@@ -8,35 +8,35 @@ have changed what the advice is about, and with the sentence's success.
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterable
 
 import msgspec
 
-from broker.decisions.state import Advised, Command, State
+from broker.decisions.state import Advised, Command, ParsedHead, State
 from rtc.protocol import causes
+from rtc.protocol.advice import Advice, Alternative, by_person
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 KEPT = 64  # sentences
-OF_VALUE = "SET"  # its figures stand in the advice as letters, or as those of before
-PART = re.compile(r"(; |, or | or (?=[A-Z]{3}))")  # steps of an advice, and alternatives of a step
-STEP, THEN = "; ", ", then "
-AGAIN = re.compile(r"\b(?:again|repeat)\b")
+OF_VALUE = "SET"  # a sentence that states a fact
 #: the same sentence may be done later, although nothing is done for it
 PASSING = (RefusalReason.RESOURCE, RefusalReason.OVERLOAD, RefusalReason.STALE, RefusalReason.TIMEOUT)
 
 
 def judged(state: State, command: Command, kind: OutcomeKind, refusal: Refusal | None) -> Refusal | None:
     """The refusal of a task that ends, with advice that was not given to the same sentence just before."""
-    if command.head is None or command.head.test or command.head.kind not in ("task", "data"):
+    head = command.head
+    if head is None or head.test or head.kind not in ("task", "data"):
         return refusal
     text = " ".join(command.text.upper().split())
     before = state.advised.pop(text, None)
     succeeded = kind is OutcomeKind.SUCCEEDED
-    in_vain = _is_in_vain(text, kind, refusal)
+    in_vain = _is_in_vain(head, kind, refusal)
+    done = _done(head, text)
     for sentence, one in list(state.advised.items()):
-        if _names(one.clears, text):
+        if any(done in _todo(each) for each in one.clears):
             one.in_vain &= not succeeded
-            one.tried += [text] if succeeded or in_vain else []
+            one.tried += [done] if succeeded or in_vain else []
         elif kind is not OutcomeKind.REFUSED or command.primitives:  # else it has changed nothing
             del state.advised[sentence]
     if succeeded or refusal is None or not refusal.clears:
@@ -45,53 +45,57 @@ def judged(state: State, command: Command, kind: OutcomeKind, refusal: Refusal |
     tried = before.tried if before is not None and same else []
     elsewhere = [sentence for sentence, one in state.advised.items() if one.in_vain]
     if isinstance(refusal.cause, causes.AlreadyDone) and tried:  # what remained was done
-        words = f"nothing is left to do; {tried[-1]} was the last of it"
+        left = by_person(f"nothing is left to do; {tried[-1]} was the last of it")
     else:
-        words = _without(refusal.clears, tried, elsewhere, command.id, again=same)
-    state.advised[text] = Advised(command.id, refusal.clears, words, in_vain, tried)
+        left = _without(refusal.clears, tried, elsewhere, command.id, again=same)
+    state.advised[text] = Advised(command.id, refusal.clears, left, in_vain, tried)
     if len(state.advised) > KEPT:
         del state.advised[next(iter(state.advised))]
-    if before is not None and words == before.words:
-        words = f"as for {before.command}: {words}; rtc why {command.id} shows what was found"
-    return msgspec.structs.replace(refusal, clears=words)
+    if before is not None and left == before.left:
+        words = f"the advice is that for {before.command}: rtc why {command.id} shows what was found"
+        left = [*left, *by_person(words)]
+    return msgspec.structs.replace(refusal, clears=left)
 
 
-def _is_in_vain(text: str, kind: OutcomeKind, refusal: Refusal | None) -> bool:
+def _is_in_vain(head: ParsedHead, kind: OutcomeKind, refusal: Refusal | None) -> bool:
     """Whether the same sentence would end so again, as long as nothing changes. Other figures may be accepted."""
-    ended = kind in (OutcomeKind.FAILED, OutcomeKind.REFUSED) and text.split()[0] != OF_VALUE
+    ended = kind in (OutcomeKind.FAILED, OutcomeKind.REFUSED) and head.verb != OF_VALUE
     return ended and refusal is not None and refusal.reason not in PASSING and not _only_again(refusal.clears)
 
 
-def _names(advice: str, text: str) -> bool:
-    """Whether the advice contains this sentence; of SET its attribute, whatever its figures are."""
-    sentence = " ".join(text.split()[:3]) if text.split()[0] == OF_VALUE else text
-    after = "" if sentence is not text else r"(?! ?[A-Z0-9-])"
-    return re.search(rf"(?<![A-Z0-9-]){re.escape(sentence)}{after}", advice) is not None
+def _done(head: ParsedHead, text: str) -> str:
+    """The sentence; of one that states a fact its key, whatever its figures are."""
+    return f"{head.object}.{head.attribute.lower()}" if head.verb == OF_VALUE and head.attribute else text
 
 
-def _only_again(advice: str) -> bool:
+def _todo(one: Alternative) -> list[str]:
+    """What an alternative asks for: facts that a person states, and sentences."""
+    return [*one.sentences, *one.states]
+
+
+def _only_again(advice: Advice) -> bool:
     """Whether the advice has no sentence but the same one again."""
-    parts = PART.split(advice)[::2]
-    return all(AGAIN.search(part) or not re.search(r"\b[A-Z]{3,}\b", part) for part in parts) and bool(
-        AGAIN.search(advice)
-    )
+    return not any(map(_todo, advice)) and any(one.again for one in advice)
 
 
-def _without(clears: str, tried: list[str], elsewhere: list[str], command: str, *, again: bool) -> str:
-    """The advice without what was tried after it, and without a first step that was tried `elsewhere`; if nothing else
-    is left, where its causes are. `again`: the sentence was advised the same before."""
-    parts = PART.split(clears)
-    vain: list[str] = []
-    kept: list[str] = []
-    first = True
-    for between, part in zip(["", *parts[1::2]], parts[::2], strict=True):
-        first = first and between != STEP
-        named = [one for one in tried if _names(part, one)]
-        named += [one for one in elsewhere if first and _names(part.partition(THEN)[0], one)]
-        vain += named
-        if not named and not AGAIN.search(part):
-            kept += [between if kept else "", part.removeprefix("or ") if not kept else part]
-    if not vain and not (again and _only_again(clears)):
-        return clears
+def _without(advice: Advice, tried: list[str], elsewhere: list[str], command: str, *, again: bool) -> Advice:
+    """The advice without what was tried after it, and without alternatives that begin with what was tried `elsewhere`;
+    if nothing else is left, where its causes are. `again`: the sentence was advised the same before."""
+    vain = [one for one in tried if any(one in _todo(each) for each in advice)]
+    vain += [first for one in advice for first in one.sentences[:1] if first in elsewhere]
+    if not vain and not (again and _only_again(advice)):
+        return advice
+    kept = [left for one in advice if (left := _left(one, tried, elsewhere)) is not None]
     sentences = " and ".join(dict.fromkeys(vain)) or "the same sentence again"
-    return "".join(kept) or f"{sentences} has not cleared it: rtc why {command} shows what was found"
+    return kept or by_person(f"{sentences} has not cleared it: rtc why {command} shows what was found")
+
+
+def _left(one: Alternative, tried: Iterable[str], elsewhere: Iterable[str]) -> Alternative | None:
+    """What is left of an alternative; None: nothing, or it begins with what was in vain."""
+    if one.sentences[:1] and one.sentences[0] in elsewhere:
+        return None
+    todo = [each for each in _todo(one) if each not in tried]
+    if not todo and (_todo(one) or one.again):
+        return None
+    sentences = [each for each in one.sentences if each in todo]
+    return msgspec.structs.replace(one, sentences=sentences, states=[each for each in one.states if each in todo])

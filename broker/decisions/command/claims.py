@@ -8,6 +8,7 @@ from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.resources import Claim
 from broker.decisions.state import Command, ParsedHead, exact_arms_of
+from rtc.protocol.advice import Advice, by_person, by_sentence
 from rtc.protocol.messages import NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS
@@ -50,7 +51,7 @@ def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> b
     name, owner = result
     if command.head.now:
         message = f"{name} is in use by {owner}, and the sentence contains NOW"
-        clears = f"wait for {owner}, abort it, or leave out NOW"
+        clears = without_now(owner)
         refuse(context, command, Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner, clears=clears))
         return False
     context.grant(resources.wait(command.id, claim))
@@ -103,3 +104,8 @@ def start_elaboration(context: DecisionContext, command: Command) -> None:
         data["saved"] = command.saved
     context.create_job(command, WorkerKind.ELABORATOR, data)
     context.enter(command, Phase.ELABORATING)
+
+
+def without_now(owner: str) -> Advice:
+    """What helps a sentence with NOW that needs what `owner` has."""
+    return [*by_person("leave out NOW", f"wait for {owner}"), *by_sentence(f"ABORT {owner}")]

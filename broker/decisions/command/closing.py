@@ -18,11 +18,11 @@ from broker.decisions.context import DecisionContext, Facts
 from broker.decisions.events import JobLost
 from broker.decisions.state import NIL, AssessmentHead, Command, PendingOutcome
 from rtc.protocol import wire
+from rtc.protocol.advice import again_after, in_order
 from rtc.protocol.messages import EndReport, NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 WHEN_BACK = "when the subsystem is back"
-AGAIN = "then give the sentence again"
 
 read_assessment = wire.decoder(AssessmentHead)
 
@@ -57,13 +57,13 @@ def finish_closing(context: DecisionContext, command: Command, product: Any) -> 
     ending = command.pending_outcome
     refusal = ending.refusal
     head = read_assessment(product) if isinstance(product, msgspec.Raw) else None
-    clears = head.clears if head is not None else ""
+    clears = head.clears if head is not None else []
     if head is not None and head.remark and ending.kind is OutcomeKind.HALTED:
         ending = msgspec.structs.replace(ending, message=f"{ending.message}; {head.remark}")
     if clears and ending.kind is OutcomeKind.HALTED and refusal is None:
         refusal = Refusal(reason=RefusalReason.STATE, message=ending.message, clears=clears)
     elif clears and ending.kind is OutcomeKind.LOST_SUBSYSTEM and refusal is not None:
-        refusal = msgspec.structs.replace(refusal, clears=f"{WHEN_BACK}: {clears}; {AGAIN}")
+        refusal = msgspec.structs.replace(refusal, clears=in_order(clears, again_after(WHEN_BACK)))
     end(context, command, msgspec.structs.replace(ending, refusal=refusal))
 
 

@@ -14,6 +14,7 @@ from broker.decisions.events import Stimulus
 from broker.decisions.halt_request import Settled, halted, on_sentence
 from broker.decisions.resources import number
 from broker.decisions.state import Command, ParsedHead, PendingOutcome, path_words
+from rtc.protocol.advice import Advice, by_person, by_sentence
 from rtc.protocol.messages import NoteKind, Phase
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
@@ -111,13 +112,13 @@ def _is_paused(command: Command) -> bool:
     return command.phase is Phase.PAUSED or (command.stands and command.pause_wanted)
 
 
-def _instead(context: DecisionContext, scope: str, targets: list[str]) -> str:
+def _instead(context: DecisionContext, scope: str, targets: list[str]) -> Advice:
     """The remedy after a refused PAUSE."""
     if not targets:
-        return "PAUSE while something moves"
+        return by_person("PAUSE while something moves")
     if any(_is_paused(context.state.commands[target]) for target in targets):
-        return f"RESUME {scope} lets it go on"
-    return f"HALT {scope} stops now, and ends it"
+        return by_sentence(f"RESUME {scope}", words="it goes on then")
+    return by_sentence(f"HALT {scope}", words="stops now, and ends it", instead=True)
 
 
 def _will_resume(context: DecisionContext, command: Command) -> Answer:
@@ -130,7 +131,7 @@ def _will_resume(context: DecisionContext, command: Command) -> Answer:
     return (False, "was not paused") if going else (True, "goes on")
 
 
-RESUME_ADVICE = "RESUME a command that is paused: rtc status lists the commands in progress"
+RESUME_ADVICE = by_person("RESUME a command that is paused: rtc status lists the commands in progress")
 PAUSE_ANSWERS = {Stimulus.PAUSE: _will_pause, Stimulus.RESUME: _will_resume}
 
 

@@ -10,6 +10,7 @@ from broker.decisions.command.claims import claim_and_elaborate
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import Command, ParsedHead, PendingOutcome
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import NoteKind, Phase
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
@@ -39,7 +40,7 @@ def wait_for_another(context: DecisionContext, command: Command, head: ParsedHea
         )
         reason = RefusalReason.NAME if target is None and done is None else RefusalReason.STATE
         clears = f"leave out {'AFTER' if head.after else 'TOGETHER-WITH'} {other}"
-        refuse(context, command, Refusal(reason=reason, message=message, clears=clears))
+        refuse(context, command, Refusal(reason=reason, message=message, clears=by_person(clears)))
         return True
     if command.id in _waits_for(context, target):
         message = f"{command.id} and {other} would wait for each other without end"

@@ -15,6 +15,7 @@ from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import Command, ParsedHead
 from rtc.protocol import wire
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
 LAST = "LAST"  # stands for the number of the client's previous command that does or states something
@@ -60,18 +61,21 @@ def _broker_refusal(command: Command, head: ParsedHead) -> Refusal | None:
     if command.after_test:
         message = "only a TEST sentence can be done in the world after a test"
         return Refusal(
-            reason=RefusalReason.STATE, message=message, where=command.after_test, clears="put TEST before it"
+            reason=RefusalReason.STATE,
+            message=message,
+            where=command.after_test,
+            clears=by_person("put TEST before it"),
         )
     if LAST in (head.after, head.together_with):
         word = "AFTER" if head.after else "TOGETHER-WITH"
         own = "each `rtc do` is a client of its own"
         message = f"{word} {LAST}: this client has given no command before this one; {own}"
         clears = f"both sentences in one `rtc do`; or the number: {word} C-n (`rtc log` lists the commands)"
-        return Refusal(reason=RefusalReason.NAME, message=message, where=LAST, clears=clears)
+        return Refusal(reason=RefusalReason.NAME, message=message, where=LAST, clears=by_person(clears))
     if head.report is not None and (word := head.report.in_motion) and not command.progress:
         message = f"REPORT {word}: this client does not take progress notes, so the reports would not be delivered"
         clears = f"wait for the command (rtc do without --no-wait; on_progress in Python), or leave out {word}"
-        return Refusal(reason=RefusalReason.STATE, message=message, where=word, clears=clears)
+        return Refusal(reason=RefusalReason.STATE, message=message, where=word, clears=by_person(clears))
     return None
 
 

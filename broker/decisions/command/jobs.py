@@ -12,6 +12,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.events import JobLost
 from broker.decisions.state import Command, PendingOutcome
 from rtc.protocol import causes
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import NoteKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
@@ -42,7 +43,7 @@ def schedule_analysis_retry(context: DecisionContext, command: Command, refusal:
     message = (
         f"the result could not be analysed within {deferred_analysis.LIMIT_S:.0f} s: {refusal.message}; {QUARANTINED}"
     )
-    refusal = Refusal(reason=refusal.reason, message=message, clears="wait until the world database is back")
+    refusal = Refusal(reason=refusal.reason, message=message, clears=by_person("wait until the world database is back"))
     end(context, command, PendingOutcome(OutcomeKind.FAILED, message, refusal=refusal), defer_analysis=True)
     deferred_analysis.on_unavailable(context, command.id)
 
@@ -105,7 +106,7 @@ def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) ->
         reason=RefusalReason.POISON,
         message=f"{culprit} killed its worker {len(job.deaths)} times: {_last_line(loss)}",
         where=command.step_words,
-        clears=f"the evidence is in the trace; {clears}",
+        clears=by_person(f"the evidence is in the trace; {clears}"),
         cause=causes.WorkersKilled(deaths=tuple(evidence[-800:] for evidence in job.deaths)),
     )
 

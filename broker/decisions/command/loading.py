@@ -8,6 +8,7 @@ from __future__ import annotations
 from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import NIL, Command, JobKind, ParsedHead, PendingJob
+from rtc.protocol.advice import by_sentence
 from rtc.protocol.messages import NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
@@ -19,7 +20,7 @@ def load(context: DecisionContext, command: Command, head: ParsedHead) -> None:
     kinds = [kind.value.upper() for kind in WorkerKind]
     if head.target not in kinds:
         message = f"there is no program of {head.target}; there are those of {', '.join(kinds)}"
-        clears = f"{LOAD} {head.object} INTO {WorkerKind.ELABORATOR.value.upper()}"
+        clears = by_sentence(f"{LOAD} {head.object} INTO {WorkerKind.ELABORATOR.value.upper()}", instead=True)
         refuse(context, command, Refusal(reason=RefusalReason.NAME, message=message, expected=kinds, clears=clears))
         return
     command.jobs += 1

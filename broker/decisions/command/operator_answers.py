@@ -11,6 +11,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendAnswer
 from broker.decisions.events import AnswerWasRefused
 from broker.decisions.state import Command, LinkState, ParsedHead
+from rtc.protocol.advice import by_person, by_sentence
 from rtc.protocol.messages import EndReport, NoteKind, OperatorAnswer, Phase
 from rtc.protocol.outcomes import OF_OPERATOR, Refusal, RefusalReason
 from rtc.protocol.primitive_id import command_of
@@ -47,11 +48,12 @@ def _not_one(head: ParsedHead, asked: list[Command]) -> Refusal:
     if asked:
         which = " or ".join(f"{c.id} ({', '.join(c.performers)})" for c in asked)
         arm = asked[0].performers[0]
-        message, clears = f"{head.verb} may be about {which}", f"TAKE {arm} FROM OPERATOR ends the one of {arm}"
+        message, clears = f"{head.verb} may be about {which}", by_sentence(f"TAKE {arm} FROM OPERATOR")
     else:
         what = f"the operator does not have {head.hand}" if head.verb == TAKE else "no command waits for the operator"
         message = f"{what} now"
-        clears = f"GIVE {head.hand or 'an arm'} TO OPERATOR, or a sentence VIA OPERATOR-INTERVENTION, comes before it"
+        words = f"GIVE {head.hand or 'an arm'} TO OPERATOR, or a sentence VIA OPERATOR-INTERVENTION, comes before it"
+        clears = by_person(words)
     return Refusal(reason=RefusalReason.STATE, message=message, where=head.verb, clears=clears)
 
 

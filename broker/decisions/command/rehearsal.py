@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from broker.decisions.command.claims import without_now
 from broker.decisions.command.scope import scope_of
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
@@ -25,6 +26,7 @@ from broker.decisions.state import (
     picture_times_of,
 )
 from rtc.protocol import wire
+from rtc.protocol.advice import by_person
 from rtc.protocol.digest import digest
 from rtc.protocol.messages import Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
@@ -86,7 +88,7 @@ def _refuse_now(head: ParsedHead, in_use: dict[str, str]) -> Refusal | None:
         return None
     name, owner = next(iter(in_use.items()))
     message = f"{name} is in use by {owner}, and the sentence contains NOW"
-    clears = f"wait for {owner}, abort it, or leave out NOW"
+    clears = without_now(owner)
     return Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner, clears=clears)
 
 
@@ -116,7 +118,7 @@ def _unknown(name: str) -> Refusal:
         reason=RefusalReason.STALE,
         message=f"no test {name} is known; the cluster keeps the {TESTS_KEPT} latest",
         where=name,
-        clears=TEST_AGAIN,
+        clears=by_person(TEST_AGAIN),
     )
 
 
@@ -133,16 +135,16 @@ def why_not_as_tested(context: DecisionContext, command: Command) -> Refusal | N
     of_sentence = [test for test in tests if bytes(test.record) == bytes(command.parsed)]
     if not of_sentence:
         message = f"this sentence is not one of the test {name}"
-        return Refusal(reason=RefusalReason.STALE, message=message, where=name, clears=TEST_AGAIN)
+        return Refusal(reason=RefusalReason.STALE, message=message, where=name, clears=by_person(TEST_AGAIN))
     test = min(of_sentence, key=lambda one: len(one.given))  # a list may contain a sentence twice
     if not test.feasible:
         message = f"this sentence was not feasible in the test {name}"
         return Refusal(
-            reason=RefusalReason.STALE, message=message, where=name, clears="`rtc test` names what to change"
+            reason=RefusalReason.STALE, message=message, where=name, clears=by_person("`rtc test` names what to change")
         )
     if changed := [kind for kind, program in command.programs.items() if test.programs.get(kind) != program]:
         message = f"the {changed[0]} has another program than in the test {name}"
-        return Refusal(reason=RefusalReason.STALE, message=message, where=changed[0], clears=TEST_AGAIN)
+        return Refusal(reason=RefusalReason.STALE, message=message, where=changed[0], clears=by_person(TEST_AGAIN))
     given = [other for one in tests[: tests.index(test)] for other in one.given]  # of the sentences before it
     command.rests_on = {"test": name, "relies_on": test.relies_on, "foreseen": test.foreseen, "given": given}
     test.given.append(command.id)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import Command, ParsedHead
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS
 
@@ -49,4 +50,4 @@ def no_target(context: DecisionContext, scope: str, asker: str = "") -> Refusal:
     known = [*(p for s in context.state.subsystems.values() for p in s.performers), *live]
     message = f"no live command or performer is named {scope}"
     clears = "name ALL, an arm or a command in progress: rtc status lists them"
-    return Refusal(reason=RefusalReason.NAME, message=message, expected=["ALL", *known[:20]], clears=clears)
+    return Refusal(reason=RefusalReason.NAME, message=message, expected=["ALL", *known[:20]], clears=by_person(clears))

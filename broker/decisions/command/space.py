@@ -14,12 +14,13 @@ from typing import Any
 import msgspec
 
 from broker.decisions.command import nominal
-from broker.decisions.command.claims import start_elaboration
+from broker.decisions.command.claims import start_elaboration, without_now
 from broker.decisions.command.closing import read_assessment
 from broker.decisions.command.nominal import bind_step
 from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.state import Command
+from rtc.protocol.advice import by_person, by_sentence, in_order
 from rtc.protocol.messages import EndReport, NoteKind, Phase
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 
@@ -66,7 +67,7 @@ def _after_blocked(context: DecisionContext, command: Command, message: str) -> 
     if not arms:
         bind_step(context, command, NoteKind.PLANNED_AGAIN, message=message)
         return
-    refusal = Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"wait for {arms[0]}")
+    refusal = Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=by_person(f"wait for {arms[0]}"))
     _wait(context, command, arms[0], refusal)
 
 
@@ -76,11 +77,11 @@ def _wait(context: DecisionContext, command: Command, arm: str, refusal: Refusal
         refuse(context, command, refusal)
     elif circle := _circle(context, command, owner):
         message = f"{refusal.message}; {command.id} cannot wait for {owner.id}: {circle}"
-        clears = f"ABORT {owner.id}, then {refusal.clears or f'move {arm}'}"
+        clears = in_order(by_sentence(f"ABORT {owner.id}"), refusal.clears or by_person(f"move {arm}"))
         refuse(context, command, msgspec.structs.replace(refusal, message=message, owner=owner.id, clears=clears))
     elif command.head is not None and command.head.now:
         message = f"{refusal.message}, {arm} is in use by {owner.id}, and the sentence contains NOW"
-        clears = f"wait for {owner.id}, abort it, or leave out NOW"
+        clears = without_now(owner.id)
         now = Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner.id, clears=clears)
         refuse(context, command, now)
     else:

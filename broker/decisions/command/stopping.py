@@ -7,20 +7,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from broker.decisions.command.closing import AGAIN, WHEN_BACK, close, stop_after_analysis
+from broker.decisions.command.closing import WHEN_BACK, close, stop_after_analysis
 from broker.decisions.command.limits import await_rest, rest_limit_s
 from broker.decisions.command.termination import stop
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, SendHalt
 from broker.decisions.state import NIL, Command, PendingOutcome
+from rtc.protocol.advice import Advice, again_after
 from rtc.protocol.messages import EndReport, HaltOrder, NoteKind, Phase
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 
 STOP = "stop-"  # prefix of the halt that stops a command's primitive; the command's number follows
 
 
-RETRY_ADVICE = f"give the sentence again {WHEN_BACK}"
-UNCONFIRMED_ADVICE = f"look whether the arm rests, and see in rtc status whether the subsystem is back; {AGAIN}"
+RETRY_ADVICE = again_after(WHEN_BACK)
+UNCONFIRMED_ADVICE = again_after("look whether the arm rests, and see in rtc status whether the subsystem is back")
 
 
 def stop_primitive(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
@@ -44,7 +45,7 @@ def order_halt(context: DecisionContext, command: Command) -> None:
 def stop_overdue(context: DecisionContext, command: Command, _: Any) -> None:
     """Stop a primitive without an end report in time. F always contains a time limit, so the subsystem is at fault."""
     message = f"{command.subsystem} gave no end report within {command.limit_s:.1f} s: it is too slow, or hangs"
-    advice = f"see in rtc status whether {command.subsystem} runs, and whether a fault is injected; {AGAIN}"
+    advice = again_after(f"see in rtc status whether {command.subsystem} runs, and whether a fault is injected")
     stop_primitive(context, command, _outcome(OutcomeKind.FAILED, StopReason.TIMEOUT, message, advice))
 
 
@@ -93,7 +94,7 @@ def _lost(message: str) -> PendingOutcome:
     return _outcome(OutcomeKind.LOST_SUBSYSTEM, StopReason.SUBSYSTEM_LOST, message, RETRY_ADVICE)
 
 
-def _outcome(kind: OutcomeKind, stop_reason: StopReason, message: str, advice: str) -> PendingOutcome:
+def _outcome(kind: OutcomeKind, stop_reason: StopReason, message: str, advice: Advice) -> PendingOutcome:
     refusal = Refusal(reason=RefusalReason.STATE, message=message, clears=advice)
     return PendingOutcome(kind=kind, message=message, stop=stop_reason, refusal=refusal)
 

@@ -17,6 +17,7 @@ from broker.decisions.events import Stimulus
 from broker.decisions.resources import Quarantine
 from broker.decisions.state import Command, PendingOutcome, Result, request_key
 from rtc.protocol import wire
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import CommandEnded, CommandRecord, NoteKind, Phase
 from rtc.protocol.outcomes import Compared, Outcome, OutcomeKind, Refusal, RefusalReason
 
@@ -161,6 +162,6 @@ def settle_answers(context: DecisionContext, primitive: str, refused: str, words
         ending = PendingOutcome(OutcomeKind.SUCCEEDED, words)
         if refused:
             clears = "do what is missing, then DONE again; or CANNOT and the reason; rtc operator shows the request"
-            why = Refusal(reason=RefusalReason.STATE, message=refused, clears=clears)
+            why = Refusal(reason=RefusalReason.STATE, message=refused, clears=by_person(clears))
             ending = PendingOutcome(OutcomeKind.REFUSED, refused, refusal=why)
         context.enqueue_stimulus(name, Stimulus.RELEASE, ending)

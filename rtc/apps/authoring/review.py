@@ -34,6 +34,7 @@ from rtc.model.robot.kinematics import ArmModel
 from rtc.programs.yaml_location import line_of_key, path_of
 from rtc.protocol.outcomes import ProgramError, RtcError
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 
 TRIANGLE_SLACK = 1e-9
 PENETRATION_M = 0.002  # of two bodies at the beginning
@@ -469,7 +470,7 @@ def _places(
             joints, where = place.joints_rad(arm) or [], f"places[{n}].joints_deg.{arm}"
             wrong = models[arm].why_not_within(joints, margin)
             if wrong is not None:
-                yield where, wrong.message, "error", wrong.clears
+                yield where, wrong.message, "error", in_one_line(wrong.clears)
                 continue
             hit = world.check({**home, arm: joints}, Scene(moving=arm))
             if hit is not None:
@@ -488,7 +489,8 @@ def _reach(
     solutions = model.ik(pose, home[model.name], margin)
     if not solutions:
         why = model.why_no_ik(pose, margin)
-        yield where, why.message if why else f"{model.name} cannot reach it", "error", why.clears if why else ""
+        message, clears = (why.message, in_one_line(why.clears)) if why else (f"{model.name} cannot reach it", "")
+        yield where, message, "error", clears
         return
     ignore = [(model.name, touching)] if touching else []
     scene = Scene(moving=model.name, ignore=ignore)

@@ -20,6 +20,7 @@ from rtc.apps.cli.output import LEFT_RUNNING, NO_CLUSTER, cli_error, errors
 from rtc.apps.cli.stdio import OutputClosed, attach
 from rtc.protocol.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
 from rtc.runtime import time_limit
+from rtc.wording.advice import in_one_line
 
 #: command -> module of this package with its function (for a group: its app); in the order of the help
 COMMANDS = {
@@ -145,7 +146,7 @@ def _call() -> None:
     except NoCluster as error:
         sys.exit(cli_error(str(error), NO_CLUSTER).exit_code)
     except RequestDeclined as error:
-        clears = f" ({error.refusal.clears})" if error.refusal.clears else ""
+        clears = f" ({in_one_line(error.refusal.clears)})" if error.refusal.clears else ""
         sys.exit(cli_error(str(error) + clears, 2).exit_code)
     except KeyTrouble as error:
         sys.exit(cli_error(str(error), 2).exit_code)

@@ -16,6 +16,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import ArmSample, Operation, SimTruthReply, SurrenderRow
 from rtc.protocol.outcomes import OutcomeKind, TimedOut
 from rtc.protocol.units import in_words
+from rtc.wording.advice import in_one_line
 
 MEASURED_S = 1.0  # maximum wait for a telemetry sample
 ROUND_TRIPS = 6  # over tcp in addition: those of a handshake
@@ -71,7 +72,7 @@ def operator(
 def _answer(rtc: Client, sentence: str) -> None:
     outcome = rtc.run(sentence).outcome
     if outcome.kind is not OutcomeKind.SUCCEEDED:
-        clears = f" ({outcome.refusal.clears})" if outcome.refusal is not None else ""
+        clears = f" ({in_one_line(outcome.refusal.clears)})" if outcome.refusal is not None else ""
         raise cli_error(outcome.message + clears, EXIT[outcome.kind])
     console.print(outcome.message)
 

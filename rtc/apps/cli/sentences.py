@@ -32,12 +32,14 @@ from rtc.apps.cli.progress import Board
 from rtc.apps.cli.sentence_files import Labels, Line
 from rtc.apps.cli.sentence_program import SentenceProgram
 from rtc.apps.cli.stdio import OutputClosed
+from rtc.apps.cli.trace import recall
 from rtc.client.client import Client
 from rtc.client.session import Source, as_text
 from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
 from rtc.wording import notes as wording
+from rtc.wording.advice import in_words
 from rtc.wording.refusals import refusal_lines
 from rtc.wording.sentences import quoted
 
@@ -67,6 +69,9 @@ def do(
     if_tested: Annotated[
         str, typer.Option(metavar="DIGEST", help="Only as `rtc test` found it: refuse what is stale.")
     ] = "",
+    advice: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Follow advice N of the last command, or of the one named.")
+    ] = None,
     source: Annotated[str, typer.Option("--as", help="operator, or aip (differs in records only).")] = "operator",
     json: AsJson = False,
     run_dir: RunDir = None,
@@ -84,7 +89,11 @@ def do(
 
     Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
     Example:  rtc do --file plan.txt --parallel
+    Example:  rtc do --advice 1
     """
+    if advice is not None:
+        record, _ = recall(sentences[0] if sentences else "", False, run_dir, key)
+        sentences = advised(record, advice)
     lines = _program(sentences or [], file)
     texts = [line.text for line in lines]
     if not all(text.strip() for text in texts) or not texts:
@@ -112,6 +121,18 @@ def quotes_forgotten(texts: list[str], results: list[dict[str, Any]]) -> str:
     if len(words) < 2 or all(one["kind"] != "refused" or one["text"] not in words for one in results):
         return ""
     return f'each argument is a sentence; put one of several words in quotes: rtc do "{quoted(" ".join(words))}"'
+
+
+def advised(record: m.CommandRecord, n: int) -> list[str]:
+    """The sentences of alternative `n` of what `rtc why` shows. Raises typer.Exit, with the reason printed."""
+    advice = record.outcome.refusal.clears if record.outcome and record.outcome.refusal else []
+    if n > len(advice):
+        raise cli_error(f"{record.command} has no advice {n}; rtc why {record.command} shows what it has", 2)
+    one = advice[n - 1]
+    texts = [*one.sentences, *([record.text] if one.again else [])]
+    if one.states or not texts:
+        raise cli_error(f"this is for a person to do: {in_words(one)}", 2)
+    return texts
 
 
 def _see_through(

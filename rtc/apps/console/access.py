@@ -10,6 +10,7 @@ from starlette.requests import Request
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rtc.protocol import messages as m
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.roles import MAY, Role, a_role
 
@@ -35,7 +36,7 @@ class Access(msgspec.Struct, frozen=True):
             return None
         words = f"this console has the role of {a_role(self.role)}, which may not do that"
         clears = "open a console with another role: rtc console --role operator, or --with KEY"
-        return Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears=clears)
+        return Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears=by_person(clears))
 
 
 async def body(request: Request) -> dict[str, Any]:

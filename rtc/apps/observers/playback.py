@@ -19,6 +19,7 @@ from rtc.apps.observers.recording import HEADER
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
 from rtc.wording import notes as wording
+from rtc.wording.advice import in_one_line
 
 ARM_TOPIC = "/rtc/arms/"
 RECORD_BYTES = 64 << 20  # maximum length of one record
@@ -191,7 +192,7 @@ def _line(event: m.CommandRecord | m.CommandEnded | m.RequestRefused | m.HaltReq
             why = f": {outcome.message}" if outcome.message else ""
             return f"{outcome.kind.value.upper().replace('_', ' ')} after {took_s:.3f} s  {text}{why}"
         case m.RequestRefused(request=request, refusal=refusal, text=text):
-            clears = f"; to clear: {refusal.clears}" if refusal.clears else ""
+            clears = f"; to clear: {in_one_line(refusal.clears)}" if refusal.clears else ""
             return f"NOT ACCEPTED {text or f'request {request}'}: {refusal.message}{clears}"
         case m.HaltRequested(halt=halt, scope=scope, refused=refused):
             return f"HALT {scope}" + (f" refused: {refused}" if refused else f" requested ({halt})")

@@ -21,6 +21,7 @@ from rtc.model.cells import cell as cells
 from rtc.model.robot import boxes, numeric_ik, puma_ik
 from rtc.plugins import registry
 from rtc.protocol import causes
+from rtc.protocol.advice import ANOTHER_ARM, by_person
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
@@ -453,8 +454,11 @@ class ArmModel:
                 f"{self.name} would have to {'move' if slides else 'turn'} {self.joints[joint]} to "
                 f"{self.shown(joint, value)}; its {side} limit is {self.shown(joint, limit)}{kept}"
             ),
-            clears=f"{self.joints[joint]} between {lowest} and {highest}: "
-            "other joint values, or another attitude or grasp point, or another arm",
+            clears=[
+                *by_person(f"{self.joints[joint]} between {lowest} and {highest}"),
+                *by_person("another attitude or grasp point"),
+                ANOTHER_ARM,
+            ],
             cause=causes.JointLimitPassed(
                 arm=self.name,
                 joint=self.joints[joint],
@@ -488,7 +492,7 @@ class ArmModel:
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=f"{self.name} cannot reach: {message}",
-            clears="another arm, or a nearer place" if missing else "another attitude or place, or another arm",
+            clears=[*by_person("a nearer place" if missing else "another attitude or place"), ANOTHER_ARM],
             cause=causes.OutOfReach(arm=self.name, which=words, distance_m=missing, turned_rad=turned_rad),
         )
 

@@ -21,6 +21,7 @@ from rtc.model.robot.collision_pairs import CollisionPairs, PairTable
 from rtc.model.robot.collision_scene import AS_BUILT, Scene, in_hands, same_places
 from rtc.model.robot.levers import ball, levers, of_pairs
 from rtc.protocol import causes
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import hinges
 from rtc.spatial.geometry import Array, Floats
@@ -46,7 +47,7 @@ class Collision:
             reason=RefusalReason.INFEASIBLE,
             message=f"{self.body_a} {verb} {self.body_b}{needed}" + (f" {where}" if where else ""),
             where=where,
-            clears=f"another goal: {self.body_b.split()[0]} is in the way",
+            clears=by_person(f"another goal: {self.body_b.split()[0]} is in the way"),
             cause=causes.Collides(
                 body_a=self.body_a,
                 body_b=self.body_b,

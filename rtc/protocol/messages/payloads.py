@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from rtc.protocol.advice import Advice
 from rtc.protocol.messages.saved import SavedWorld
 from rtc.protocol.messages.shared import Message, PictureTime
 from rtc.protocol.messages.step import Step
@@ -234,7 +235,7 @@ class Assessment(Message, frozen=True, kw_only=True):
     further: list[int] = []  # entries whose steps follow it; what follows then is that of the last one
     keep: dict[str, Binding] = {}  # measured values for later steps
     changes: list[WorldChange] = []
-    clears: str = ""  # what would clear the failure
+    clears: Advice = []  # what would clear the failure
     by_operator: str = ""  # after a failure: the sentence that asks the operator for the same (R81)
     remark: str = ""  # what the result of the command states after a success of its last step, or after a halt
     compared: Compared | None = None  # prediction and report; None: nothing was predicted

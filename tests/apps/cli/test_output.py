@@ -17,6 +17,7 @@ from rtc.apps.cli.output import EXIT, Screen, emit_json, exit_code
 from rtc.apps.cli.status import as_supervised, show_status
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol import causes
+from rtc.protocol.advice import Alternative, by_person, by_sentence
 from rtc.protocol.messages import ProcessRow, RefusedPeerRow, Status, WorkerRow
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 from rtc.wording.measured import seconds
@@ -59,7 +60,7 @@ def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
         reason=RefusalReason.RESOURCE,
         message="RIGHT-ARM is taken",
         owner="C-3",
-        clears="wait for C-3",
+        clears=by_person("wait for C-3"),
         cause=causes.BeyondStop(value_rad=0.0, least_rad=0.0, most_rad=2.7925268),
     )
     assert refusal_lines(refusal, details=True) == [
@@ -68,6 +69,14 @@ def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
         "figures: cause stop, value 0 deg, least 0 deg, most 160 deg",
         "to clear it: wait for C-3",
     ]
+
+
+def test_several_alternatives_have_the_numbers_by_which_they_are_followed() -> None:
+    clears = [Alternative(sentences=["LOCATE X"], again=True), *by_sentence("STOW A", instead=True), *by_person("wait")]
+    refusal = Refusal(reason=RefusalReason.STATE, message="no way", clears=clears)
+    lines = refusal_lines(refusal)
+    assert [line.split()[0] for line in lines[-3:]] == ["1.", "2.", "3."]
+    assert ["LOCATE X" in lines[-3], "STOW A" in lines[-2], "wait" in lines[-1]] == [True] * 3
 
 
 def test_figures_do_not_repeat_the_message() -> None:
@@ -161,7 +170,7 @@ def test_a_refusal_names_what_it_proposes_once() -> None:
         message="there is no grasp point of MACS-OLD HANDLE-C",
         nearest=names,
         expected=names,
-        clears="did you mean HANDLE-A or HANDLE-B?",
+        clears=by_person("did you mean HANDLE-A or HANDLE-B?"),
     )
     assert "\n".join(refusal_lines(refusal)).count("HANDLE-A") == 1
     more = msgspec.structs.replace(refusal, expected=[*names, "OTHER"])

@@ -9,6 +9,7 @@ from rich.console import Console
 from rtc.apps.cli.progress import REPORTS_KEPT, Board, print_result
 from rtc.protocol import causes
 from rtc.protocol import messages as m
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 from rtc.wording.refusals import refusal_lines
 
@@ -135,7 +136,7 @@ def test_the_cause_precedes_the_step_and_the_advice_and_names_and_figures_of_pla
         where="move.plan[0] (GOAL)",
         cause=causes.OutOfReach(arm="LEFT-ARM", which="", distance_m=104.627),
         effort=causes.Effort(ways_tried=5),
-        clears="another goal",
+        clears=by_person("another goal"),
     )
     outcome = Outcome(
         kind=OutcomeKind.FAILED, message=refusal.message, refusal=refusal, step="1 of 1: move", stop=StopReason.TIMEOUT

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import pytest
+import typer
 
 from rtc.apps.cli.sentence_files import Line
-from rtc.apps.cli.sentences import hand_in, quotes_forgotten
-from rtc.protocol.outcomes import Refusal, RefusalReason, RequestDeclined
+from rtc.apps.cli.sentences import advised, hand_in, quotes_forgotten
+from rtc.protocol.advice import Alternative, by_sentence
+from rtc.protocol.messages import CommandRecord, Phase
+from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined
 
 
 @pytest.mark.parametrize(
@@ -26,6 +29,32 @@ def test_single_words_that_are_refused_may_be_a_sentence_without_its_quotes(
     hint = quotes_forgotten(texts, [{"text": text, "kind": kind} for text, kind in zip(texts, kinds, strict=False)])
 
     assert hint.endswith(f'rtc do "{" ".join(texts)}"') if hinted else hint == ""
+
+
+def record(*clears: Alternative) -> CommandRecord:
+    why = Refusal(reason=RefusalReason.STATE, message="no way", clears=[*clears])
+    outcome = Outcome(kind=OutcomeKind.REFUSED, refusal=why)
+    about = {"command": "C-2", "text": "GRASP X", "source": "operator", "request": "r", "accepted_at_s": 0.0}
+    return CommandRecord(**about, phase=Phase.ENDED, outcome=outcome)
+
+
+def test_an_advice_is_followed_by_its_number() -> None:
+    first = Alternative(sentences=["STOW A", "LOCATE X"], again=True)
+    assert advised(record(first, *by_sentence("STOW B", instead=True)), 1) == ["STOW A", "LOCATE X", "GRASP X"]
+    assert advised(record(first, *by_sentence("STOW B", instead=True)), 2) == ["STOW B"]
+
+
+@pytest.mark.parametrize(
+    ("one", "n"),
+    [
+        (Alternative(words="look what is in the way"), 1),
+        (Alternative(sentences=["SET X FRAME 1 2 3 CM"], states=["X.frame"]), 1),
+        (Alternative(sentences=["STOW A"]), 2),
+    ],
+)
+def test_what_only_a_person_can_do_is_not_performed(one: Alternative, n: int) -> None:
+    with pytest.raises(typer.Exit):
+        advised(record(one), n)
 
 
 class FullCluster:

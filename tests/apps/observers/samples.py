@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rtc.apps.observers.feed import Received
 from rtc.protocol import messages as m
+from rtc.protocol.advice import by_person
 from rtc.protocol.messages import NoteKind, Phase
 from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 
@@ -71,7 +72,7 @@ STOWED = (
 DECLINED = m.RequestRefused(
     at_s=T0 + 1.3,
     request="r-9",
-    refusal=Refusal(reason=RefusalReason.STATE, message="the cluster is being stopped", clears="rtc up"),
+    refusal=Refusal(reason=RefusalReason.STATE, message="the cluster is being stopped", clears=by_person("rtc up")),
     text="STOW RIGHT-ARM",
 )
 HALTED = m.HaltRequested(at_s=T0 + 1.4, halt="H-1", scope="ALL", called_at_s=T0 + 1.39)

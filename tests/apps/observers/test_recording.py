@@ -92,7 +92,7 @@ def test_refused_requests_and_halts_of_resting_arms_are_in_the_file(path, cell):
     made.close()
     found = by_topic(path)
     (refused,), (halt,), (event,) = found["/rtc/refusals"], found["/rtc/halts"], found["/events"]
-    assert (refused["text"], refused["refusal"]["clears"]) == ("STOW RIGHT-ARM", "rtc up")
+    assert (refused["text"], refused["refusal"]["clears"]) == ("STOW RIGHT-ARM", [{"words": "rtc up"}])
     assert halt["scope"] == "ALL"
     assert "refused" not in halt
     assert {pair.key: pair.value for pair in event.metadata} == {"halt": "H-1", "scope": "ALL"}

@@ -13,6 +13,7 @@ from broker.decisions.events import (
     SubsystemConnected,
 )
 from rtc.protocol import wire
+from rtc.protocol.advice import by_sentence
 from rtc.protocol.messages import AnalyzerInput
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from tests.broker.harness import Harness, give_up, go_on, record, script, stated
@@ -58,7 +59,7 @@ def test_a_halted_arm_gets_advice_how_to_leave_and_says_what_still_moves(at_subs
     if not at_subsystem:
         s.halts()
     s.reports("C-1", StopReason.HALT)
-    back = "MOVE RIGHT-ARM BY -5 CM ALONG Z"
+    back = by_sentence("MOVE RIGHT-ARM BY -5 CM ALONG Z")
     swings = "X may swing for 0.2 s more"
     s.answers("C-1", msgspec.structs.replace(give_up(StopReason.HALT), clears=back, remark=swings))
     assert s.outcome("C-1").kind is OutcomeKind.HALTED

@@ -10,6 +10,7 @@ from broker.decisions.state import State
 from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import RefusalReason
+from rtc.wording.advice import in_one_line
 from tests.broker.harness import Harness, record
 
 
@@ -53,7 +54,7 @@ def test_what_is_refused_for_its_place_is_refused_again(s):
     s.says("STOW AFTER LAST", client="cid")
     again, before = s.outcome("C-2").refusal, s.outcome("C-1").refusal
     assert (again.reason, again.message) == (before.reason, before.message)
-    assert "C-1" in again.clears  # the same advice is not given anew
+    assert "C-1" in in_one_line(again.clears)  # the same advice is not given anew
 
 
 @pytest.mark.parametrize("other", ["another program", "other words", "refused before", "a long sentence"])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from broker.decisions.command import stopping
+from broker.decisions.command import closing, stopping
 from broker.decisions.resources import WORLD
+from rtc.protocol.advice import by_sentence
 from rtc.protocol.messages import Assessment
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from tests.broker.harness import Harness, bound, go_on
@@ -26,10 +27,11 @@ def test_a_lost_subsystem_says_how_the_facts_are_trusted_again_before_the_senten
     s = Harness()
     s.executing()
     s.mcm_gone()
-    s.answers("C-1", Assessment(verdict="abort", reason=StopReason.SUBSYSTEM_LOST, clears="VERIFY X AT RIGHT-ARM"))
-    assert s.outcome("C-1").refusal.clears == (
-        "when the subsystem is back: VERIFY X AT RIGHT-ARM; then give the sentence again"
-    )
+    check = by_sentence("VERIFY X AT RIGHT-ARM")
+    s.answers("C-1", Assessment(verdict="abort", reason=StopReason.SUBSYSTEM_LOST, clears=check))
+    (advised,) = s.outcome("C-1").refusal.clears
+    assert (advised.sentences, advised.again) == (["VERIFY X AT RIGHT-ARM"], True)
+    assert closing.WHEN_BACK in advised.words
 
 
 # --- subsystems ---------------------------------------------------------------------------------------

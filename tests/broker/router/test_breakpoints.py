@@ -8,6 +8,7 @@ from broker.router.breakpoints import ProgramBodies, refusal_of
 from rtc.model.cells.cell import Cell
 from rtc.programs.loader import default, merge
 from rtc.protocol.messages import Breakpoint
+from rtc.wording.advice import in_one_line
 
 LONG = "scripts: [{script: linger, case: 1, uses: [hand], steps: [%s]}]\ndecision_tree: [{verb: STOW, script: linger}]"
 STEP = "{do: hold, stop: hold, label: wait, args: {duration_s: 1.0}}"
@@ -28,7 +29,7 @@ def test_a_step_that_no_command_reaches_is_refused(cell: str) -> None:
     refused = refusal_of([Breakpoint("STOW", 1), Breakpoint("STOW", beyond)], bodies)
     assert refused is not None
     assert f"step {beyond}" in refused.message
-    assert f"1 to {last_step(alone, 'STOW')}" in refused.clears
+    assert f"1 to {last_step(alone, 'STOW')}" in in_one_line(refused.clears)
 
 
 def test_the_longest_script_is_that_of_the_programs_in_use() -> None:

@@ -8,10 +8,12 @@ from itertools import pairwise
 import msgspec
 import pytest
 
+from rtc.protocol.advice import Alternative, sentences_of
 from rtc.protocol.messages import Assessment, BoundStep, EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Reflex, RefusalReason, StopReason
 from rtc.protocol.sentence import Condition, Quantity
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from workers.analyzer import analyze
 from workers.conditions import reflexes
 
@@ -148,7 +150,7 @@ def test_nothing_felt_is_mended_once_and_then_reported(either):
     assert run.trims == [2, 3]
     assert run.failure.reason is StopReason.NO_CONTACT
     assert "no touch" in run.failure.message
-    assert "SET MACS-NEW FRAME 80 -78.5 60 CM" in run.failure.clears
+    assert "SET MACS-NEW FRAME 80 -78.5 60 CM" in in_one_line(run.failure.clears)
     assert run.labels[-2:] == ["open again", "back off from HANDLE-A"]
     assert either.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
     assert either.elaborate(GRASP).reason is RefusalReason.SUSPECT
@@ -269,11 +271,11 @@ def test_a_force_in_a_carry_may_come_from_the_load(bench):
     bound, report = bound_and_done(bench, "MOVE RIGHT-ARM TO CLEAR-POINT-1")
     laden = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT))
     assert "or MACS-NEW is heavier" in laden.message
-    assert "correct the mass of MACS-NEW" in laden.clears
+    assert "correct the mass of MACS-NEW" in in_one_line(laden.clears)
 
     bound, report = bound_and_done(bench, "MOVE LEFT-ARM TO CLEAR-POINT-1")
     empty = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT))
-    assert "heavier" not in empty.message + empty.clears
+    assert "heavier" not in empty.message + in_one_line(empty.clears)
 
 
 @pytest.mark.parametrize(("peak_n", "suspect"), [(0.4, False), (7.0, True)])
@@ -307,7 +309,7 @@ def test_fingers_halted_while_they_press_do_hold(bench):
 
     bench.world = bench.world.overlay(made.changes)
     refusal = bench.elaborate("LIFT MACS-NEW BY 5 CM")
-    assert (refusal.reason, refusal.clears) == (RefusalReason.SUSPECT, "VERIFY MACS-NEW AT RIGHT-ARM")
+    assert (refusal.reason, in_one_line(refusal.clears)) == (RefusalReason.SUSPECT, "VERIFY MACS-NEW AT RIGHT-ARM")
 
 
 def test_a_lift_that_closes_on_nothing_finds_out(bench):
@@ -354,7 +356,7 @@ def test_fingers_that_are_a_little_wider_may_hold_a_tilted_object(bench):
 
     assert not any(one.key.endswith((".holding", ".held_by")) for one in made.changes)
     assert change(made, "MACS-NEW.grasp").validity is Validity.SUSPECT
-    assert "VERIFY MACS-NEW AT RIGHT-ARM" in made.clears
+    assert "VERIFY MACS-NEW AT RIGHT-ARM" in in_one_line(made.clears)
 
 
 def _felt(bench, sentence: str, reason: StopReason, limit: float, back_m: float = 0.0) -> Assessment:
@@ -372,7 +374,7 @@ def test_a_stop_that_was_asked_for_reads_as_such(bench):
     made = _felt(bench, f"{FORWARD} THEN STOP", StopReason.CONTACT, 5.0)
     assert (made.verdict, made.reason) == ("abort", StopReason.CONTACT)  # the goal is not reached
     assert made.message.endswith("stopped at 47.4 N as asked: UNLESS CONTACT THEN STOP")
-    assert "in the way" not in made.clears
+    assert "in the way" not in in_one_line(made.clears)
 
 
 def test_what_was_done_after_the_stop_is_reported(bench):
@@ -406,7 +408,7 @@ def test_the_reason_is_the_one_that_won_and_what_was_done_is_reported_beside_it(
 def test_a_force_limit_of_the_sentence_is_named_if_it_ended_the_step(bench, limit, advised):
     sentence = "MOVE RIGHT-ARM BY 5 CM ALONG TOOL-Z MAINTAIN FORCE-LIMIT 3 N"
     made = _felt(bench, sentence, StopReason.FORCE_LIMIT, limit)
-    assert ("FORCE-LIMIT above 3 N" in made.clears) is advised
+    assert ("FORCE-LIMIT above 3 N" in in_one_line(made.clears)) is advised
 
 
 def test_without_a_report_of_the_arm_its_joints_are_suspect(bench):
@@ -514,7 +516,7 @@ def test_what_a_halt_has_put_in_doubt_is_trusted_again_when_the_fingers_feel_it(
     refusal = either.elaborate("PLACE MACS-NEW ON RACK-1")
     assert refusal.reason is RefusalReason.SUSPECT
 
-    run = either.do(refusal.clears)
+    run = either.do(refusal.clears[0].sentences[0])
 
     assert run.succeeded, (run.refusal, run.assessments)
     assert all(fact.validity is Validity.VALID for fact in either.world.facts.values())
@@ -533,7 +535,7 @@ def test_fingers_that_close_on_nothing_have_lost_it(bench):
     assert change(made, "RIGHT-ARM.holding").value == ""
     assert change(made, "MACS-NEW.held_by").value == ""
     assert change(made, "MACS-NEW.frame").validity is Validity.INVALID
-    assert "SET MACS-NEW FRAME" in made.clears
+    assert "SET MACS-NEW FRAME" in in_one_line(made.clears)
 
 
 # --- what would clear it -----------------------------------------------------------------------------------
@@ -547,9 +549,8 @@ def test_advice_is_for_what_is_suspect_now_and_in_order(bench):
 
     made = judged(bench, bound, ended(report, StopReason.TIMEOUT))
 
-    first, again = made.clears.split("; ")
-    assert first == "VERIFY MACS-NEW AT RIGHT-ARM"
-    assert "again" in again
+    (advised,) = made.clears
+    assert (advised.sentences, advised.again) == (["VERIFY MACS-NEW AT RIGHT-ARM"], True)
 
 
 @pytest.mark.parametrize(
@@ -585,9 +586,11 @@ def test_a_motion_that_pressed_until_its_time_ended_reports_how_far_it_came_and_
 
     assert "40 mm" in pressed.message
     assert "16 N" in pressed.message
-    assert pressed.clears.startswith("VERIFY MACS-NEW AT RIGHT-ARM; look what is in the way, then MOVE RIGHT-ARM BY")
+    verify, back = pressed.clears[0].sentences
+    assert verify == "VERIFY MACS-NEW AT RIGHT-ARM"
+    assert back.startswith("MOVE RIGHT-ARM BY ")
     assert "40 mm" in free.message
-    assert free.clears.startswith("a TIME-LIMIT above 20 S")
+    assert "a TIME-LIMIT above 20 S" in free.clears[0].words
 
 
 @pytest.mark.parametrize(
@@ -602,9 +605,9 @@ def test_a_laden_arm_that_pressed_at_its_stop_is_sent_back_the_way_it_came(bench
     in_tool = geometry.rotate(geometry.inverse(report.tcp_pose), force).tolist()
     pressed = ended(report, reason, trip_pose=report.tcp_pose, trip_wrench=[*in_tool, 0.0, 0.0, 0.0])
 
-    assert "MOVE RIGHT-ARM BY -5 CM ALONG Z" in judged(bench, bound, pressed).clears
+    assert "MOVE RIGHT-ARM BY -5 CM ALONG Z" in in_one_line(judged(bench, bound, pressed).clears)
     free = ended(pressed, reason, trip_wrench=[0.0] * 6)
-    assert "BY -5 CM" not in judged(bench, bound, free).clears
+    assert "BY -5 CM" not in in_one_line(judged(bench, bound, free).clears)
 
 
 def test_a_laden_arm_is_sent_back_along_a_line_after_its_hand_was_sensed(bench):
@@ -614,11 +617,10 @@ def test_a_laden_arm_is_sent_back_along_a_line_after_its_hand_was_sensed(bench):
     assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
     bound, report = bound_and_done(bench, "MOVE RIGHT-ARM BY 8 CM ALONG UP")
     made = judged(bench, bound, pressed_down(report, StopReason.HALT))
-    first, then = made.clears.split("; ")
-    assert then == "look what is in the way, then MOVE RIGHT-ARM BY -5 CM ALONG Z"
+    first, line = made.clears[0].sentences
+    assert line == "MOVE RIGHT-ARM BY -5 CM ALONG Z"
     bench.world = bench.world.overlay(made.changes)
-    line = then.partition(", then ")[2]
-    assert bench.elaborate(line).clears == first
+    assert bench.elaborate(line).clears[0].sentences == [first]
     for sentence in (first, line):
         assert bench.do(sentence).succeeded, sentence
 
@@ -636,7 +638,7 @@ def test_an_arm_that_pressed_above_the_slot_is_sent_back_along_its_tool(bench, r
     assert bench.do(GRASP).succeeded
     bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 14 CM", n=1)
     made = judged(bench, bound, pressed_down(report, reason))
-    assert made.clears.startswith("look what is in the way, then RETRACT RIGHT-ARM; ")
+    assert made.clears[0].sentences[0] == "RETRACT RIGHT-ARM"
     bench.world = bench.world.overlay(made.changes)
     assert bench.elaborate("RETRACT RIGHT-ARM").steps
 
@@ -649,26 +651,28 @@ def test_an_arm_that_pressed_in_a_slot_is_sent_back_into_it(bench, reason, lifte
     assert bench.do(GRASP).succeeded
     bound, report = bound_and_done(bench, f"LIFT MACS-NEW BY {lifted}", n=1)
     made = judged(bench, bound, pressed_down(report, reason))
-    first, then, *_ = made.clears.split("; ")
+    first, then, *_ = made.clears[0].sentences
     assert first == "VERIFY MACS-NEW AT RIGHT-ARM"
-    assert then == f"look what is in the way, then LIFT MACS-NEW BY {back} WITH RIGHT-ARM"
+    assert then == f"LIFT MACS-NEW BY {back} WITH RIGHT-ARM"
     bench.world = bench.world.overlay(made.changes)
     height_m = bench.world.value("MACS-NEW.frame")[2]
-    for sentence in (first, then.partition(", then ")[2]):
+    for sentence in (first, then):
         assert bench.do(sentence).succeeded, sentence
     assert bench.world.value("MACS-NEW.frame")[2] == pytest.approx(height_m + 0.01 * float(back.split()[0]), abs=1e-3)
 
 
 def test_a_hand_is_sent_back_no_further_than_it_came(bench):
     bound, report = bound_and_done(bench, "MOVE RIGHT-ARM BY 2 CM ALONG UP")
-    assert "MOVE RIGHT-ARM BY -2 CM ALONG Z" in judged(bench, bound, pressed_down(report, StopReason.HALT)).clears
+    assert "MOVE RIGHT-ARM BY -2 CM ALONG Z" in in_one_line(
+        judged(bench, bound, pressed_down(report, StopReason.HALT)).clears
+    )
 
 
 def test_an_arm_whose_retreat_is_blocked_is_sent_another_way(bench):
     bound, report = bound_and_done(bench, "RETRACT RIGHT-ARM BY 5 CM")
     made = judged(bench, bound, pressed_down(report, StopReason.FORCE_LIMIT))
-    assert "then MOVE RIGHT-ARM BY " in made.clears
-    assert "RETRACT" not in made.clears
+    assert made.clears[0].sentences[0].startswith("MOVE RIGHT-ARM BY ")
+    assert not any(text.startswith("RETRACT") for text in sentences_of(made.clears))
 
 
 @pytest.mark.parametrize(("off_m", "verdict"), [(0.010, "continue"), (0.020, "abort")])
@@ -685,10 +689,10 @@ def test_a_grip_above_the_asked_one_is_not_taken_for_an_obstacle(bench):
     bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 15 CM MAINTAIN GRIP-FORCE 25 N GUARDED", 1)
     made = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, measured=45.0, limit=1.3 * 25.0 + 3.0))
     assert "press with 45 N; GRIP-FORCE 25 N allows 35.5 N" in made.message
-    assert "in the way" not in made.message + made.clears
-    assert "a GRIP-FORCE above 25 N" in made.clears
+    assert "in the way" not in made.message + in_one_line(made.clears)
+    assert "a GRIP-FORCE above 25 N" in in_one_line(made.clears)
     at_the_wrist = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, measured=45.0, limit=20.0))
-    assert "GRIP-FORCE" not in at_the_wrist.message + at_the_wrist.clears
+    assert "GRIP-FORCE" not in at_the_wrist.message + in_one_line(at_the_wrist.clears)
 
 
 def test_a_stop_that_was_asked_for_names_the_way_out_of_what_the_arm_presses_on(bench):
@@ -696,17 +700,17 @@ def test_a_stop_that_was_asked_for_names_the_way_out_of_what_the_arm_presses_on(
     stopped = pressed_down(report, StopReason.FORCE_LIMIT, measured=25.0, limit=20.0)
     made = judged(bench, bound, stopped)
     assert "as asked" in made.message
-    assert made.clears == "RETRACT RIGHT-ARM, if it should leave what it pressed on"
+    assert sentences_of(made.clears) == ["RETRACT RIGHT-ARM"]
     free = judged(bench, bound, ended(stopped, StopReason.FORCE_LIMIT, trip_wrench=[0.0] * 6))
-    assert free.clears == ""
+    assert free.clears == []
 
 
 def test_fingers_that_hold_an_object_askew_are_not_advised_to_close_again(bench):
     assert bench.do(GRASP).succeeded
     bound, report = bound_and_done(bench, "VERIFY MACS-NEW AT RIGHT-ARM")
     wide = judged(bench, bound, ended(report, StopReason.GOAL, hand_width_m=report.hand_width_m + 0.005))
-    assert "SET MACS-NEW FRAME" in wide.clears
-    assert "again" not in wide.clears
+    assert "SET MACS-NEW FRAME" in in_one_line(wide.clears)
+    assert not any(one.again for one in wide.clears)
 
 
 def test_an_empty_hand_that_moves_freely_puts_nothing_in_doubt(bench):
@@ -714,7 +718,7 @@ def test_an_empty_hand_that_moves_freely_puts_nothing_in_doubt(bench):
 
     made = judged(bench, bound, ended(report, StopReason.TIMEOUT))
 
-    assert ";" not in made.clears  # the advice of the class alone, without a doubtful fact
+    assert made.clears == [Alternative(again=True)]  # the advice of the class alone, without a doubtful fact
 
 
 # --- how well it is known ----------------------------------------------------------------------------------
@@ -783,7 +787,9 @@ def test_a_joint_that_does_not_move_is_named_instead_of_the_seat(bench):
         made = judged(bench, bound, ended(done, reason, joints=stuck))
         assert made.verdict == "abort"
         assert "joint_2 of RIGHT-ARM" in made.message
-        assert "RACK-1" not in made.clears.partition("RETRACT")[0]
+        first = made.clears[0].sentences
+        before = first[: first.index("RETRACT RIGHT-ARM")] if "RETRACT RIGHT-ARM" in first else first
+        assert not any("RACK-1" in sentence for sentence in before)
         assert change(made, "RACK-1.frame") is None
         blocked = judged(bench, bound, ended(done, reason, joints=short))
         assert "joint" not in blocked.message

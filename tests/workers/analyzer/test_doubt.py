@@ -7,6 +7,7 @@ import pytest
 
 from rtc.protocol.messages import Assessment, EndReport, Validity
 from rtc.protocol.outcomes import RefusalReason, StopReason
+from rtc.wording.advice import in_one_line
 from workers.planning import pose_spread
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-B"
@@ -73,7 +74,7 @@ def test_a_hand_that_was_lost_while_it_closed_may_hold_the_object(lost_while_clo
     for key in ("MACS-NEW.held_by", "MACS-NEW.grasp", "MACS-NEW.frame", "RIGHT-ARM.holding"):
         assert validity(bench, key) is Validity.SUSPECT, key
     refusal = bench.elaborate("LIFT MACS-NEW BY 5 CM")
-    assert (refusal.reason, refusal.clears) == (RefusalReason.SUSPECT, "VERIFY MACS-NEW AT RIGHT-ARM")
+    assert (refusal.reason, in_one_line(refusal.clears)) == (RefusalReason.SUSPECT, "VERIFY MACS-NEW AT RIGHT-ARM")
     assert bench.elaborate(GRASP).reason is RefusalReason.STATE
 
 
@@ -103,7 +104,7 @@ def test_an_object_that_a_hand_may_hold_is_not_taken_as_free(bench) -> None:
     refusal = bench.elaborate(GRASP)
     assert refusal.reason is RefusalReason.STATE
     assert "RIGHT-ARM may hold MACS-NEW" in refusal.message
-    assert "OPEN RIGHT-ARM" in refusal.clears
+    assert "OPEN RIGHT-ARM" in in_one_line(refusal.clears)
     assert bench.do("OPEN RIGHT-ARM").succeeded
     assert bench.do(GRASP).succeeded
 
@@ -115,7 +116,7 @@ def test_an_object_that_a_hand_may_hold_is_not_advised_to_be_grasped(bench) -> N
     for sentence in ("RELEASE MACS-NEW WITH RIGHT-ARM", "LIFT MACS-NEW BY 5 CM"):
         refusal = bench.elaborate(sentence)
         assert "RIGHT-ARM may hold MACS-NEW" in refusal.message
-        assert "OPEN RIGHT-ARM" in refusal.clears
+        assert "OPEN RIGHT-ARM" in in_one_line(refusal.clears)
 
 
 def test_a_hand_far_away_cannot_hold_it(bench) -> None:
@@ -146,7 +147,7 @@ def test_closing_fingers_move_a_free_object_in_ways_that_they_do_not_measure(ben
     assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
     refusal = bench.elaborate("PLACE MACS-NEW ON BAY-2")
     assert (refusal.reason, refusal.where) == (RefusalReason.SUSPECT, "MACS-NEW.grasp")
-    assert "SET MACS-NEW FRAME" in refusal.clears
+    assert "SET MACS-NEW FRAME" in in_one_line(refusal.clears)
 
 
 def test_closing_fingers_hardly_move_an_object_in_its_seat(bench) -> None:
@@ -197,7 +198,7 @@ def test_fingers_do_not_measure_how_a_contact_has_turned_what_they_hold_along_th
         assert about_closing >= turned_rad > max(about_bar, about_approach), key
     refusal = carried.elaborate(PLACE)
     assert (refusal.reason, refusal.where) == (RefusalReason.SUSPECT, "MACS-NEW.grasp")
-    assert "SET MACS-NEW FRAME" in refusal.clears
+    assert "SET MACS-NEW FRAME" in in_one_line(refusal.clears)
     assert carried.do("LIFT MACS-NEW BY 5 CM").succeeded
 
 

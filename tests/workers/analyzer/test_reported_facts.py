@@ -8,6 +8,7 @@ import pytest
 
 from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from tests.workers.refusals import refusal_of
 from workers.analyzer.reported_facts import changes_from, seat_at
 from workers.planning.world_query import WorldQuery
@@ -93,7 +94,7 @@ def test_what_is_held_is_not_reported_to_be_far_from_the_hand(bench):
     )
 
     assert "from its fingers" in refusal.message
-    assert "open the hand" in refusal.clears
+    assert "open the hand" in in_one_line(refusal.clears)
 
 
 def test_what_sits_in_a_seat_goes_with_it(query):

@@ -29,6 +29,7 @@ from rtc.protocol.primitive import (
     TorqueAbove,
 )
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from workers.binder import bind as binder
 from workers.planning.motion import plan
 
@@ -192,7 +193,7 @@ def test_a_grip_beyond_the_hands_force_is_refused(bench):
     assert refusal.reason is RefusalReason.INFEASIBLE
     assert (refusal.cause.value_n, refusal.cause.limit_n) == (80, 60)
     assert "80 N" in refusal.message
-    assert "60 N" in refusal.clears
+    assert "60 N" in in_one_line(refusal.clears)
 
 
 def test_a_hand_is_not_opened_wider_than_it_goes(bench):
@@ -417,7 +418,7 @@ def test_a_force_that_no_speed_keeps_is_refused_with_the_least_one(bench):
     refusal = bench.bind(script, script.steps[0])
     assert isinstance(refusal, Refusal)
     assert refusal.reason is RefusalReason.INFEASIBLE
-    least_n = int(re.search(r"at least (\d+) N", refusal.clears)[1])
+    least_n = int(re.search(r"at least (\d+) N", in_one_line(refusal.clears))[1])
     bound_to(bench, f"{LINE} MAINTAIN FORCE-LIMIT {least_n} N", "HERE")  # the advice works
 
 
@@ -559,7 +560,7 @@ def test_a_suspect_frame_is_bound_upon_only_by_the_command_that_doubts_it(bench)
     refusal = bench.bind(script, script.steps[7])
 
     assert refusal.reason is RefusalReason.SUSPECT
-    assert "SET MACS-NEW FRAME 80 -80 60 CM" in refusal.clears
+    assert "SET MACS-NEW FRAME 80 -80 60 CM" in in_one_line(refusal.clears)
 
 
 @pytest.mark.parametrize(
@@ -660,4 +661,4 @@ def test_a_plan_that_does_not_fit_what_was_measured_asks_for_a_new_one(bench):
     refusal = bench.bind(script, step)
 
     assert refusal.message.startswith("planned before the last look")
-    assert refusal.clears.startswith("give the sentence again: ")
+    assert refusal.clears[0].again

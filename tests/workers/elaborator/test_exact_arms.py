@@ -7,6 +7,7 @@ import pytest
 from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import Script
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.wording.advice import in_one_line
 from tests.workers.conftest import MODEL, Bench, Kinematic, Reporter
 from workers.planning.robot_models import CellModel
 
@@ -38,7 +39,7 @@ def test_what_must_give_way_is_refused_by_exact_arms_alone(model, before, senten
     assert isinstance(refusal, Refusal)
     assert refusal.reason is RefusalReason.INFEASIBLE
     assert word in refusal.message
-    assert "rtc up --mcm bullet" in refusal.clears
+    assert "rtc up --mcm bullet" in in_one_line(refusal.clears)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +59,7 @@ def test_what_the_sentence_asks_to_give_way_is_refused_before_anything_moves(sen
     refusal = bench.elaborate(sentence)
     assert isinstance(refusal, Refusal)
     assert refusal.where == words
-    assert f"leave out {words}" in refusal.clears
+    assert f"leave out {words}" in in_one_line(refusal.clears)
     assert isinstance(bench.elaborate(sentence.split(" MAINTAIN ")[0].split(" UNLESS ")[0]), Script)
 
 

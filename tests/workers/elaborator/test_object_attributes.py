@@ -51,10 +51,10 @@ def test_a_script_whose_attribute_is_not_stated_is_refused_with_what_states_it(b
     bench.load("elaborator", "decision_tree: " + _only("grasp-shell"))
     refusal = grasp(bench)
     assert (refusal.reason, refusal.where) == (RefusalReason.STATE, "MACS-NEW.shell")
-    stated(bench, refusal.clears.partition(",")[0])
+    stated(bench, refusal.clears[0].sentences[0])
     refusal = grasp(bench)  # now the second attribute, of the step
     assert refusal.where == "MACS-NEW.grip"
-    stated(bench, refusal.clears.partition(",")[0])
+    stated(bench, refusal.clears[0].sentences[0])
     assert grasp(bench).context.script == "grasp-shell"
 
 

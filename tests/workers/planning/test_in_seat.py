@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
@@ -45,7 +46,7 @@ def test_two_arms_draw_a_module_out_before_they_move_it_elsewhere(both_in_the_ba
 
     assert isinstance(refused, Refusal)
     assert refused.reason is RefusalReason.STATE
-    advised = refused.clears.partition(" first")[0]
+    (advised,) = sentences_of(refused.clears)
     assert advised == "MOVE BOTH-ARMS BY 25 CM ALONG BACK"
     assert both_in_the_bay.do(advised).succeeded
     assert getattr(both_in_the_bay.elaborate(sentence), "where", "") != MODULE  # another reason, if any
@@ -68,7 +69,7 @@ def test_the_binder_refuses_what_has_been_elaborated_before_the_grasp(bench):
 
     refused = bench.bind(script, script.steps[0])
 
-    assert refused.clears.startswith(f"LIFT {MODULE} BY 15 CM WITH {RIGHT}")
+    assert sentences_of(refused.clears) == [f"LIFT {MODULE} BY 15 CM WITH {RIGHT}"]
 
 
 @pytest.mark.parametrize(("by_cm", "left_cm"), [(5, 10), (11, 4)])
@@ -78,8 +79,8 @@ def test_the_advice_counts_how_far_it_is_out_already(bench, by_cm, left_cm):
 
     refused = bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT")
 
-    assert f"LIFT {MODULE} BY {left_cm} CM" in refused.clears
-    assert bench.do(refused.clears.partition(" first")[0]).succeeded
+    assert refused.clears[0].sentences == [f"LIFT {MODULE} BY {left_cm} CM WITH {RIGHT}"]
+    assert bench.do(refused.clears[0].sentences[0]).succeeded
     assert bench.do("MOVE RIGHT-ARM TO BAY-2-FRONT").succeeded
 
 

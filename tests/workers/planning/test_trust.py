@@ -7,6 +7,7 @@ import pytest
 
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.wording.advice import in_one_line
 from rtc.world.spread import even
 from workers.planning import trust
 
@@ -39,8 +40,8 @@ def test_what_is_held_must_be_known_as_well_as_the_step_needs(holding, sentence,
 
     assert refused.reason is RefusalReason.SUSPECT
     assert f"z {1e3 * most_m + 1:.3g} mm ({1e3 * most_m:.3g} mm needed)" in refused.message
-    assert "SET MACS-NEW FRAME" in refused.clears
-    assert "release" not in refused.clears.lower()  # RELEASE refers to PLACE
+    assert "SET MACS-NEW FRAME" in in_one_line(refused.clears)
+    assert "release" not in in_one_line(refused.clears).lower()  # RELEASE refers to PLACE
 
 
 def test_what_has_crept_meanwhile_is_found_out_when_the_step_is_bound(holding):
@@ -93,13 +94,12 @@ def test_a_slow_carry_takes_more_of_the_motion(holding):
 def test_the_advice_for_an_uncertain_object_leads_to_its_seat(holding):
     """RELEASE refers to PLACE, so PLACE must refer to a sentence that succeeds."""
     known_within(holding, even(0.021, 0.01))
-    assert "PLACE MACS-NEW" in holding.do("RELEASE MACS-NEW").refusal.clears
+    assert "PLACE MACS-NEW" in in_one_line(holding.do("RELEASE MACS-NEW").refusal.clears)
     advice = holding.do(PLACE).refusal.clears
 
     x, y, z = (100 * n for n in holding.world.value("MACS-NEW.frame")[:3])
-    stated = advice[advice.index("SET ") : advice.index(";")]
-    stated = stated.replace("x y z", f"{x:.2f} {y:.2f} {z:.2f}").replace("roll pitch yaw", "0 0 0")
-    assert holding.do(stated).succeeded
+    assert any(one.states == ["MACS-NEW.frame"] for one in advice)
+    assert holding.do(f"SET MACS-NEW FRAME {x:.2f} {y:.2f} {z:.2f} CM 0 0 0 DEG").succeeded
     assert holding.do(PLACE).succeeded
 
 
@@ -116,7 +116,7 @@ def test_a_grasp_that_feels_one_axis_is_refused_if_the_pose_is_too_uncertain_for
     refused = bench.elaborate(GRASP)
     assert refused.reason is RefusalReason.SUSPECT
     assert "35 mm" in refused.message
-    assert "SET MACS-NEW FRAME x y z CM roll pitch yaw DEG" in refused.clears
+    assert "SET MACS-NEW FRAME x y z CM roll pitch yaw DEG" in in_one_line(refused.clears)
     assert bench.do("SET MACS-NEW FRAME 80 -80 60 CM 0 0 0 DEG").succeeded
     assert bench.do(GRASP).succeeded
 
@@ -129,10 +129,11 @@ def test_a_module_that_jams_on_its_way_in_is_drawn_out_by_the_advice(holding, re
     report = holding.subsystem.perform(bound.primitive, bound)
     made = holding.analyze(bound, msgspec.structs.replace(report, reason=reason, measured=30.1, limit=30.0))
     assert made.verdict == "abort"
-    out, _, again = made.clears.partition("; LIFT MACS-NEW BY 30 CM; ")
-    assert "RACK-1" not in out  # the module hides it from the cameras
-    assert "RACK-1" in again
-    assert again.endswith("; then PLACE it again")
+    first = made.clears[0]
+    out = first.sentences.index("LIFT MACS-NEW BY 30 CM")
+    assert not any("RACK-1" in sentence for sentence in first.sentences[:out])  # the module hides it from the cameras
+    assert any("RACK-1" in about for about in (*first.sentences[out:], *first.states))
+    assert first.again
 
 
 def test_what_no_camera_sees_in_the_hand_is_brought_before_one(bench):
@@ -141,11 +142,10 @@ def test_what_no_camera_sees_in_the_hand_is_brought_before_one(bench):
         assert bench.do(sentence).succeeded
     known_within(bench, even(0.012, 0.02))
 
-    advised = bench.elaborate(PLACE).clears
+    brought, stated = bench.elaborate(PLACE).clears
 
-    assert advised.startswith(
-        "MOVE RIGHT-ARM TO BAY-2-FRONT, then LOCATE MACS-NEW, or state the measured pose: SET MACS-NEW"
-    )
-    for sentence in (*advised.partition(", or ")[0].split(", then "), PLACE):
+    assert brought.sentences == ["MOVE RIGHT-ARM TO BAY-2-FRONT", "LOCATE MACS-NEW"]
+    assert stated.states == ["MACS-NEW.frame"]
+    for sentence in (*brought.sentences, PLACE):
         run = bench.do(sentence)
         assert run.succeeded, (sentence, run.refusal)

@@ -10,6 +10,7 @@ from rtc.protocol.messages import Limits
 from rtc.sensing import absence, optics
 from rtc.sensing.detector import TagDetector
 from rtc.spatial import geometry
+from rtc.wording.advice import in_one_line
 from rtc.world.model import World, initial_facts
 from tests.workers.conftest import MODEL
 from tests.workers.rehearsal.on_paper import SERVICING, OnPaper
@@ -31,10 +32,10 @@ def test_a_look_at_what_a_closed_door_hides_is_not_feasible() -> None:
 def test_what_hides_a_body_is_taken_away_if_that_helps() -> None:
     """SET ... FRAME was advised, for a module behind a closed door. Behind the open one a lip still hides the bay."""
     paper = OnPaper(SERVICING)
-    assert "DOOR-2" not in paper.test("LOCATE BAY-2").refusal.clears
+    assert "DOOR-2" not in in_one_line(paper.test("LOCATE BAY-2").refusal.clears)
     hidden = paper.test("LOCATE MACS-OLD").refusal
-    *first, again = hidden.clears.split("; ")
-    assert again == "then do it again"
+    first = hidden.clears[0].sentences
+    assert hidden.clears[0].again
     assert first[-1].startswith("OPEN DOOR-2")
     for sentence in (*first, "LOCATE MACS-OLD"):
         assert paper.test(sentence).refusal is None, sentence

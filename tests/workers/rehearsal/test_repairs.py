@@ -6,6 +6,7 @@ import pytest
 
 from rtc.protocol.messages import Validity
 from rtc.protocol.rehearsal import Repair
+from rtc.wording.advice import in_one_line
 from tests.workers.rehearsal.on_paper import SERVICING, OnPaper
 from workers.elaborator import make_way
 from workers.rehearsal import repairs
@@ -97,7 +98,7 @@ def test_the_sentence_for_an_arm_in_the_way_is_sought_once_and_not_for_repairs(m
         paper.test(sentence)
     found = paper.test("MOVE RIGHT-ARM TO BAY-2-FRONT")
     assert found.refusal is not None
-    assert found.refusal.clears.startswith("STOW LEFT-ARM")
+    assert in_one_line(found.refusal.clears).startswith("STOW LEFT-ARM")
     assert len(sought) == 1
 
 

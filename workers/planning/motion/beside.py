@@ -24,6 +24,7 @@ from rtc.model.robot.collision_scene import in_hands
 from rtc.model.robot.quintic import Hermite, control_points, fine_times
 from rtc.model.robot.separation import Interval, SeparationCheck
 from rtc.protocol import causes
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import MAX_FURTHER, MAX_S, Box, JointTrajectory, Primitive, StartAfter, apart
 from rtc.protocol.primitive_id import command_of
@@ -177,7 +178,7 @@ def _in_the_way(arm: str, other: Primitive, their: str) -> Refusal:
         reason=RefusalReason.INFEASIBLE,
         message=f"{arm} would meet {their} where {command} brings it",
         owner=command,
-        clears=f"wait until {command} has ended, or move {their} away",
+        clears=by_person(f"wait until {command} has ended, or move {their} away"),
         cause=causes.SpaceTaken(arm=arm),
         in_the_way=their,
     )

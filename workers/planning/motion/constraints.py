@@ -12,6 +12,7 @@ import msgspec
 
 from rtc.model.cells import parts
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol.advice import by_person
 from rtc.protocol.causes import OffAttitude, OutsideWorkRange
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
@@ -98,6 +99,6 @@ def _refusal(message: str, cause: OutsideWorkRange | OffAttitude) -> Refusal:
     return Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=message,
-        clears="another way, or the command without that MAINTAIN",
+        clears=by_person("another way, or the command without that MAINTAIN"),
         cause=cause,
     )

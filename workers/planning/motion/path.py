@@ -18,6 +18,7 @@ import numpy as np
 
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol import causes
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
@@ -219,7 +220,7 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
         return arm.why_no_ik(pose, margin_rad) or Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=f"{arm.name} cannot follow the line on from here: only another branch continues there",
-            clears="another branch or attitude at the start",
+            clears=by_person("another branch or attitude at the start"),
             cause=causes.Singular(arm=arm.name, sigma_min=arm.sigma_min(before)),
         )
     leap = np.abs(q - before)
@@ -231,7 +232,7 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
                 f"{arm.name} would have to leap: {arm.joints[joint]} by {arm.shown(joint, leap[joint])} at once, "
                 f"near a singularity"
             ),
-            clears="another branch or attitude at the start",
+            clears=by_person("another branch or attitude at the start"),
             cause=causes.Singular(
                 arm=arm.name,
                 joint=arm.joints[joint],

@@ -19,7 +19,7 @@ from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
 from rtc.plugins import registry
 from rtc.protocol.knots import Knots
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import JointTrajectory, Load
 from rtc.spatial.geometry import Array
 from workers.planning.motion.blended import Blended
@@ -144,7 +144,7 @@ def _added(arm: ArmModel, path: Path, pace: SpeedLimits, load: Load | None) -> T
         if not right:  # false for nan too
             words = f"{off:.3g} rad off the path, ends {ends:.3g} rad off, tcp speed {speed_m_s:.3g} m/s"
             message = f"the timing {name} is not one of this path: {words}"
-            raise Refused(Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"uninstall {name}"))
+            raise Refused.because(RefusalReason.INFEASIBLE, message, clears=f"uninstall {name}")
         return _slowed(arm, timed)
     return None
 

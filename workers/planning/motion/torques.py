@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.model.robot.kinematics import ArmModel
+from rtc.protocol.advice import by_person
 from rtc.protocol.causes import JointTorqueExceeded
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import Load
@@ -71,7 +72,7 @@ class Torques:
                 f"{self.arm.name} cannot hold itself{held}: {name} would need {abs(torque_nm):.0f} N.m; "
                 f"its limit is {limit_nm:.0f} N.m"
             ),
-            clears="a lighter load, or a path nearer to the base",
+            clears=by_person("a lighter load, or a path nearer to the base"),
             cause=JointTorqueExceeded(arm=self.arm.name, joint=name, torque_nm=torque_nm, limit_nm=limit_nm),
             fraction=float(row) / max(1, len(weight) - 1),
         )

@@ -3,7 +3,7 @@ import { openGamepad } from './gamepad.js';
 import { answers, hold, holding, release } from './operate.js';
 import { gizmo, grip } from './scene.js';
 import { submit } from './sentence.js';
-import { element, emit, on, state } from './store.js';
+import { element, emit, inOneLine, on, state } from './store.js';
 
 const SPEEDS = { fine: [0.01, 0.08], normal: [0.04, 0.3] }; // m/s, rad/s
 const AXES = ['x', 'y', 'z'], TURNS = ['roll', 'pitch', 'yaw'];
@@ -142,7 +142,7 @@ function make(arm, sample) {
 // Why the answer was not accepted: beside its button, because the list of commands is in another panel.
 function showVerdict(card) {
   const outcome = state.rows.get(card.answered)?.outcome;
-  if (outcome && outcome.kind !== 'succeeded') card.verdict.textContent = [outcome.message, outcome.refusal?.clears].filter(Boolean).join(' — ');
+  if (outcome && outcome.kind !== 'succeeded') card.verdict.textContent = [outcome.message, inOneLine(outcome.refusal?.clears)].filter(Boolean).join(' — ');
 }
 
 // One picture, that of the camera which shows the arm best; a click takes another.

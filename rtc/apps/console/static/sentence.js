@@ -4,7 +4,7 @@ import {
   historyKeymap, keymap, moveCompletionSelection, placeholder, Prec, setDiagnostics, startCompletion,
 } from './vendor.js';
 import { leaveFields } from './halt.js';
-import { element, emit, on, post, seconds, state, takeOwn } from './store.js';
+import { element, emit, inOneLine, on, post, seconds, state, takeOwn } from './store.js';
 
 const KEPT = 100; // sentences that the arrow keys bring back
 const hint = document.getElementById('hint');
@@ -98,7 +98,7 @@ export async function submit(sentence, about = {}) {
     emit('halted', { scope: answer.halt.scope ?? '', result: answer.halt, tookS: (performance.now() - sentMs) / 1000 });
   } else {
     const { message, clears } = answer.refusal ?? { message: answer.error };
-    say([message, clears].filter(Boolean).join(' — '), 'wrong');
+    say([message, inOneLine(clears)].filter(Boolean).join(' — '), 'wrong');
   }
   return answer.command ?? '';
 }
@@ -115,7 +115,7 @@ function giveBackRefused() {
     if (sentence && !text().trim()) put(sentence);
     const { message, clears } = outcome.refusal ?? { message: outcome.message };
     shown = text();
-    say([`${command} refused: ${message}`, clears].filter(Boolean).join(' — '), 'wrong');
+    say([`${command} refused: ${message}`, inOneLine(clears)].filter(Boolean).join(' — '), 'wrong');
   }
 }
 

@@ -48,6 +48,12 @@ export function takePredictions(all) {
   emit('prediction');
 }
 
+// What would clear a refusal, in one line, as `rtc.wording.advice` has it.
+export const inOneLine = (clears) => (clears ?? []).map(({ sentences = [], words = '', again, instead }) => {
+  const text = [...sentences, ...(again ? ['the same sentence again'] : [])].join(', then ');
+  return text ? `${text}${instead ? ' instead' : ''}${words && ` (${words})`}` : words;
+}).join('; or ');
+
 // --- the clock of the gateway: the answer with the shortest way is the best estimate ---
 
 const answers = [];

@@ -6,6 +6,7 @@ import pytest
 
 from broker.decisions import events
 from rtc.protocol import causes
+from rtc.protocol.advice import Advice, Alternative, by_person, by_sentence
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from tests.broker.harness import Harness, bound, go_on, record, script
 
@@ -20,15 +21,16 @@ def given(s: Harness, text: str) -> str:
 
 
 def refused(
-    s: Harness, text: str, clears: str, reason: RefusalReason = RefusalReason.SUSPECT, already: str = ""
-) -> str:
+    s: Harness, text: str, clears: Advice, reason: RefusalReason = RefusalReason.SUSPECT, already: str = ""
+) -> Advice:
     """The advice that a sentence ends with, if a worker gives this one."""
     command = given(s, text)
     job = s.state.commands[command].job
     cause = causes.AlreadyDone(object=already) if already else None
     why = Refusal(reason=reason, message="the frame of X is suspect", clears=clears, cause=cause)
     s.handle(events.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=why)
-    return str(s.outcome(command).refusal.clears)
+    left: Advice = s.outcome(command).refusal.clears
+    return left
 
 
 def done(s: Harness, text: str) -> None:
@@ -39,104 +41,116 @@ def done(s: Harness, text: str) -> None:
     s.answers(command, go_on())
 
 
+LOCATE = by_sentence("LOCATE X")
+STATED = [Alternative(words="SET X FRAME x y z CM", states=["X.frame"])]
+OPERATOR = by_sentence("GIVE RIGHT-ARM TO OPERATOR")
+AGAIN = [Alternative(again=True)]
+
+
 @pytest.mark.parametrize(
     ("advice", "left"),
     [
-        ("LOCATE X, or state where it is: SET X FRAME x y z CM", "state where it is: SET X FRAME x y z CM"),
-        ("LOCATE X; then give the sentence again; or GIVE RIGHT-ARM TO OPERATOR", "GIVE RIGHT-ARM TO OPERATOR"),
-        ("LOCATE X; LIFT X BY 3 CM", "LIFT X BY 3 CM"),
+        ([*LOCATE, *STATED], STATED),
+        ([Alternative(sentences=["LOCATE X"], again=True), *OPERATOR], OPERATOR),
+        (by_sentence("LOCATE X", "LIFT X BY 3 CM"), by_sentence("LIFT X BY 3 CM")),
     ],
 )
-def test_what_was_done_in_vain_is_left_out(advice: str, left: str) -> None:
+def test_what_was_done_in_vain_is_left_out(advice: Advice, left: Advice) -> None:
     s = Harness()
     assert refused(s, "GRASP X", advice) == advice
     done(s, "LOCATE X")
     assert refused(s, "GRASP X", advice) == left
 
 
-@pytest.mark.parametrize(("advice", "left"), [("LOCATE X, or SET X FRAME x y z CM", "SET X FRAME x y z CM")])
-def test_what_was_tried_without_success_is_left_out(advice: str, left: str) -> None:
+def test_what_was_tried_without_success_is_left_out() -> None:
     """LOCATE X had failed, and was advised again."""
     s = Harness()
-    refused(s, "GRASP X", advice)
-    assert refused(s, "LOCATE X", "look for it") == "look for it"
-    assert refused(s, "GRASP X", advice) == left
+    refused(s, "GRASP X", [*LOCATE, *STATED])
+    assert refused(s, "LOCATE X", by_person("look for it")) == by_person("look for it")
+    assert refused(s, "GRASP X", [*LOCATE, *STATED]) == STATED
 
 
 def test_advice_that_was_not_followed_names_who_got_it_and_what_tells_more() -> None:
     """The words were the same, each time."""
     s = Harness()
-    words = [refused(s, "GRASP X", "LOCATE X") for _ in range(4)]
-    assert len(set(words)) == 4
-    assert words[0] == "LOCATE X"
-    for n, one in enumerate(words[1:], 1):
-        assert one.startswith(f"as for C-{n}: LOCATE X; ")
-        assert f"rtc why C-{n + 1}" in one
+    made = [refused(s, "GRASP X", LOCATE) for _ in range(4)]
+    assert made[0] == LOCATE
+    for n, one in enumerate(made[1:], 1):
+        assert one[:-1] == LOCATE
+        assert not one[-1].sentences
+        assert f"C-{n}:" in one[-1].words
+        assert f"rtc why C-{n + 1}" in one[-1].words
 
 
 def test_two_sentences_do_not_advise_each_other() -> None:
     s = Harness()
-    assert refused(s, "PLACE X ON Y", "LIFT X BY 3 CM, or RELEASE X") == "LIFT X BY 3 CM, or RELEASE X"
-    assert refused(s, "LIFT X BY 3 CM", "PLACE X ON Y; or GIVE RIGHT-ARM TO OPERATOR") == "GIVE RIGHT-ARM TO OPERATOR"
+    advice = [*by_sentence("LIFT X BY 3 CM"), *by_sentence("RELEASE X")]
+    assert refused(s, "PLACE X ON Y", advice) == advice
+    assert refused(s, "LIFT X BY 3 CM", [*by_sentence("PLACE X ON Y"), *OPERATOR]) == OPERATOR
 
 
 @pytest.mark.parametrize("reason", [RefusalReason.RESOURCE, RefusalReason.OVERLOAD])
 def test_what_was_only_not_possible_at_that_time_stays(reason: RefusalReason) -> None:
     s = Harness()
-    refused(s, "GRASP X", "LOCATE X")
-    refused(s, "LOCATE X", "wait for C-7", reason)
-    assert "LOCATE X; rtc why" in refused(s, "GRASP X", "LOCATE X")
+    refused(s, "GRASP X", LOCATE)
+    refused(s, "LOCATE X", by_person("wait for C-7"), reason)
+    assert refused(s, "GRASP X", LOCATE)[:-1] == LOCATE
 
 
 def test_what_helps_after_its_own_advice_was_followed_stays() -> None:
     """LOCATE X may see it now."""
     s = Harness()
-    refused(s, "LOCATE X", "STOW LEFT-ARM")
-    assert refused(s, "GRASP X", "LOCATE X") != "LOCATE X"
+    refused(s, "LOCATE X", by_sentence("STOW LEFT-ARM"))
+    assert refused(s, "GRASP X", LOCATE) != LOCATE
     s = Harness()
-    refused(s, "LOCATE X", "STOW LEFT-ARM")
+    refused(s, "LOCATE X", by_sentence("STOW LEFT-ARM"))
     done(s, "STOW LEFT-ARM")
-    assert refused(s, "GRASP X", "LOCATE X") == "LOCATE X"
+    assert refused(s, "GRASP X", LOCATE) == LOCATE
 
 
 def test_other_figures_of_a_statement_stay() -> None:
     s = Harness()
-    refused(s, "GRASP X", "SET X FRAME x y z CM")
-    refused(s, "SET X FRAME 900 0 0 CM", "a place in the cell")
-    assert "SET X FRAME x y z CM" in refused(s, "GRASP X", "SET X FRAME x y z CM")
+    refused(s, "GRASP X", STATED)
+    refused(s, "SET X FRAME 900 0 0 CM", by_person("a place in the cell"))
+    assert refused(s, "GRASP X", STATED)[:1] == STATED
 
 
 def test_after_the_rest_of_a_task_that_is_done_nothing_is_left() -> None:
-    s, advice = Harness(), "RETRACT RIGHT-ARM, if it is still at X"
+    s, advice = Harness(), by_sentence("RETRACT RIGHT-ARM", words="if it is still at X")
     assert refused(s, "RELEASE X", advice, already="X") == advice
     done(s, "RETRACT RIGHT-ARM")
-    assert refused(s, "RELEASE X", advice, already="X").startswith("nothing is left to do")
+    (left,) = refused(s, "RELEASE X", advice, already="X")
+    assert not left.sentences
 
 
 def test_where_nothing_is_left_the_trace_is_named() -> None:
-    s = Harness()
-    refused(s, "GRASP X", "LOCATE X; do it again")
+    s, advice = Harness(), [Alternative(sentences=["LOCATE X"], again=True)]
+    refused(s, "GRASP X", advice)
     done(s, "LOCATE X")
-    words = refused(s, "GRASP X", "LOCATE X; do it again")
-    assert words.startswith("LOCATE X has not cleared it: rtc why C-3")
+    (left,) = refused(s, "GRASP X", advice)
+    assert not left.sentences
+    assert "rtc why C-3" in left.words
 
 
 def test_the_same_again_is_advised_once() -> None:
     s = Harness()
-    assert refused(s, "LOCATE X", "do it again") == "do it again"
-    assert "rtc why" in refused(s, "LOCATE X", "do it again")
+    assert refused(s, "LOCATE X", AGAIN) == AGAIN
+    (left,) = refused(s, "LOCATE X", AGAIN)
+    assert not left.again
+    assert "rtc why" in left.words
 
 
 def test_another_sentence_in_between_may_have_changed_the_world() -> None:
     s = Harness()
-    refused(s, "GRASP X", "LOCATE X")
+    refused(s, "GRASP X", LOCATE)
     done(s, "LOCATE X")
     done(s, "STOW LEFT-ARM")
-    assert refused(s, "GRASP X", "LOCATE X") == "LOCATE X"
+    assert refused(s, "GRASP X", LOCATE) == LOCATE
 
 
 def test_other_advice_is_given_as_it_is() -> None:
     s = Harness()
-    refused(s, "GRASP X", "LOCATE X")
+    refused(s, "GRASP X", LOCATE)
     done(s, "LOCATE X")
-    assert refused(s, "GRASP X", "RETRACT RIGHT-ARM first") == "RETRACT RIGHT-ARM first"
+    retract = by_sentence("RETRACT RIGHT-ARM")
+    assert refused(s, "GRASP X", retract) == retract

@@ -9,6 +9,7 @@ from broker.decisions.events import (
 )
 from rtc.protocol.messages import NoteKind
 from rtc.protocol.outcomes import OutcomeKind, RefusalReason, StopReason
+from rtc.wording.advice import in_one_line
 from tests.broker.harness import Harness, go_on, record, script
 
 # --- abort, pause, resume -----------------------------------------------------------------------------
@@ -69,7 +70,7 @@ def test_a_pause_in_the_last_step_is_refused():
     assert outcome.refusal is not None
     assert outcome.kind is OutcomeKind.REFUSED
     assert "last step" in outcome.message
-    assert "HALT C-1" in outcome.refusal.clears
+    assert "HALT C-1" in in_one_line(outcome.refusal.clears)
 
 
 def moving() -> Harness:
@@ -108,7 +109,7 @@ def test_a_motion_that_stands_is_shown_as_paused_and_not_paused_again():
     assert "40%" in command.shown_step
     again = s.outcome(s.parsed(kind="control", verb="PAUSE", object="C-1"))
     assert again.refusal is not None
-    assert again.refusal.clears.startswith("RESUME C-1")
+    assert in_one_line(again.refusal.clears).startswith("RESUME C-1")
     s.parsed(kind="control", verb="RESUME", object="C-1")
     late = s.outcome(s.parsed(kind="control", verb="PAUSE", object="C-1"))  # before it has gone on
     assert late.kind is OutcomeKind.SUCCEEDED

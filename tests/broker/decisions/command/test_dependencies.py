@@ -6,6 +6,7 @@ import pytest
 
 from broker.decisions.decide import CLIENTS_KEPT
 from rtc.protocol.outcomes import RefusalReason
+from rtc.wording.advice import in_one_line
 from tests.broker.harness import Harness, bound, give_up, go_on, record
 
 # --- after, together with -----------------------------------------------------------------------------
@@ -65,7 +66,7 @@ def test_after_last_without_one_before_is_refused():
 
     refusal = s.outcome("C-2").refusal
     assert (refusal.reason, refusal.where) == (RefusalReason.NAME, "LAST")
-    assert "AFTER C-n" in refusal.clears
+    assert "AFTER C-n" in in_one_line(refusal.clears)
 
 
 @pytest.mark.parametrize(("relation", "word"), [("after", "AFTER"), ("together_with", "TOGETHER-WITH")])
@@ -79,8 +80,8 @@ def test_last_in_another_rtc_do_is_refused_with_the_reason_and_what_to_write(rel
     refusal = s.outcome("C-2").refusal
     assert refusal.message.startswith(f"{word} LAST: this client has given no command before")
     assert "each `rtc do` is a client of its own" in refusal.message
-    assert refusal.clears.startswith("both sentences in one `rtc do`")
-    assert f"{word} C-n" in refusal.clears
+    assert in_one_line(refusal.clears).startswith("both sentences in one `rtc do`")
+    assert f"{word} C-n" in in_one_line(refusal.clears)
 
 
 def test_the_latest_commands_of_many_clients_are_bounded():

@@ -11,6 +11,7 @@ from broker.router import part_loads
 from rtc.programs import loader
 from rtc.protocol.messages import ProgramText, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
+from rtc.wording.advice import in_one_line
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.workers.conftest import CELL
 from tests.workers.one_process import OneProcess
@@ -32,7 +33,7 @@ def test_the_result_of_a_load_states_what_has_changed() -> None:
 def test_a_load_into_no_kind_of_worker_is_refused() -> None:
     outcome = ended("LOAD CENTERING-GRASP INTO ROBOT")
     assert outcome.kind is OutcomeKind.REFUSED
-    assert "ELABORATOR" in outcome.refusal.clears
+    assert "ELABORATOR" in in_one_line(outcome.refusal.clears)
 
 
 @pytest.mark.parametrize(

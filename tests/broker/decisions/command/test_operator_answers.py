@@ -8,6 +8,7 @@ import pytest
 from broker.decisions import events
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.protocol.primitive import Operated
+from rtc.wording.advice import in_one_line
 from tests.broker.harness import Harness, bound, record, script
 
 BY_HAND = Operated(request="move it", speed_m_s=0.1, turn_rad_s=0.5)
@@ -72,7 +73,7 @@ def test_an_answer_without_a_request_is_refused_and_one_of_two_too() -> None:
     by_hand(s, "RIGHT-ARM")
     of_two, _ = answer(s, "CANNOT", reason="no")
     assert s.outcome(of_two).kind is OutcomeKind.REFUSED
-    assert "TAKE" in s.outcome(of_two).refusal.clears
+    assert "TAKE" in in_one_line(s.outcome(of_two).refusal.clears)
 
 
 @pytest.mark.parametrize("how", ["force", "halt", "lost"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from rtc.protocol.advice import by_person, by_sentence
 from rtc.protocol.messages import Assessment
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.protocol.primitive import Operated
@@ -15,7 +16,7 @@ ASKED = "GRASP MODULE WITH RIGHT-ARM VIA OPERATOR-INTERVENTION"
 
 
 def ultimate() -> Assessment:
-    return msgspec.structs.replace(give_up(), clears="look what is in the way", by_operator=ASKED)
+    return msgspec.structs.replace(give_up(), clears=by_person("look what is in the way"), by_operator=ASKED)
 
 
 def surrendered() -> Harness:
@@ -46,7 +47,7 @@ def test_the_outcome_names_the_sentence_for_the_operator_and_what_waits_is_held(
     s = surrendered()
     refusal = s.outcome("C-1").refusal
     assert refusal.by_operator == ASKED
-    assert refusal.clears == f"look what is in the way; or {ASKED}"
+    assert refusal.clears == [*by_person("look what is in the way"), *by_sentence(ASKED)]
     assert [s.phase(f"C-{n}") for n in (2, 3, 4)] == ["held", "held", "executing"]
     (open_,) = s.state.surrenders.values()
     assert (open_.arms, open_.sentence, sorted(open_.waiting)) == (["RIGHT-ARM"], ASKED, ["C-2", "C-3"])
