@@ -164,20 +164,21 @@ class Console:
 
     async def _sentence(self, request: Request) -> Response:
         given = await body(request)
-        text, tested = str(given.get("text", "")), str(given.get("if_tested", ""))
+        text, tested, after = (str(given.get(key, "")) for key in ("text", "if_tested", "after_test"))
         if scope := halt_scope(text):
             return JSONResponse({"halt": await self._order_halt(scope)})
         if refused := self._access.refuses("front", m.CommandText):
             return JSONResponse(_refused(refused))
 
-        answer = await _or_refusal(self._submit(text, tested))
+        answer = await _or_refusal(self._submit(text, tested, after))
         if not isinstance(answer, CommandHandle):
             return JSONResponse(answer)
         self.hub.take_of_page(answer.number)
         return JSONResponse({"command": answer.number})
 
-    async def _submit(self, text: str, tested: str) -> CommandHandle:
-        return await (await self._client.take()).submit(text, on_progress=self._take_report, if_tested=tested)
+    async def _submit(self, text: str, tested: str, after: str) -> CommandHandle:
+        client = await self._client.take()
+        return await client.submit(text, on_progress=self._take_report, if_tested=tested, after_test=after)
 
     def _take_report(self, note: m.ProgressNote) -> None:
         """A report of EVERY or WHEN, which the event stream lacks."""

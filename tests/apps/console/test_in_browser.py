@@ -189,6 +189,28 @@ def test_a_sentence_is_tested_on_paper_then_done_and_seen_to_move(page: Page):
 
 
 @pytest.mark.usefixtures("at_home")
+def test_an_advice_is_tested_when_it_is_pressed_and_then_done(page: Page):
+    page.type("LIFT MACS-NEW BY 5 CM")
+    page.press("Enter")
+    page.wait("document.querySelector('#tested.advice button')?.textContent.startsWith('GRASP MACS-NEW')")
+    page.click("#tested.advice button")
+    page.wait("rtcConsole.state.prediction?.text === 'TEST GRASP MACS-NEW'")
+    assert not page.ask(ENDED.format(text="GRASP MACS-NEW", kind="succeeded"))  # on paper alone
+    page.click("#tested button.primary")
+    page.wait(ENDED.format(text="GRASP MACS-NEW", kind="succeeded"))
+
+
+@pytest.mark.usefixtures("at_home")
+def test_sentences_of_one_advice_are_tested_one_after_the_other_and_done_so(page: Page):
+    """The second one is feasible only in the world after the first."""
+    page.ask("rtcConsole.tryOut(['RELEASE MACS-NEW', 'RETRACT RIGHT-ARM BY 5 CM']) && 0")
+    page.wait("document.querySelector('#tested code')?.textContent === 'RELEASE MACS-NEW; RETRACT RIGHT-ARM BY 5 CM'")
+    page.click("#tested button.primary")
+    page.wait(ENDED.format(text="RETRACT RIGHT-ARM BY 5 CM", kind="succeeded"))
+    assert page.ask(ENDED.format(text="RELEASE MACS-NEW", kind="succeeded"))
+
+
+@pytest.mark.usefixtures("at_home")
 def test_space_halts_a_motion_while_the_page_is_busy(page: Page):
     page.ask(f"rtcConsole.submit({SLOW!r})")
     page.wait(MOVES)

@@ -4,7 +4,7 @@ import { links, openLinks } from './links.js';
 import { answers, hold, holding, release, sent, watchHold } from './operate.js';
 import { choose, openPanels } from './panels.js';
 import { dress, grip, openScene, redraw, view } from './scene.js';
-import { openLine, submit, write } from './sentence.js';
+import { openLine, submit, tryOut, write } from './sentence.js';
 import { ageOf, element, measuredAge, nowS, on, post, seconds, state } from './store.js';
 import { openTracks } from './tracks.js';
 
@@ -99,6 +99,6 @@ async function start() {
 }
 
 // For tests and the curious: the state of the page and of its scene.
-window.rtcConsole = { state, view, links, halts, halt, submit, write, choose, nowS, typing, hold, holding, release, answers, sent, grip };
+window.rtcConsole = { state, view, links, halts, halt, submit, tryOut, write, choose, nowS, typing, hold, holding, release, answers, sent, grip };
 
 start();

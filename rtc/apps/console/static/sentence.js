@@ -111,6 +111,7 @@ function giveBackRefused() {
     const outcome = state.rows.get(command)?.outcome;
     if (!outcome) continue;
     typed.delete(command);
+    offerAdvice(command, outcome);
     if (outcome.kind !== 'refused' || TEST.test(state.rows.get(command).text)) continue; // a TEST has its strip
     if (sentence && !text().trim()) put(sentence);
     const { message, clears } = outcome.refusal ?? { message: outcome.message };
@@ -178,6 +179,7 @@ export function openLine() {
   on('prediction', showTested);
   on('rows', showRefusedTest);
   on('rows', giveBackRefused);
+  on('rows', tellEnded);
   if (state.role === 'observer') {
     for (const name of ['do', 'test']) document.getElementById(name).disabled = true;
     say('this console has the role of an observer: it only looks', 'next');
@@ -199,17 +201,70 @@ function showTested() {
   if (!found) return;
   const { rehearsal } = found, sentence = found.text.replace(/^\s*(TEST|SIMULATE)\s+/i, '');
   const assumes = rehearsal.assumes ?? [];
+  const all = tried.at(-1) === sentence ? tried : [sentence];
   tested.className = 'fine';
   tested.replaceChildren(
     element('span', { class: 'tag' }, 'tested'),
-    element('code', { title: sentence }, sentence),
+    element('code', { title: sentence }, all.join('; ')),
     element('span', { title: assumes.join('\n') },
       `about ${seconds(rehearsal.predicted_s ?? 0)}${assumes.length ? `, assumes ${assumes.length} thing${assumes.length > 1 ? 's' : ''}` : ''}`),
     ...(rehearsal.remark ? [element('span', {}, rehearsal.remark)] : []),
     element('button', { class: 'primary', title: 'refused if a fact that the test relies on has changed',
-      onclick: () => submit(sentence, { if_tested: rehearsal.digest }) }, 'Do as tested'),
+      onclick: () => doAll(all, { if_tested: rehearsal.digest }) }, 'Do as tested'),
     element('button', { class: 'quiet', 'aria-label': 'close', onclick: () => { tested.hidden = true; } }, '✕'),
   );
+}
+
+// --- advice: an alternative is tested on paper when it is pressed, and then done as tested ---
+
+let tried = []; // sentences of the alternative whose last test is shown
+
+function offerAdvice(command, { kind, refusal }) {
+  const { text } = state.rows.get(command);
+  const options = kind === 'succeeded' || TEST.test(text) ? [] : (refusal?.clears ?? []).filter((one) => !one.states);
+  const buttons = options.map(({ sentences = [], words = '', again }) => [[...sentences, ...(again ? [text] : [])], words])
+    .filter(([all]) => all.length).slice(0, 3)
+    .map(([all, words]) => element('button', { title: words, onclick: () => tryOut(all) }, all.join('; ')));
+  if (!buttons.length) return;
+  tested.hidden = false;
+  tested.className = 'advice';
+  tested.replaceChildren(element('span', { class: 'tag' }, 'to clear it'), ...buttons,
+    element('button', { class: 'quiet', 'aria-label': 'close', onclick: () => { tested.hidden = true; } }, '✕'));
+}
+
+// Each sentence is tested in the world after the one before.
+export async function tryOut(sentences) {
+  tried = sentences;
+  let after = '';
+  for (const sentence of sentences) {
+    const outcome = await ended(await submit(testOf(sentence), { after_test: after }));
+    if (outcome?.kind !== 'succeeded') return; // the strip says why
+    after = outcome.rehearsal.digest;
+  }
+}
+
+async function doAll(sentences, about) {
+  for (const sentence of sentences) {
+    if ((await ended(await submit(sentence, about)))?.kind !== 'succeeded') return;
+  }
+}
+
+// The outcome of a command of this page; of one that was not accepted none.
+function ended(command) {
+  return new Promise((resolve) => {
+    if (!command) { resolve(null); return; }
+    waiting.set(command, resolve);
+    tellEnded();
+  });
+}
+
+const waiting = new Map(); // command -> who waits for its outcome
+
+function tellEnded() {
+  for (const [command, resolve] of waiting) {
+    const outcome = state.rows.get(command)?.outcome;
+    if (outcome && waiting.delete(command)) resolve(outcome);
+  }
 }
 
 let shownTest = '';
