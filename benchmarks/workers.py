@@ -21,7 +21,7 @@ from benchmarks.load.scenarios import FUNCTIONS, Scenario, WorkerJob, Workers, c
 from benchmarks.report import finish, percentile, question, spread
 from rtc.model.cells.cell import Cell
 from rtc.programs import action_stack, loader
-from rtc.protocol.messages import BinderInput, BoundStep, ElaboratorInput, ParserInput, Script, WorkerKind
+from rtc.protocol.messages import BoundStep, ElaboratorInput, ParserInput, Script, WorkerKind
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import JointTrajectory
 from rtc.runtime import process
@@ -153,7 +153,7 @@ def _first_bind(workers: Workers, world: World, sentence: str) -> WorkerJob | No
         return None
     actions = action_stack.begin(script)
     actions.pop()
-    return WorkerJob(WorkerKind.BINDER, world, BinderInput(**actions.binder_input("C-1.1")))
+    return WorkerJob(WorkerKind.BINDER, world, actions.binder_input("C-1.1"))
 
 
 def _timed(workers: Workers, jobs: list[WorkerJob], passes: int, rng: random.Random) -> dict[str, list[float]]:

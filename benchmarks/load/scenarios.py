@@ -15,9 +15,7 @@ from rtc.drawing.scene import SceneView
 from rtc.model.cells.cell import Cell
 from rtc.programs import action_stack, loader
 from rtc.protocol.messages import (
-    AnalyzerInput,
     Assessment,
-    BinderInput,
     BoundStep,
     ElaboratorInput,
     EndReport,
@@ -94,7 +92,7 @@ class Scenario:
         actions = action_stack.begin(script)
         while actions.refs:
             actions.pop()
-            data = BinderInput(**actions.binder_input(f"{command}.{len(script.steps) - len(actions.refs)}"))
+            data = actions.binder_input(f"{command}.{len(script.steps) - len(actions.refs)}")
             bound = self._do(WorkerKind.BINDER, data)
             if not isinstance(bound, BoundStep):
                 return False
@@ -102,7 +100,7 @@ class Scenario:
             if bound.primitive is None:
                 continue
             report = self._perform(bound.primitive, bound.limit_s)
-            judged = self._do(WorkerKind.ANALYZER, AnalyzerInput(**actions.analyzer_input(bound.evaluation, report)))
+            judged = self._do(WorkerKind.ANALYZER, actions.analyzer_input(bound.evaluation, report))
             if not isinstance(judged, Assessment) or judged.verdict != "continue":
                 return False
             self.world = self.world.overlay(judged.changes, source=data.primitive_id)

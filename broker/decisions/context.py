@@ -26,12 +26,23 @@ from broker.decisions.state import (
 )
 from rtc.programs.action_stack import NOMINAL, ActionStack
 from rtc.protocol import wire
-from rtc.protocol.messages import REHEARSER, NoteKind, Phase, ProgressNote, WorkerKind
+from rtc.protocol.messages import (
+    REHEARSER,
+    AnalyzerInput,
+    BinderInput,
+    ElaboratorInput,
+    NoteKind,
+    ParserInput,
+    Phase,
+    ProgressNote,
+    RehearsalInput,
+    WorkerKind,
+)
 from rtc.protocol.outcomes import Compared, Measured, OutcomeKind, StopReason
-from rtc.protocol.primitive import Box, apart
+from rtc.protocol.primitive import Box, Primitive, apart
 
 read_step = wire.decoder(StepHead)
-PLANNERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # they plan beside the motions of other arms
+JobInput = ParserInput | ElaboratorInput | BinderInput | AnalyzerInput | RehearsalInput
 NO_PROGRAMS: dict[str, str] = {}
 
 
@@ -210,14 +221,12 @@ class DecisionContext:
         self,
         command: Command,
         worker: WorkerKind,
-        data: Any,
+        data: JobInput,
         locations: tuple[str, ...] | None = None,
         *,
         kind: JobKind = JobKind.STAGE,
     ) -> None:
         """Create the next job of this command, with the programs the command began with, and dispatch it."""
-        if worker in PLANNERS:
-            data |= self._motions_beside(command)
         command.jobs += 1
         command.job = PendingJob(
             id=f"{command.id}/{command.jobs}",
@@ -231,16 +240,16 @@ class DecisionContext:
         )
         self.dispatch_again(command)
 
-    def _motions_beside(self, command: Command) -> dict[str, Any]:
-        """The motions of other commands, as a field of a planner's input; what the job knows is kept in the command."""
+    def motions_beside(self, command: Command) -> list[Primitive]:
+        """The motions of other commands, for a planner's next job; what the job knows is kept in the command."""
         state = self.state
         command.motions_seen = (state.motions_begun, state.motions_ended)
         if not state.motions:  # the usual case
             command.beside = ()
-            return {}
+            return []
         others = {motion.primitive: motion.body for motion in state.motions.values() if motion.command != command.id}
         command.beside = tuple(others)
-        return {"moving": list(others.values())} if others else {}
+        return [wire.opaque(body, Primitive) for body in others.values()]
 
     def dispatch_again(self, command: Command) -> None:
         """Dispatch the job of a command once more: jobs are stateless."""

@@ -55,7 +55,7 @@ from broker.decisions.events import (
 from broker.decisions.state import Command, PendingJob, PendingOutcome, State, request_key
 from rtc.language.fastpath import halt_scope
 from rtc.protocol.advice import by_person
-from rtc.protocol.messages import Accepted, Declined, HaltOrder, NoteKind, Phase, WorkerKind
+from rtc.protocol.messages import Accepted, Declined, HaltOrder, NoteKind, ParserInput, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
 from rtc.protocol.primitive_id import command_of
 
@@ -132,7 +132,7 @@ def _parse(context: DecisionContext, command: Command) -> None:
     """Let a parser read the sentence, or use what the same program has made of the same words before."""
     known = parsed_before.find(context.state, command)
     if known is None:
-        context.create_job(command, WorkerKind.PARSER, {"text": command.text})
+        context.create_job(command, WorkerKind.PARSER, ParserInput(text=command.text))
         context.enter(command, Phase.PARSING)
         return
     command.jobs += 1  # so that the later jobs have the same ids in either case

@@ -8,14 +8,22 @@ The *Head types below declare the few fields of a product that it reads.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any
 
 import msgspec
 
 from broker.decisions.resources import Resources
 from rtc.programs.action_stack import ActionStack
 from rtc.protocol.advice import Advice
-from rtc.protocol.messages import Breakpoint, OperatorAnswer, Phase, PictureTime, ProgressNote, SavedWorld, WorkerKind
+from rtc.protocol.messages import (
+    Breakpoint,
+    OperatorAnswer,
+    Phase,
+    PictureTime,
+    ProgressNote,
+    RestsOn,
+    SavedWorld,
+    WorkerKind,
+)
 from rtc.protocol.outcomes import Compared, Measured, OutcomeKind, Refusal, StopReason
 from rtc.protocol.primitive import Box
 from rtc.protocol.rehearsal import Rehearsal
@@ -337,7 +345,7 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """TEST: its number in a list of sentences."""
     if_tested: str = ""
     """Digest of the test on whose strength it is given."""
-    rests_on: dict[str, Any] = {}
+    rests_on: RestsOn | None = None
     """What the elaborator must find unchanged because of `if_tested`."""
 
     @property

@@ -12,7 +12,9 @@ from broker.router.core import Core, peer_of
 from broker.router.event_stream import EventStream
 from broker.router.outbox import Outbox
 from rtc.protocol import messages as m
+from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.primitive import Primitive
 from rtc.runtime.allowance import Allowance
 from rtc.runtime.process import send
 from rtc.world.lease import sign
@@ -97,11 +99,7 @@ class Egress:
             send(self._core.sockets["workers"], m.CancelJobs(jobs=[effect.job]), peer_of(worker))
 
     def _send_primitive(self, effect: do.SendPrimitive) -> None:
-        message = {
-            "type": "Execute",
-            "primitive": effect.primitive,
-            "pid": effect.pid,
-        }
+        message = m.Execute(primitive=wire.opaque(effect.primitive, Primitive), pid=effect.pid)
         self.subsystems.put(self._core.subsystem_peer(effect.subsystem), message)
 
     def _send_pace(self, effect: do.SendPace) -> None:

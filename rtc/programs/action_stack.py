@@ -7,9 +7,11 @@ more of a script than `ScriptLike` states, so steps and values may be encoded by
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 import msgspec
+
+from rtc.protocol.messages import AnalyzerInput, BinderInput
 
 NOMINAL = 0  # stands for the script's own steps in the place of a trim number
 MAX_TRIMS = 6  # maximum number of trims per command (A17); a trim that gives up is allowed above it
@@ -123,20 +125,20 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
         self.refs += reversed(steps)
         return trims[-1]
 
-    def binder_input(self, primitive_id: str) -> dict[str, Any]:
-        """The fields of a `BinderInput` for the current step."""
-        return {
-            "primitive_id": primitive_id,
-            "context": self.script.context,
-            "step": self.step_body,
-            "bindings": self.bindings,
-            "moved_s": self.moved_s,
-        }
+    def binder_input(self, primitive_id: str) -> BinderInput:
+        """The input of a binder for the current step."""
+        return BinderInput(
+            primitive_id=primitive_id,
+            context=self.script.context,
+            step=self.step_body,
+            bindings=cast(dict[str, Any], self.bindings),
+            moved_s=self.moved_s,
+        )
 
-    def analyzer_input(self, evaluation: Any, report: Any) -> dict[str, Any]:
-        """The fields of an `AnalyzerInput` for the current step."""
+    def analyzer_input(self, evaluation: Any, report: Any) -> AnalyzerInput:
+        """The input of an analyzer for the current step."""
         used = self.trims_used.get(self._step_key, []) if self.trims_used else []
-        return {"evaluation": evaluation, "report": report, "trims_used": used, "closing": False}
+        return AnalyzerInput(evaluation=evaluation, report=report, trims_used=used)
 
     @property
     def _step_key(self) -> str:

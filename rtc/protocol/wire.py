@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar, cast
 
 import msgspec
 
 from rtc.protocol.knots import Knots
 from rtc.protocol.outcomes import WireError
+
+Encoded = TypeVar("Encoded")
 
 PROTOCOL = b"RTC1"
 MAX_BYTES = 8 << 20  # maximum size of a frame; ZeroMQ disconnects a peer that sends a larger one
@@ -58,6 +60,11 @@ def encode(value: Any) -> bytes:
 def raw(value: Any) -> msgspec.Raw:
     """A value as already encoded bytes, to be put inside a message."""
     return msgspec.Raw(_encoder.encode(value))
+
+
+def opaque(value: msgspec.Raw, kind: type[Encoded]) -> Encoded:
+    """Already encoded bytes in the place of a value of this type, in a message that is only sent."""
+    return cast(Encoded, value)
 
 
 def frames(message: Any) -> list[bytes]:

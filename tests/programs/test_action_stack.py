@@ -64,7 +64,7 @@ def test_a_trim_is_used_once_per_step_and_unknown_ones_are_refused():
     assert actions.push_trim(9) is None
     assert actions.push_trim(1) is not None
     actions.pop()
-    assert actions.analyzer_input(None, None)["trims_used"] == [1]
+    assert actions.analyzer_input(None, None).trims_used == [1]
     assert actions.push_trim(1) is None
     assert actions.trim_labels == ("trim 1",)
 
@@ -85,5 +85,5 @@ def test_a_payload_keeps_the_values_it_was_made_with():
     actions.pop()
     before = actions.binder_input("C-1.1")
     actions.assign({"JAP": Binding(number=2.0)})
-    assert before["bindings"]["JAP"].number == 1.0
-    assert actions.binder_input("C-1.1")["bindings"]["JAP"].number == 2.0
+    assert before.bindings["JAP"].number == 1.0
+    assert actions.binder_input("C-1.1").bindings["JAP"].number == 2.0

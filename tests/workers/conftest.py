@@ -365,7 +365,7 @@ class Bench:
             actions.pop()
             name = f"C-{self.commands}.{len(run.labels) + 1}"
             run.labels.append(actions.step_body.label)
-            bound = self._bind(BinderInput(**actions.binder_input(name)))
+            bound = self._bind(actions.binder_input(name))
             if isinstance(bound, Refusal):
                 run.refusal = bound
                 return run
@@ -378,7 +378,7 @@ class Bench:
                 continue
             run.reports.append(report)
             actions.moved_s += report.duration_s
-            judged = self._analyze(AnalyzerInput(**actions.analyzer_input(bound.evaluation, report)))
+            judged = self._analyze(actions.analyzer_input(bound.evaluation, report))
             if isinstance(judged, Refusal):
                 run.refusal = judged
                 return run

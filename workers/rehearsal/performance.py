@@ -15,9 +15,7 @@ import msgspec
 from rtc.programs import action_stack
 from rtc.programs.action_stack import ActionStack
 from rtc.protocol.messages import (
-    AnalyzerInput,
     Assessment,
-    BinderInput,
     BoundStep,
     ElaboratorInput,
     EndReport,
@@ -125,7 +123,7 @@ class Performance:
         """The current step, bound in the world on paper. Raises Refused."""
         assert self.actions is not None
         name = f"{self.command}.{len(self.steps) + 1}"
-        data = BinderInput(**self.actions.binder_input(name), pictures=dict(self.pictures))
+        data = msgspec.structs.replace(self.actions.binder_input(name), pictures=dict(self.pictures))
         bound: BoundStep = self._call(bind, WorkerKind.BINDER, data)
         self.actions.assign(bound.bindings)
         return bound
@@ -135,7 +133,7 @@ class Performance:
         assert self.actions is not None
         self.now_s += report.duration_s
         self.actions.moved_s += report.duration_s
-        data = AnalyzerInput(**self.actions.analyzer_input(bound.evaluation, report))
+        data = self.actions.analyzer_input(bound.evaluation, report)
         judged: Assessment = self._call(analyze, WorkerKind.ANALYZER, data)
         before, self.world = (
             self.world,

@@ -8,10 +8,11 @@ from broker.decisions.command.termination import refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.resources import Claim
 from broker.decisions.state import Command, ParsedHead, exact_arms_of
+from rtc.protocol import wire
 from rtc.protocol.advice import Advice, by_person, by_sentence
-from rtc.protocol.messages import NoteKind, Phase, WorkerKind
+from rtc.protocol.messages import ElaboratorInput, NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.sentence import BOTH_ARMS
+from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 
 MAX_ELABORATIONS = 20  # maximum per command, if its claim changes with each elaboration
 
@@ -93,15 +94,17 @@ def elaborate(context: DecisionContext, command: Command) -> None:
 
 
 def start_elaboration(context: DecisionContext, command: Command) -> None:
-    data: dict[str, Any] = {"command": command.id, "parsed": command.parsed}
-    if command.head is not None and command.head.kind == "data":
-        data["owners"] = {name: ", ".join(users) for name, users in context.state.resources.holders.items()}
-    if rigid := exact_arms_of(context.state):
-        data["rigid"] = rigid
-    if command.rests_on:
-        data["rests_on"] = command.rests_on
-    if command.saved is not None:
-        data["saved"] = command.saved
+    of_facts = command.head is not None and command.head.kind == "data"
+    holders = context.state.resources.holders if of_facts else {}
+    data = ElaboratorInput(
+        command=command.id,
+        parsed=wire.opaque(command.parsed, ParsedCommand),
+        moving=context.motions_beside(command),
+        owners={name: ", ".join(users) for name, users in holders.items()},
+        rests_on=command.rests_on,
+        saved=command.saved,
+        rigid=exact_arms_of(context.state),
+    )
     context.create_job(command, WorkerKind.ELABORATOR, data)
     context.enter(command, Phase.ELABORATING)
 

@@ -19,7 +19,7 @@ from broker.decisions.events import JobLost
 from broker.decisions.state import NIL, AssessmentHead, Command, PendingOutcome
 from rtc.protocol import wire
 from rtc.protocol.advice import again_after, in_order
-from rtc.protocol.messages import EndReport, NoteKind, Phase, WorkerKind
+from rtc.protocol.messages import AnalyzerInput, EndReport, EvaluationContext, NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 WHEN_BACK = "when the subsystem is back"
@@ -34,7 +34,8 @@ def close(
     assert command.actions is not None
     context.stop_timer(command)
     command.primitive_body = NIL
-    data = {"evaluation": command.evaluation, "report": report, "closing": True}
+    evaluation = wire.opaque(command.evaluation, EvaluationContext)
+    data = AnalyzerInput(evaluation=evaluation, report=report, closing=True)
     context.create_job(command, WorkerKind.ANALYZER, data, locations=command.actions.script.writes)
     context.start_timer(command, CLOSING_LIMIT_S)
     context.enter(command, Phase.CLOSING, kind, **facts)

@@ -104,7 +104,8 @@ def bind_step(context: DecisionContext, command: Command, kind: NoteKind = NoteK
         return
     name = primitive_id(command.id, command.primitives + 1, context.state.life)
     others = len(context.state.commands) > 1
-    data = {**actions.binder_input(name), "others": others, "pictures": picture_times_of(context.state)}
+    moving, pictures = context.motions_beside(command), picture_times_of(context.state)
+    data = msgspec.structs.replace(actions.binder_input(name), others=others, pictures=pictures, moving=moving)
     context.create_job(command, WorkerKind.BINDER, data)
     context.enter(command, Phase.BINDING, kind, message=message)
 

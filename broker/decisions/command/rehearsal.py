@@ -6,8 +6,6 @@ names the world after them, in which the next sentence of the list is rehearsed.
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 
 from broker.decisions.command.claims import without_now
@@ -28,8 +26,9 @@ from broker.decisions.state import (
 from rtc.protocol import wire
 from rtc.protocol.advice import by_person
 from rtc.protocol.digest import digest
-from rtc.protocol.messages import Phase, WorkerKind
+from rtc.protocol.messages import Paper, Phase, RehearsalInput, RestsOn, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
+from rtc.protocol.sentence import ParsedCommand
 
 TESTS_KEPT = 512  # latest tests whose digests are known
 GIVEN_KEPT = 100  # latest commands given for one test: what they change is foreseen
@@ -45,18 +44,18 @@ def rehearse(context: DecisionContext, command: Command, head: ParsedHead) -> No
         refuse(context, command, _unknown(command.after_test))
         return
     named = (head.after, head.together_with, scope_of(head) if head.kind == "control" else None)
-    data: dict[str, Any] = {
-        "command": command.id,
-        "text": command.text,
-        "parsed": command.parsed,
-        "label": command.label,
-        "live": [name for name in named if name in context.state.commands],
-        "at_s": context.now,
-        "rigid": exact_arms_of(context.state),
-        "pictures": picture_times_of(context.state),
-    }
-    if before is not None:
-        data["before"] = before.paper
+    data = RehearsalInput(
+        command=command.id,
+        text=command.text,
+        parsed=wire.opaque(command.parsed, ParsedCommand),
+        label=command.label,
+        live=[name for name in named if name in context.state.commands],
+        at_s=context.now,
+        moving=context.motions_beside(command),
+        rigid=exact_arms_of(context.state),
+        pictures=picture_times_of(context.state),
+        before=None if before is None else wire.opaque(before.paper, Paper),
+    )
     context.create_job(command, WorkerKind.ELABORATOR, data, kind=JobKind.REHEARSAL)
     context.enter(command, Phase.REHEARSING)
 
@@ -146,7 +145,7 @@ def why_not_as_tested(context: DecisionContext, command: Command) -> Refusal | N
         message = f"the {changed[0]} has another program than in the test {name}"
         return Refusal(reason=RefusalReason.STALE, message=message, where=changed[0], clears=by_person(TEST_AGAIN))
     given = [other for one in tests[: tests.index(test)] for other in one.given]  # of the sentences before it
-    command.rests_on = {"test": name, "relies_on": test.relies_on, "foreseen": test.foreseen, "given": given}
+    command.rests_on = RestsOn(test=name, relies_on=test.relies_on, foreseen=test.foreseen, given=given)
     test.given.append(command.id)
     del test.given[:-GIVEN_KEPT]
     return None
