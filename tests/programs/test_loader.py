@@ -382,6 +382,8 @@ def test_an_alias_may_be_used():
         ("binder", b"\nactoins: {}\n", "mine.yaml, line 2: .*no section actoins; it has actions, clears"),
         ("analyzer", b"", "mine.yaml: the file is empty; .*classes"),
         ("elaborator", b"scripts:\n  - [\n", "mine.yaml, line 3: "),
+        ("elaborator", b"clears:\n  frame: look where it is\n", "mine.yaml, line [12]: .*array.*clears"),
+        ("binder", b"clears:\n  frame: [{sentence: STOW A}]\n", "mine.yaml, line 2: .*unknown field `sentence`"),
     ],
 )  # fmt: skip
 def test_the_refusal_of_a_file_of_the_wrong_shape_names_what_is_expected(kind, text, complaint):
