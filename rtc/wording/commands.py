@@ -106,3 +106,32 @@ def _in_short(notes: list[m.ProgressNote]) -> str:
     note = shown[-1]
     found = "".join(f"; {words}" for one in notes for words in (one.found, one.drift) if words)
     return f"{note.node} {wording.in_words(note)} after {seconds(note.took_s)}{found}" if reports else link(note)
+
+
+def waits_for(status: m.Status, record: m.CommandRecord) -> list[str]:
+    """What a held command waits for now, and what would clear it. `status`: of the broker."""
+    commands = {row.command: row for row in status.commands}
+    lines, owners = [], []
+    for row in status.resources:
+        if record.command not in row.waiting:
+            continue
+        ahead = row.waiting[: row.waiting.index(record.command)]
+        queue = f"; before it in the line: {', '.join(ahead)}" if ahead else ""
+        lines.append(f"waits for {row.name}, {_taken(row, commands)}{queue}")
+        owners += [name for name in [*row.owners, *ahead] if name in commands]
+    give_up = f"to give this one up: ABORT {record.command}"
+    if owners := list(dict.fromkeys(owners)):
+        lines.append(f"to clear it: wait for {', '.join(owners)}, or: ABORT {owners[0]}; {give_up}")
+    elif not lines and record.notes:  # for another command, or for the space of an arm
+        lines += [wording.in_words(record.notes[-1]), give_up]
+    return lines
+
+
+def _taken(resource: m.ResourceRow, commands: dict[str, m.CommandRow]) -> str:
+    """The owner of a resource in words, with its sentence and what it does."""
+    if resource.quarantine:
+        return "which is closed until rest is confirmed or its facts are written (rtc status)"
+    if (row := commands.get(resource.owner)) is None:
+        return f"in use by {resource.owner}" if resource.owner else "which is not yet granted"
+    now = ": ".join(filter(None, [row.phase, row.step]))
+    return f"in use by {resource.owner} ({now}): {quoted(row.text)}"

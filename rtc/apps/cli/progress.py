@@ -17,11 +17,10 @@ from rich.text import Text
 
 from rtc.apps.cli.output import COLOUR, console, table
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import Outcome, OutcomeKind
+from rtc.protocol.outcomes import OutcomeKind
 from rtc.wording import notes as wording
 from rtc.wording.measured import duration, in_words, seconds
-from rtc.wording.refusals import refusal_lines
-from rtc.wording.rehearsals import in_lines
+from rtc.wording.outcomes import explain
 from rtc.wording.sentences import quoted
 
 WAITS = (m.Phase.HELD, m.Phase.WAITING)  # the note names what the command waits for
@@ -166,29 +165,6 @@ def print_result(ended: m.CommandEnded, text: str, out: Console = console, *, la
     out.print(head)
     for line in explain(ended, text):
         out.print(Text("    " + line))
-
-
-def explain(ended: m.CommandEnded, text: str) -> list[str]:
-    """The cause first, then the step, then what would clear it; empty for a plain success."""
-    outcome, refusal = ended.outcome, ended.outcome.refusal
-    lines = [outcome.message] if outcome.message else []
-    step = outcome.step if outcome.kind != OutcomeKind.SUCCEEDED else ""
-    if refusal is not None and (refusal.column is not None or refusal.message not in outcome.message):
-        lines = [line for line in lines if line != refusal.message]
-        lines += refusal_lines(refusal, text)
-        refusal = None
-    if step:
-        lines.append(f"in step {step}" + (f", stopped by {outcome.stop.value}" if outcome.stop else ""))
-    if refusal is not None:
-        lines += [line for line in refusal_lines(refusal, text) if line != refusal.message]
-    if outcome.trims:
-        lines.append(mended(outcome) + ", ".join(outcome.trims))
-    lines += in_words(outcome.measured) if outcome.measured else []
-    return [*lines, *in_lines(outcome.rehearsal, full=True)] if outcome.rehearsal else lines
-
-
-def mended(outcome: Outcome) -> str:
-    return "corrected on the way by: " if outcome.kind == OutcomeKind.SUCCEEDED else "tried on the way: "
 
 
 def _figures(ended: m.CommandEnded) -> str:

@@ -11,16 +11,16 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.output import COLOUR, AsJson, RunDir, With, cli_error, console, emit_json
-from rtc.apps.cli.progress import mended
 from rtc.client.client import Client
 from rtc.client.past_runs import Past, runs
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import NoCluster, RequestDeclined
 from rtc.runtime.settings import default_run_dir
 from rtc.wording import notes as wording
-from rtc.wording.commands import address, chain, report_lines, trace_lines
+from rtc.wording.commands import address, chain, report_lines, trace_lines, waits_for
 from rtc.wording.feedback import stages
 from rtc.wording.measured import in_words, seconds
+from rtc.wording.outcomes import trims_in_words
 from rtc.wording.refusals import refusal_lines
 from rtc.wording.sentences import quoted
 
@@ -181,35 +181,6 @@ def why(
             console.print(Text("    " + line))
 
 
-def waits_for(status: m.Status, record: m.CommandRecord) -> list[str]:
-    """What a held command waits for now, and what would clear it. `status`: of the broker."""
-    commands = {row.command: row for row in status.commands}
-    lines, owners = [], []
-    for row in status.resources:
-        if record.command not in row.waiting:
-            continue
-        ahead = row.waiting[: row.waiting.index(record.command)]
-        queue = f"; before it in the line: {', '.join(ahead)}" if ahead else ""
-        lines.append(f"waits for {row.name}, {_taken(row, commands)}{queue}")
-        owners += [name for name in [*row.owners, *ahead] if name in commands]
-    give_up = f"to give this one up: ABORT {record.command}"
-    if owners := list(dict.fromkeys(owners)):
-        lines.append(f"to clear it: wait for {', '.join(owners)}, or: ABORT {owners[0]}; {give_up}")
-    elif not lines and record.notes:  # for another command, or for the space of an arm
-        lines += [wording.in_words(record.notes[-1]), give_up]
-    return lines
-
-
-def _taken(resource: m.ResourceRow, commands: dict[str, m.CommandRow]) -> str:
-    """The owner of a resource in words, with its sentence and what it does."""
-    if resource.quarantine:
-        return "which is closed until rest is confirmed or its facts are written (rtc status)"
-    if (row := commands.get(resource.owner)) is None:
-        return f"in use by {resource.owner}" if resource.owner else "which is not yet granted"
-    now = ": ".join(filter(None, [row.phase, row.step]))
-    return f"in use by {resource.owner} ({now}): {quoted(row.text)}"
-
-
 def print_why(record: m.CommandRecord) -> None:
     for line in chain(record):
         console.print(Text(line))
@@ -241,8 +212,8 @@ def _print_decision(record: m.CommandRecord, *, details: bool) -> None:
     console.print(line)
     for text in in_words(outcome.measured) if outcome.measured else ():
         console.print(Text("    " + text))
-    if outcome.trims:
-        console.print(Text("    " + mended(outcome) + ", ".join(outcome.trims)))
+    for text in trims_in_words(outcome):
+        console.print(Text("    " + text))
     if outcome.refusal is not None:
         for text in refusal_lines(outcome.refusal, record.text, details=details):
             if text != outcome.message:

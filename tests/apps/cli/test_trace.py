@@ -6,9 +6,10 @@ from typing import Any
 
 import msgspec
 
-from rtc.apps.cli.trace import as_json, waits_for
+from rtc.apps.cli.trace import as_json
 from rtc.protocol import messages as m
 from rtc.protocol.messages import NoteKind
+from rtc.wording.commands import waits_for
 from tests.wording.test_commands import failed_in_step_2, note
 
 
