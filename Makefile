@@ -90,9 +90,9 @@ $(VENV)/.ready: pyproject.toml constraints.txt $(wildcard rtc/model/robot/_*.[ch
 	@$(BIN)/python -c 'import sys; sys.version_info < (3, 12) or print("pybullet has no wheel for this Python: it is compiled now; this takes some minutes and needs a C++ compiler")'
 	@echo "set-up: the packages of constraints.txt are downloaded and installed; one to three minutes in all"
 	@rm -f $@; { $(BIN)/python -u -m pip install --progress-bar off --disable-pip-version-check -c constraints.txt \
-		-e ".[dev]" && touch $@; } | awk '\
-		/^Collecting / { if (++n % 10 == 0) say(n " packages found, up to " $$2) } \
-		/^Building wheel/ { say("rtc itself is built, with its compiled part if there is a C++ compiler") } \
-		/^Installing collected/ { say("all is downloaded; now it is installed, which takes about half of the time") } \
-		function say(words) { print "set-up: " words; fflush() }'
+		-e ".[dev]" && touch $@; } | { n=0; while read -r word name rest; do case "$$word $$name" in \
+		"Collecting "*) n=$$((n + 1)); test $$((n % 10)) != 0 || echo "set-up: $$n packages found, up to $$name" ;; \
+		"Building wheel") echo "set-up: rtc itself is built, with its compiled part if there is a C++ compiler" ;; \
+		"Installing collected") echo "set-up: all is downloaded; now it is installed, which takes about half of the time" ;; \
+		esac; done; }  # not awk: that of Debian reads a pipe in blocks, and would say all of this at the end
 	@test -e $@  # pip has succeeded
