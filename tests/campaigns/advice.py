@@ -93,7 +93,7 @@ def sentences(one: Alternative, truth: Truth) -> list[str]:
         states = key in open_keys
         found.append((states and stated_fact(key, truth)) or text)
         open_keys = [other for other in open_keys if other != key]
-    return [*found, *filter(None, (stated_fact(key, truth) for key in open_keys))]
+    return [*filter(None, (stated_fact(key, truth) for key in open_keys)), *found]
 
 
 def follow(say: Callable[[str], Answer], aim: str, answer: Answer, truth: Truth) -> Followed:

@@ -37,6 +37,7 @@ FILLED = {
         "or_mass": "",
         "closer": "STOW RIGHT-ARM MAINTAIN AVOID-NEIGHBORS BY 3 MM",
         "out_first": "RELEASE MACS-NEW WITH LEFT-ARM",
+        "found_at": "VERIFY MACS-NEW AT RIGHT-ARM",
         "free_cm": "15",
         "far": "99",
         "grip": "20",

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.programs.schema import OutcomeClass
-from rtc.protocol.advice import NOTHING, Advice, Alternative, by_person, fill_in, in_order
+from rtc.protocol.advice import NOTHING, Advice, Alternative, Texts, by_person, fill_in, in_order
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
@@ -66,7 +66,8 @@ def what_clears(
         again = fill_in(again, {"target_cure": cures.pop(f"{target}.frame", [NOTHING])})
     out_first = [Alternative(sentences=failure_words.out_first(task))]
     todo = in_order(*own, *cures.values(), again)
-    return fill_in(todo, {**failure_words.texts(task, reason), "out_first": out_first})
+    own_texts: Texts = {"out_first": out_first, "found_at": failure_words.found_at(task)}
+    return fill_in(todo, {**failure_words.texts(task, reason), **own_texts})
 
 
 def _the_rest(one: Alternative, rest: Advice) -> Alternative:

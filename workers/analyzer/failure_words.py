@@ -90,6 +90,14 @@ def out_first(task: AnalyzeTask) -> list[str]:
     return [in_seat.way_out_in_words(query, arm, seat)] if seat else []
 
 
+def found_at(task: AnalyzeTask) -> list[str]:
+    """The sentence that checks a body where it was seen, which is not the seat of the sentence. Empty if no hand and no
+    seat has it, or if it was believed to be elsewhere."""
+    query, body = task.query, task.evaluation.body
+    place = hand_in_words(query.held_by(body)) or query.seat(body) if body and seen_as_believed(task) else ""
+    return [f"VERIFY {body} AT {place}"] if place else []
+
+
 def _short(task: AnalyzeTask) -> str:
     """How far from its goal a motion has ended, and with what force; empty without a goal or near it."""
     off_m, force_n = distance_off_m(task), pressing_n(task)

@@ -22,12 +22,11 @@ from rtc.world.spread import even, widened
 from workers.analyzer import flat_grip, joined, touch
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.reported_facts import seat_at
-from workers.planning import pose_spread
+from workers.planning import pose_spread, trust
 from workers.planning.world_query import WorldQuery
 
 Changes = list[WorldChange]
 
-SIGMAS = 5.0  # half-width of a bound, in standard deviations; the errors of corners in one picture are not independent
 IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the middle between the fingers
 OLD_S = 2.0  # an older sighting is not trusted, unless a hand has held the body since
 WIDEST_RAD = math.pi
@@ -102,7 +101,7 @@ def spread_of(sighting: Sighting, task: AnalyzeTask) -> list[float]:
     turn = geometry.to_matrix(sighting.pose)[:3, :3]
     covariance = np.asarray(sighting.covariance).reshape(6, 6)
     own = [turn.T @ block @ turn for block in (covariance[:3, :3], covariance[3:, 3:])]
-    bounds = [SIGMAS * math.sqrt(max(0.0, float(n))) for block in own for n in np.diag(block)]
+    bounds = [trust.SIGMAS * math.sqrt(max(0.0, float(n))) for block in own for n in np.diag(block)]
     floor = even(task.step.figures.seen_m or 0.0, task.step.figures.seen_rad or 0.0)
     return [*widened(bounds, floor)[:3], *(min(WIDEST_RAD, n) for n in widened(bounds, floor)[3:])]
 

@@ -25,6 +25,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import World
+from rtc.world.spread import EXACT
 from workers.conditions import installed_phases, reflexes
 from workers.elaborator import (
     answers,
@@ -71,6 +72,7 @@ from workers.elaborator.script_steps import (
 )
 from workers.elaborator.sentence_of import sentence_of
 from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning import trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 
@@ -148,18 +150,26 @@ class _Why:
         try:
             _elaborated(self._compiled, self._query, parsed, {}, advise=False)
         except Refused as why:
-            return why.refusal
+            return _of_what_remains(self._compiled, self._query, parsed, why.refusal)
         return None
 
 
 def _of_what_remains(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal) -> Refusal:
-    """The refusal of a doubt about a pose in the hand. If the pose would be too uncertain even without the doubt, its
-    advice is that for the greater demand, which clears both: a check by the fingers makes no pose better known."""
+    """The refusal of a doubt about a pose in the hand. A way that the arm lacks, or that the object blocks where it is
+    believed to be, is stated in its place: what clears the doubt makes none. If the pose would be too uncertain even
+    without the doubt, its advice is that for the greater demand, which clears both: a check by fingers makes no pose
+    better known."""
     doubt = refusal.cause
-    if not isinstance(doubt, Distrusted | Changing) or not doubt.fact.endswith(".grasp"):
+    if not isinstance(doubt, Distrusted | Changing | TooUncertain) or not doubt.fact.endswith(".grasp"):
         return refusal
-    sure = query.after([WorldChange(key=doubt.fact, keep_value=True, validity=Validity.VALID)])
-    why = _Why(compiled, sure)
+    sure = WorldChange(key=doubt.fact, keep_value=True, validity=Validity.VALID)
+    exact = msgspec.structs.replace(sure, spread=EXACT)
+    remains = _Why(compiled, query.after([exact]))(asked)
+    if remains is not None and remains.reason is RefusalReason.INFEASIBLE:
+        return remains
+    if isinstance(doubt, TooUncertain):
+        return refusal
+    why = _Why(compiled, query.after([sure]))
     remains = why(asked)
     if remains is None or not isinstance(remains.cause, TooUncertain):
         return refusal
@@ -343,14 +353,14 @@ def _script(compiled: Compiled, option: ScriptOption, options: list[ScriptOption
 
 def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]) -> Script:
     """The script of an option that has passed the checks. Raises Refused and ExpressionError."""
-    candidate = option.candidate
+    candidate, query = option.candidate, option.candidate.query
     script = through_places(compiled.scripts[option.branch.script], candidate)
     entries, left_out = trims_for(compiled, script, candidate)
     nominal = [step_for(step, candidate, entries, nominal=True) for step in script.steps]
     nominal = taken_along.noted(what_is_left.noted(script, nominal, candidate), candidate)
     held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
     lacks = why_uncertain(nominal, candidate)
-    if lacks is not None and not can_be_seen(lacks.where, candidate):
+    if lacks is not None and (trust.just_seen(query, lacks.where) or not can_be_seen(lacks.where, candidate)):
         raise Refused(lacks)
     in_hand = [held] if lacks is not None or why_unsure_grasp(script, candidate) is not None else []
     try:

@@ -86,7 +86,11 @@ def a_look_makes_room(refusal: Refusal, script: ScriptFile, candidate: TaskCandi
     cause = refusal.cause
     if not held or script.despite_grasp or not isinstance(cause, causes.Collides) or held not in cause.owners:
         return False
-    return cause.distance_m >= clearance_of(candidate.limits) and can_be_seen(f"{held}.grasp", candidate)
+    query, key = candidate.query, f"{held}.grasp"
+    # as much as by the last look, if there was one
+    narrower_m = trust.off_m(query, held, query.spread(key)) - trust.seen_within_m(query, held)
+    room = cause.distance_m >= max(clearance_of(candidate.limits), cause.margin_m - narrower_m)
+    return room and can_be_seen(key, candidate)
 
 
 def why_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
@@ -128,7 +132,6 @@ CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
     _refuse_nothing_held,
     _refuse_unmet,
     _refuse_unknown_place,
-    _refuse_unsure_grasp,
     hinged.refuse_other_motion,
     hinged.refuse_turn_of_hand,
     hinged.refuse_beyond_stops,
@@ -136,5 +139,6 @@ CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
     threads.refuse_too_much_torque,
     threads.refuse_fastened,
     two_hands.refuse_moving_alone,
+    _refuse_unsure_grasp,
     _refuse_unsure_place,
 )

@@ -8,12 +8,12 @@ lists (`frees`). Each is tested on paper before it is advised.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.advice import by_sentence, sentences_of
+from rtc.protocol.advice import Advice, by_sentence, sentences_of
 from rtc.protocol.causes import Collides, TooUncertain
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, Quantity
@@ -35,19 +35,28 @@ def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: Wor
     doubt = refusal.reason is RefusalReason.SUSPECT and not isinstance(refusal.cause, TooUncertain)
     if asked.kind != "task" or doubt or refusal.reason not in ABOUT or refusal.in_the_way:
         return refusal
-    nearer = (*_by_less(asked, refusal), *_by_any_way(asked)) if isinstance(refusal.cause, Collides) else ()
-    if less := test.first(map(sentence_of, nearer)):
-        return replace(refusal, clears=[*by_sentence(less, instead=True), *refusal.clears])
+    ways = (*_by_less(asked, refusal), *_by_any_way(asked)) if isinstance(refusal.cause, Collides) else ()
+    if less := _instead(test, ways):
+        return replace(refusal, clears=[*less, *refusal.clears])
     if any(map(test.leads_on, sentences_of(refusal.clears))):
         return refusal
     kept = [one for one in refusal.clears if not test.is_refused(one)]
-    if other := test.first(filter(None, map(sentence_of, _other_forms(compiled, asked, query, refusal)))):
-        return replace(refusal, clears=[*by_sentence(other, instead=True), *kept])
+    clear = refusal.reason is not RefusalReason.SUSPECT  # else the same measurement clears the way for the asked one
+    if other := _instead(test, _other_forms(compiled, asked, query, refusal), later=clear):
+        return replace(refusal, clears=[*other, *kept])
     if refusal.reason is RefusalReason.NO_SCRIPT:
         return refusal
-    if freeing := test.first(_freeing(compiled.program.frees, asked, query)):
-        return replace(refusal, clears=[*kept, *by_sentence(freeing, words="which frees the arm", instead=True)])
+    freeing = list(_freeing(compiled.program.frees, asked, query))
+    if free := by_sentence(test.first(freeing), instead=True) or test.after_another(freeing):
+        words = [replace(one, words="; ".join(filter(None, (one.words, "which frees the arm")))) for one in free]
+        return replace(refusal, clears=[*kept, *words])
     return refusal
+
+
+def _instead(test: AdviceTest, forms: Iterable[ParsedCommand], *, later: bool = True) -> Advice:
+    """The first of these forms that is accepted now; `later`: or after another sentence."""
+    sentences = list(filter(None, map(sentence_of, forms)))
+    return by_sentence(test.first(sentences), instead=True) or (test.after_another(sentences) if later else [])
 
 
 # --- the same task in another form -----------------------------------------------------------------------
@@ -63,7 +72,8 @@ def _other_forms(
         yield from (replace(asked, hand=arm) for arm in arms)
     yield from _by_any_way(asked)
     yield from _by_less(asked, refusal)
-    yield from _elsewhere(compiled, asked, query)
+    formless = refusal.reason is RefusalReason.NO_SCRIPT  # no place makes this form one that a script takes
+    yield from _elsewhere(compiled, ([asked, *_by_any_way(asked)] if formless else [asked])[-1], query)
 
 
 def _by_any_way(asked: ParsedCommand) -> Iterator[ParsedCommand]:

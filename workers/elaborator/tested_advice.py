@@ -72,6 +72,31 @@ class AdviceTest:
         some = itertools.islice(dict.fromkeys(sentences), TRIED)
         return next((one for one in some if self.leads_on(one)), "")
 
+    def after_another(self, sentences: Iterable[str]) -> Advice:
+        """The first sentence of a few that is accepted after another one, which its own refusal advises and which can
+        be given now, with that one before it, in its place; empty if there is none."""
+        for one in itertools.islice(dict.fromkeys(sentences), TRIED):
+            if (before := self._clears(one)) is not None:
+                return [replace(before, sentences=[*before.sentences, one], again=False, instead=True)]
+        return []
+
+    def _clears(self, sentence: str, *, twice: bool = True) -> Alternative | None:
+        """What the refusal of this sentence advises first, if it can be given now, or asks a person for a pose; else
+        None. `twice`: or after what its own refusal advises."""
+        task = _task(sentence)
+        refusal = self._why(task) if task is not None and task != self._asked else None
+        if refusal is None or refusal.in_the_way or refusal.reason not in (RefusalReason.STATE, RefusalReason.SUSPECT):
+            return None
+        if (stated := _stated(refusal)) is not None:
+            return stated
+        before = next(iter(sentences_of(refusal.clears[:1])), "")
+        if before in ("", sentence):
+            return None
+        if self.leads_on(before):
+            return Alternative(sentences=[before])
+        first = self._clears(before, twice=False) if twice else None
+        return None if first is None else replace(first, sentences=[*first.sentences, before])
+
     def is_refused(self, one: Alternative) -> bool:
         """Whether this alternative has nothing but sentences of arms that have no way."""
         tasks = [_task(sentence) for sentence in one.sentences]
@@ -89,6 +114,8 @@ class AdviceTest:
             return [one]
         if refusal.reason is RefusalReason.INFEASIBLE:
             return []
+        if refusal.reason is RefusalReason.SUSPECT and (stated := _stated(refusal)) is not None:
+            return [replace(one, sentences=[*stated.sentences, *one.sentences], states=[*stated.states, *one.states])]
         before = next(iter(sentences_of(refusal.clears)), "") if refusal.reason in ABOUT else ""
         if before == first:
             return []  # it is refused for what it should clear
@@ -106,6 +133,13 @@ class AdviceTest:
             full = len(self._known) >= TESTED
             self._known[sentence] = None if task is None or full else self._why(task)
         return self._known[sentence]
+
+
+def _stated(refusal: Refusal) -> Alternative | None:
+    """The first alternative of its advice, if that asks a person for the pose of a body; None if it is another one."""
+    first = next(iter(refusal.clears), None)
+    asks = first is not None and any(key.endswith(".frame") for key in first.states)
+    return replace(first, again=False) if first is not None and asks else None
 
 
 def _task(sentence: str) -> ParsedCommand | None:

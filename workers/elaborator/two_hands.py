@@ -39,18 +39,22 @@ def both_arms(
     sharing = [arm for arm in query.cell.arms if query.sharers(arm.name)]
     leading = next((arm for arm in sharing if query.held_by(query.holding(arm.name)) == arm.name), None)
     if leading is None:
-        raise _unshared(program, query)
+        raise _unshared(program, query, parsed.object or "")
     return leading
 
 
-def _unshared(program: ElaboratorProgram, query: WorldQuery) -> Refused:
-    """The refusal of BOTH-ARMS without a common object; it states the sentence that makes the second hand take it."""
+def _unshared(program: ElaboratorProgram, query: WorldQuery, thing: str) -> Refused:
+    """The refusal of BOTH-ARMS without a common object; it states the sentence with which the next hand takes it.
+
+    `thing`: the object of the sentence; empty without one."""
     held = {arm.name: query.holding(arm.name) for arm in query.cell.arms}
     message = f"{BOTH_ARMS} must hold one object; " + ", ".join(
-        f"{arm} holds {thing or 'nothing'}" for arm, thing in held.items()
+        f"{arm} holds {name or 'nothing'}" for arm, name in held.items()
     )
     clears = program.needs.get("both_hands", [])
-    first = next((thing for thing in held.values() if thing), "")
+    first = next((name for name in held.values() if name), "")
+    if thing and not first:
+        clears = [*fill_in(program.needs.get("object_held", []), {"object": thing}), *clears]
     empty = next((arm for arm in query.cell.arms if not held[arm.name]), None)
     free = shared_hold.free_points(query, first) if first else []
     if free and empty is not None:

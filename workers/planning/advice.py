@@ -95,7 +95,7 @@ def _unsure(cause: Collides, query: WorldQuery, bodies: Iterable[str], limits: L
     """The key of the fact whose spread alone asks for more room than there is; empty if there is none."""
     if cause.distance_m < clearance_of(limits):
         return ""
-    keys = [key for body in bodies if (key := trust.unsure_key(query, body))]
+    keys = [key for body in bodies if (key := trust.unsure_key(query, body)) and not trust.better_than_seen(query, key)]
     return max(keys, key=lambda key: trust.off_m(query, key.rpartition(".")[0], query.spread(key)), default="")
 
 

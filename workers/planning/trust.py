@@ -26,6 +26,7 @@ from rtc.world.spread import Spread, even, exceeded
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
+SIGMAS = 5.0  # half-width of a bound, in standard deviations; the errors of corners in one picture are not independent
 UNSURE_STEP_M = 0.001  # spreads are rounded up to a multiple of this: a way stays valid while a grasp creeps a little
 # Time allowed for a motion at the cell's speed, in which a held object creeps. A carry across the default cell takes
 # 7.5 s.
@@ -93,15 +94,34 @@ def narrows(query: WorldQuery, key: str, clears: Mapping[str, Advice]) -> Advice
     """The remedy that makes the spread of the pose of an object or seat smaller. What a look has just measured, the
     next one does not know better."""
     location, _, _ = key.rpartition(".")
-    fact, sighting = query.world.get(key), query.world.get(f"{location}.sighting")
-    measured = fact is not None and sighting is not None and fact.source == sighting.source
     row, place = "spread", ""
-    if "spread_seen" in clears and not measured and _look_helps(query, location):
+    if "spread_seen" in clears and not just_seen(query, key) and _look_helps(query, location):
         row = "spread_seen"
     elif "spread_shown" in clears and not query.cameras(location) and (place := shown_at(query, location)):
         row = "spread_shown"
     texts = {"location": location, "place": place, "holder": hand_in_words(query.held_by(location))}
     return fill_in(clears.get(row, []), texts) or by_person(f"sense {location} again")
+
+
+def just_seen(query: WorldQuery, key: str) -> bool:
+    """Whether the last change of the pose of an object or seat is what a look has measured."""
+    fact, sighting = query.world.get(key), query.world.get(f"{key.rpartition('.')[0]}.sighting")
+    return fact is not None and sighting is not None and fact.source == sighting.source
+
+
+def better_than_seen(query: WorldQuery, key: str) -> bool:
+    """Whether the pose of an object is known better than a look has measured it: by a statement, say. Then another look
+    does not help."""
+    body = key.rpartition(".")[0]
+    return not just_seen(query, key) and 0.0 < off_m(query, body, query.spread(key)) < seen_within_m(query, body)
+
+
+def seen_within_m(query: WorldQuery, body: str) -> float:
+    """How far a point of a body was from its place at most, as the last look has measured it; 0 without a look."""
+    seen = query.world.value(f"{body}.sighting")
+    if seen is None:
+        return 0.0
+    return off_m(query, body, even(SIGMAS * seen["deviation_m"], SIGMAS * seen["deviation_rad"]))
 
 
 def shown_at(query: WorldQuery, held: str) -> str:

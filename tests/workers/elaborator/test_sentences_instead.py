@@ -9,12 +9,15 @@ import pytest
 
 from rtc.protocol.advice import by_sentence, sentences_of
 from rtc.protocol.messages import Script, Validity, WorldChange
+from rtc.protocol.outcomes import StopReason
 from rtc.wording.advice import in_one_line
 from rtc.world.spread import even
 from tests.campaigns import advice
 from tests.campaigns.advice import Answer
 from tests.campaigns.after_stops import Drawn, halt_and_follow
 from tests.workers.conftest import Bench
+from workers.planning import trust
+from workers.planning.world_query import WorldQuery
 
 GRASP, LIFT = "GRASP MACS-NEW {handle} WITH RIGHT-ARM", "LIFT MACS-NEW BY 20 CM WITH RIGHT-ARM"
 LEVEL = " MAINTAIN POSE-DURING-MOTION LEVEL"
@@ -159,3 +162,85 @@ def test_the_last_resort_is_data_of_the_program(bench: Bench) -> None:
     assert refusal is not None
     assert (refusal.clears[-1].sentences, refusal.clears[-1].instead) == (["RETRACT RIGHT-ARM"], True)
     assert isinstance(bench.elaborate("RETRACT RIGHT-ARM"), Script)
+
+
+def later(drawn: Drawn, seed: int = 5) -> Any:
+    ran = halt_and_follow(drawn, np.random.default_rng(seed))
+    assert ran is not None
+    return ran
+
+
+#: stops after which a hand holds nothing, or what it holds is in doubt; then a sentence that no script takes as it is
+NOT_HELD = ("seated", "RELEASE MACS-NEW WITH RIGHT-ARM", StopReason.HALT)
+TOUCHED = ("seated", "RELEASE MACS-NEW WITH RIGHT-ARM", StopReason.CONTACT)
+IN_DOUBT = ("lifted", "STOW RIGHT-ARM", StopReason.HALT)
+
+
+@pytest.mark.parametrize("cameras", [True, False])
+@pytest.mark.parametrize(
+    ("stopped", "place"),
+    [
+        *((stopped, "CLEAR-POINT-1") for stopped in (NOT_HELD, TOUCHED, IN_DOUBT)),
+        *((stopped, "RACK-2-FRONT") for stopped in (NOT_HELD, IN_DOUBT)),  # out of the reach of this arm
+    ],
+)
+def test_a_form_that_no_script_takes_leads_to_one_that_is_done(
+    stopped: tuple[str, str, StopReason], cameras: bool, place: str
+) -> None:
+    """The advice named no sentence: the other form was refused for a doubt, or for what a GRASP establishes."""
+    start, sentence, stop = stopped
+    aim = f"CARRY MACS-NEW TO {place} STRAIGHT-LINE"
+    ran = later(Drawn(start, "RIGHT-ARM", sentence, 1, 0.4, aim, stop, cameras))
+    assert ran.end in ("instead", "done"), ran.story
+    assert ran.given <= advice.MAX_SENTENCES
+
+
+@pytest.mark.parametrize("cameras", [True, False])
+@pytest.mark.parametrize("aim", ["ALIGN MACS-NEW TO RACK-1", "CARRY MACS-NEW TO RACK-2-FRONT STRAIGHT-LINE"])
+def test_what_no_measurement_clears_comes_before_a_doubt(aim: str, cameras: bool) -> None:
+    """VERIFY was advised first, then to let go with one hand, then to state the pose: five sentences and more."""
+    drawn = Drawn("both", "RIGHT-ARM", "MOVE BOTH-ARMS BY 5.8 CM ALONG Y", 1, 0.4, aim, StopReason.CONTACT, cameras)
+    ran = later(drawn)
+    assert ran.end in ("instead", "done"), ran.story
+    assert "RELEASE MACS-NEW WITH LEFT-ARM" in ran.story[1]
+
+
+def test_a_door_in_the_hand_is_let_go_of_before_it_is_felt(bench: Bench) -> None:
+    drawn = Drawn("door", "LEFT-ARM", "OPEN DOOR-2 BY 17 DEG WITH LEFT-ARM", 1, 0.5, "MOVE LEFT-ARM BY -10 CM ALONG X")
+    ran = later(drawn)
+    assert ran.end in ("instead", "done", "free"), ran.story
+    assert ran.story[1].index("RELEASE DOOR-2") < ran.story[1].index("VERIFY")
+
+
+@pytest.mark.parametrize(
+    ("start", "sentence", "aim"),
+    [
+        ("lifted", "STOW RIGHT-ARM", "VERIFY MACS-NEW AT RACK-1"),
+        ("lifted", "STOW RIGHT-ARM", "VERIFY MACS-NEW AT RACK-2"),
+        ("seated", "RELEASE MACS-NEW WITH RIGHT-ARM", "VERIFY MACS-NEW AT BAY-2"),
+    ],
+)
+def test_a_check_of_a_wrong_place_names_the_right_one(start: str, sentence: str, aim: str) -> None:
+    """The only advice was to place it there, which is refused in the end; then the same advice came again."""
+    ran = later(Drawn(start, "RIGHT-ARM", sentence, 1, 0.4, aim))
+    assert ran.end in ("instead", "done"), ran.story
+
+
+def test_what_a_person_has_stated_is_not_looked_for_again(bench: Bench) -> None:
+    """A look knew the pose in the hand less well than the statement before it, and the two were advised in turn."""
+    lifted(bench)
+    assert bench.do("LOCATE MACS-NEW").succeeded
+    seen = bench.world.value("MACS-NEW.sighting")
+    wide = even(5.0 * seen["deviation_m"], 5.0 * seen["deviation_rad"])
+    query = WorldQuery(bench.model, bench.world)
+    assert not trust.better_than_seen(query, "MACS-NEW.grasp")
+    for share, better in ((0.5, True), (2.0, False)):
+        spread = [share * one for one in wide]
+        known = query.after([WorldChange(key="MACS-NEW.grasp", keep_value=True, spread=spread)])
+        assert trust.better_than_seen(known, "MACS-NEW.grasp") is better
+
+
+def test_for_both_arms_an_object_that_no_hand_holds_is_grasped_first(bench: Bench) -> None:
+    refusal = bench.do("CARRY MACS-OLD TO RACK-1-FRONT WITH BOTH-ARMS").refusal
+    assert refusal is not None
+    assert refusal.clears[0].sentences == ["GRASP MACS-OLD"]

@@ -107,3 +107,47 @@ def test_another_arm_is_not_advised_for_what_it_does_not_hold(bench: Bench) -> N
     assert refusal is not None
     assert ANOTHER_ARM not in refusal.clears
     assert not any(one.instead and "LEFT-ARM" in one.sentences[0] for one in refusal.clears)
+
+
+GRASP_IT = by_sentence("GRASP MACS-NEW")
+VERIFY_IT = by_sentence("VERIFY MACS-NEW AT RIGHT-ARM")
+STATE_IT = [Alternative(states=["MACS-NEW.frame"], words="look where it is", again=True)]
+#: the refusals of sentences that are not accepted in this world, by verb: reason and advice
+NOT_YET = {
+    "CARRY": (RefusalReason.STATE, GRASP_IT),
+    "GRASP": (RefusalReason.SUSPECT, STATE_IT),
+    "PLACE": (RefusalReason.SUSPECT, VERIFY_IT),
+    "MOVE": (RefusalReason.INFEASIBLE, by_sentence("RETRACT RIGHT-ARM")),
+    "ALIGN": (RefusalReason.STATE, by_sentence("ALIGN MACS-NEW TO RACK-1")),
+}
+
+
+@pytest.mark.parametrize(
+    ("sentence", "refused", "before", "states"),
+    [
+        ("PLACE MACS-NEW ON RACK-1", "PLACE", ["VERIFY MACS-NEW AT RIGHT-ARM"], []),
+        ("CARRY MACS-NEW TO CLEAR-POINT-1", "CARRY", ["GRASP MACS-NEW"], []),
+        ("CARRY MACS-NEW TO CLEAR-POINT-1", "CARRY GRASP", ["GRASP MACS-NEW"], ["MACS-NEW.frame"]),
+        ("MOVE RIGHT-ARM TO BAY-2-FRONT", "MOVE", None, []),  # no other sentence makes a way
+        ("ALIGN MACS-NEW TO RACK-1", "ALIGN", None, []),  # its advice is itself
+        ("STOW RIGHT-ARM", "", None, []),  # needs nothing before it
+    ],
+)
+def test_what_comes_before_a_sentence_that_is_not_accepted_yet(
+    sentence: str, refused: str, before: list[str] | None, states: list[str]
+) -> None:
+    def why(parsed: ParsedCommand) -> Refusal | None:
+        if parsed.verb not in refused.split():
+            return None
+        reason, clears = NOT_YET[parsed.verb]
+        return Refusal(reason=reason, message="not yet", clears=clears)
+
+    advice = AdviceTest(why).after_another([sentence])
+    if before is None:
+        assert advice == []
+    else:
+        (one,) = advice
+        assert one.sentences == [*before, sentence]
+        assert one.states == states
+        assert one.instead
+        assert not one.again
