@@ -178,6 +178,20 @@ class BeyondThread(_Cause, frozen=True, tag="thread"):
     most_turns: float
 
 
+class NeedUnmet(_Cause, frozen=True, tag="need"):
+    """What the script needs is not so: a hand that is empty, an object that is held, a seat that is free."""
+
+    need: str  # row of `needs` of the elaborator's program, which has the advice: "hand_empty", "object_held"
+    by: str = ""  # object or arm that causes it: what is in the hand, or in the seat
+    doubt: str = ""  # key of the fact that would allow it, and is not trusted
+
+
+class ExactArm(_Cause, frozen=True, tag="exact_arm"):
+    """The arm cannot comply with a force, and turns no bolts."""
+
+    arm: str
+
+
 class AlreadyDone(_Cause, frozen=True, tag="already"):
     """Nothing is left to do with the object but to free the arm."""
 
@@ -212,6 +226,14 @@ class NoTags(_Cause, frozen=True, tag="no_tags"):
 
 class OutOfView(_Cause, frozen=True, tag="out_of_view"):
     body: str
+
+
+class UnknownName(_Cause, frozen=True, tag="unknown_name"):
+    """Nothing of this kind has the name (`Refusal.nearest`, `Refusal.expected`)."""
+
+    what: str  # "place or seat"
+    name: str
+    of: str = ""  # body whose part is named
 
 
 class ChangedSince(_Cause, frozen=True, tag="changed_since"):
@@ -252,12 +274,15 @@ Cause = (
     | Fastened
     | BeyondStop
     | BeyondThread
+    | NeedUnmet
+    | ExactArm
     | AlreadyDone
     | Distrusted
     | Changing
     | TooUncertain
     | NoTags
     | OutOfView
+    | UnknownName
     | ChangedSince
     | WorkersKilled
 )

@@ -47,7 +47,7 @@ def test_a_promised_force_is_kept_at_any_stated_speed(body: str, name: str, spee
 def test_a_force_on_a_free_way_is_called_a_collision_stop_with_what_is_felt() -> None:
     touch = met("wall", CLAUSES[f"{FREE}FORCE-LIMIT 10 N"], 5.0)
     assert touch.peak_n > 100.0
-    assert "10 N is a collision stop on this free way: at 50 mm/s" in touch.message
+    assert "10 N is a collision stop on this free way: at 50 mm/s" in touch.message  # wording: what is felt
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import pytest
 
 from rtc.protocol import causes
 from rtc.protocol.advice import sentences_of
+from rtc.protocol.causes import NeedUnmet
 from rtc.protocol.messages import Script, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.spatial import geometry
@@ -111,7 +112,7 @@ def test_nothing_is_released_in_the_air_unless_commanded(in_the_air):
     refusal = in_the_air.do("RELEASE MACS-NEW").refusal
 
     assert refusal.reason is RefusalReason.STATE
-    assert "would drift away" in refusal.message
+    assert refusal.cause == NeedUnmet(need="object_seated", by="MACS-NEW")
     assert sentences_of(refusal.clears) == ["PLACE MACS-NEW ON RACK-1", "RELEASE MACS-NEW VIA FREE-DRIFT"]
 
 
@@ -136,7 +137,7 @@ def test_half_way_out_of_its_seat_is_no_place_to_let_go(bench):
     for sentence in (GRASP, "LIFT MACS-NEW BY 5 CM"):
         assert bench.do(sentence).succeeded
     assert bench.world.value("MACS-NEW.seat") == "RACK-1"  # not yet free of it
-    assert "would drift away" in bench.do("RELEASE MACS-NEW").refusal.message
+    assert bench.do("RELEASE MACS-NEW").refusal.cause == NeedUnmet(need="object_seated", by="MACS-NEW")
 
 
 def test_free_drift_is_a_strategy_of_one_verb(bench):

@@ -47,7 +47,7 @@ def test_a_watched_step_is_refused_with_the_sentence_that_asks_for_the_swing(at_
     refused = at_limit.elaborate(f"{TURN} {clauses}")
     assert isinstance(refused, Refusal)
     assert refused.reason is RefusalReason.INFEASIBLE
-    assert "joint_6" in refused.message
+    assert (refused.cause.arm, refused.cause.joint) == ("RIGHT-ARM", "joint_6")
     (advised,) = refused.clears[0].sentences
     asked = f"{TURN} JOINT-MOTION {clauses}"
     assert record(advised) == record(asked)
@@ -59,7 +59,7 @@ def test_a_load_is_not_swung(bench: Bench) -> None:
         assert bench.do(sentence).succeeded
     refused = bench.elaborate("MOVE RIGHT-ARM BY 40 CM ALONG Z")  # straight up, joint_4 meets its limit
     assert isinstance(refused, Refusal)
-    assert "joint_4" in refused.message
+    assert (refused.cause.arm, refused.cause.joint) == ("RIGHT-ARM", "joint_4")
     assert refused.clears[0].sentences == ["MOVE RIGHT-ARM BY 400 MM ALONG Z JOINT-MOTION"]
     assert isinstance(bench.elaborate("MOVE RIGHT-ARM BY 40 CM ALONG Z JOINT-MOTION"), Script)
 

@@ -118,7 +118,6 @@ def test_what_gives_way_to_a_tug_is_not_let_go(bench):
     made = bench.analyze(bound, bench.subsystem.perform(bound.primitive, bound))
 
     assert (made.verdict, made.reason) == ("abort", StopReason.NO_CONTACT)
-    assert "gave way to a light tug" in made.message
     felt = [s.when for s in bound.primitive.stop_functions if s.reason is StopReason.CONTACT]
     assert felt == [ForceAbove(limit_n=0.28 * catch_n), TorqueAbove(limit_nm=0.037 * catch_n)]
     assert (

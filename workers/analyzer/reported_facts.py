@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from rtc.protocol.causes import NeedUnmet
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
@@ -44,8 +45,8 @@ def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) ->
     return changes
 
 
-def _refused(message: str, where: str, clears: str) -> Refused:
-    return Refused.because(RefusalReason.INFEASIBLE, message, where=where, clears=clears)
+def _refused(message: str, where: str, clears: str, cause: NeedUnmet | None = None) -> Refused:
+    return Refused.because(RefusalReason.INFEASIBLE, message, where=where, clears=clears, cause=cause)
 
 
 # --- plausibility ----------------------------------------------------------------------------------------
@@ -93,6 +94,7 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
             f"{thing}.frame is in {seat}, where {inside[0]} is believed to be",
             f"{thing}.frame",
             f"first state where {inside[0]} is",
+            NeedUnmet(need="seat_free", by=inside[0]),
         )
     return [
         WorldChange(key=f"{thing}.seat", value=seat),
@@ -134,6 +136,7 @@ def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Chang
             f"{thing}.frame",
             f"give its present world pose, within {values['in_hand_m'] * 1000:.0f} mm of the fingers; "
             "open the hand first if it is not in it",
+            NeedUnmet(need="object_free", by=arm),
         )
     grasp = geometry.normalise(geometry.relative(tcp, frame)).tolist()
     return [

@@ -93,7 +93,7 @@ def bind_hand(task: BindTask) -> BoundStep:
 def hand_motion(task: BindTask, op: str) -> BoundStep:
     """Open the hand to a width, or close it until it grips an object or is fully closed. Raises Refused."""
     if op not in task.program.hand:
-        raise refused_program(f"a hand cannot {op}", f"it can {', '.join(task.program.hand)}")
+        raise unknown_in_program("motion of a hand", op, task.program.hand)
     ruled = task.under(task.program.hand[op])
     values, query, gripper = ruled.values, task.query, task.query.cell.arm(task.arm).gripper
     width_m = values.get("width_m", 0.0)

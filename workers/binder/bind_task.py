@@ -9,6 +9,7 @@ import msgspec
 
 from rtc.language.alike import unknown
 from rtc.programs.schema import BinderProgram, StopClass
+from rtc.protocol.causes import UnknownName
 from rtc.protocol.messages import BinderInput, Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.conditions import stop_conditions
@@ -64,8 +65,9 @@ class RuledTask(BindTask):
 
 
 def unknown_in_program(kind: str, name: str, known: Iterable[str]) -> Refused:
-    return refused_program(unknown(kind, name, known), "LOAD a program that has it")
+    cause = UnknownName(what=kind, name=name)
+    return refused_program(unknown(kind, name, known), "LOAD a program that has it", cause)
 
 
-def refused_program(message: str, clears: str) -> Refused:
-    return Refused.because(RefusalReason.PROGRAM, message, clears=clears)
+def refused_program(message: str, clears: str, cause: UnknownName | None = None) -> Refused:
+    return Refused.because(RefusalReason.PROGRAM, message, clears=clears, cause=cause)

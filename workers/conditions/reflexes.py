@@ -235,22 +235,22 @@ def refuse_condition(condition: Condition, about_object: bool, joints: int, word
     words = f"{word} {condition.words}"
     if _row(condition) is None:
         known = [*EVENTS, *(f"{measure} {bound}" for measure, bound in MEASURES)]
-        raise _refused(f"{words}: nothing in the motion loop measures that", known, word=word)
+        raise _refused(f"{words}: nothing in the motion loop measures that", known, where=words)
     if condition.measure == "GRIP-FORCE" and condition.along is not None:
-        raise _refused(f"{words}: the fingers press along one axis only", [], "leave out ALONG and its axis", word)
+        raise _refused(f"{words}: the fingers press along one axis only", [], "leave out ALONG and its axis", words)
     if condition.measure == "TURN" and (condition.along or "").startswith(JOINT):
         number = (condition.along or "").removeprefix(JOINT)
         if not number.isdigit() or not 1 <= int(number) <= joints:
             raise suggestions.unknown("joint", condition.along or "", [f"{JOINT}{n + 1}" for n in range(joints)])
         return
     if condition.measure == "CLEARANCE" and condition.along is not None:
-        raise _refused(f"{words}: a clearance is measured in all directions", [], "leave out ALONG and its axis", word)
+        raise _refused(f"{words}: a clearance is measured in all directions", [], "leave out ALONG and its axis", words)
     if condition.measure == "TURN" and condition.along is None and _figure(condition) > math.pi:
         message = f"{words}: without an axis the change of attitude is measured, which is 180 DEG at most"
-        raise _refused(message, [], "an axis, as in UNTIL TURN ALONG TOOL-Z EXCEEDS 2 TURNS", word)
+        raise _refused(message, [], "an axis, as in UNTIL TURN ALONG TOOL-Z EXCEEDS 2 TURNS", words)
     if condition.measure == "DISTANCE" and condition.bound == "below" and not about_object:
         message = f"{words} measures the distance to the object of the command, but this command names none"
-        raise _refused(message, [], "leave it out, or use a verb that takes an object", word)
+        raise _refused(message, [], "leave it out, or use a verb that takes an object", words)
     if condition.along is not None and condition.along not in AXES:
         raise suggestions.unknown("axis", condition.along, AXES, where=words)
 
@@ -262,7 +262,7 @@ def refuse_without_grip(condition: Condition, arm: str, holding: bool, closes: b
     if not about or holding or (closes and condition.event != "OBJECT-LOST"):
         return
     message = f"{condition.words} is about a held object, but {arm} holds none"
-    raise _refused(message, [], f"leave out {condition.words}, or GRASP an object first")
+    raise _refused(message, [], f"leave out {condition.words}, or GRASP an object first", condition.words)
 
 
 def report_conditions(conditions: list[Condition], state: StepState) -> list[ReportCondition]:
@@ -347,10 +347,10 @@ def _row(condition: Condition) -> tuple[StopReason, Maker] | None:
 
 
 def _refused(
-    message: str, expected: list[str], clears: str = "leave it out, or use one of those expected", word: str = "UNLESS"
+    message: str, expected: list[str], clears: str = "leave it out, or use one of those expected", where: str = "UNLESS"
 ) -> Refused:
     reason = RefusalReason.NO_SCRIPT
-    return Refused.because(reason, message, where=word, expected=expected, clears=clears)
+    return Refused.because(reason, message, where=where, expected=expected, clears=clears)
 
 
 # --- evaluation of a report ------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rtc.language.hands import hand_in_words
+from rtc.protocol import causes
 from rtc.protocol.advice import Advice, fill_in
 from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -19,7 +20,8 @@ def refuse_alone(query: WorldQuery, arm: str, partner: str, clears: Mapping[str,
     held = query.holding(arm)
     message = f"{arm} cannot move alone: {sharing[0]} holds {held} too"
     advice = fill_in(clears.get("shared", []), {"held": held, "other": hand_in_words(sharing[0])})
-    raise Refused.because(RefusalReason.STATE, message, clears=advice)
+    cause = causes.NeedUnmet(need="shared", by=sharing[0])
+    raise Refused.because(RefusalReason.STATE, message, clears=advice, cause=cause)
 
 
 def offer(query: WorldQuery, context: ScriptContext) -> str:

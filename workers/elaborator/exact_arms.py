@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+from rtc.protocol.causes import ExactArm
 from rtc.protocol.messages import Script, ScriptContext, Step
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.planning import segments
@@ -23,13 +24,16 @@ def refuse(script: Script, rigid: Collection[str]) -> None:
             continue
         if asked := _asked(script.context, step):  # of each step that could stand in, too
             message = f"{arm} is exact and cannot comply; {PHYSICS}: {asked} asks for it"
-            raise Refused.because(
-                RefusalReason.INFEASIBLE, message, where=asked, clears=f"leave out {asked}; or {PHYSICS}"
-            )
+            clears = f"leave out {asked}; or {PHYSICS}"
+            raise _refused(arm, message, asked, clears)
         lacks = _lacks(step)
         if lacks and not _is_replaced(script, step):
             message = f"{arm} is exact and {lacks}; {PHYSICS}: step {n} needs it ({step.label})"
-            raise Refused.because(RefusalReason.INFEASIBLE, message, where=f"step {n}", clears=PHYSICS)
+            raise _refused(arm, message, f"step {n}", PHYSICS)
+
+
+def _refused(arm: str, message: str, where: str, clears: str) -> Refused:
+    return Refused.because(RefusalReason.INFEASIBLE, message, where=where, clears=clears, cause=ExactArm(arm=arm))
 
 
 def _asked(context: ScriptContext, step: Step) -> str:

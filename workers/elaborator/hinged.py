@@ -28,7 +28,8 @@ def refuse_other_motion(script: ScriptFile, candidate: TaskCandidate) -> None:
         return
     clears = fill_in(candidate.program.needs.get("hinge_held", []), {"held": held})
     message = f"{candidate.arm.name} holds {held}, which only turns about its hinge"
-    raise Refused.because(RefusalReason.STATE, message, clears=clears)
+    cause = causes.NeedUnmet(need="hinge_held", by=held)
+    raise Refused.because(RefusalReason.STATE, message, clears=clears, cause=cause)
 
 
 def refuse_turn_of_hand(script: ScriptFile, candidate: TaskCandidate) -> None:
@@ -87,7 +88,8 @@ def _there(candidate: TaskCandidate, thing: str, angle: float) -> Refused:
     at = f"{round(math.degrees(angle), 2) + 0.0:g} deg"
     clears = fill_in(candidate.program.needs.get("hinge_there", []), {"at": at.upper(), "held": thing})
     message = f"{thing} is at {at}: nothing to turn"
-    return Refused.because(RefusalReason.STATE, message, clears=clears)
+    cause = causes.NeedUnmet(need="hinge_there", by=thing)
+    return Refused.because(RefusalReason.STATE, message, clears=clears, cause=cause)
 
 
 def _beyond(candidate: TaskCandidate, hinge: parts.Hinge, wanted: float, now: float) -> Refused:

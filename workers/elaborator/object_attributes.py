@@ -8,6 +8,7 @@ from rtc.model.cells import parts
 from rtc.programs import attributes
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.advice import by_person, fill_in
+from rtc.protocol.causes import Distrusted
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from workers.planning.world_query import WorldQuery
 
@@ -42,7 +43,11 @@ def why_unstated(
     example = program.settable[attribute].example
     clears = fill_in(program.clears.get("stated", []), {**texts, "example": example})
     message = f"{word} of {thing.name} {why}; the program needs it"
-    return Refusal(reason=RefusalReason.STATE, message=message, where=f"{thing.name}.{attribute}", clears=clears)
+    key = f"{thing.name}.{attribute}"
+    cause = None
+    if fact is not None and fact.value is not None:
+        cause = Distrusted(fact=key, validity=fact.validity.value, source=fact.source, version=fact.version)
+    return Refusal(reason=RefusalReason.STATE, message=message, where=key, clears=clears, cause=cause)
 
 
 def refuse_unstated(

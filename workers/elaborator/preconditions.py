@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from rtc.language.hands import hand_in_words
 from rtc.protocol.advice import Advice, Texts, fill_in
+from rtc.protocol.causes import NeedUnmet
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from workers.elaborator.task_candidate import TaskCandidate
@@ -207,7 +208,8 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> None:
         else None
     )
     message = lack.message + (f", but {doubt.message}" if doubt else "")
-    raise Refused.because(RefusalReason.STATE, message, clears=clears)
+    cause = NeedUnmet(need=lack.row or need, by=lack.held, doubt=doubt.where if doubt else "")
+    raise Refused.because(RefusalReason.STATE, message, clears=clears, cause=cause)
 
 
 def let_go(rows: dict[str, Advice], query: WorldQuery, thing: str) -> Advice:

@@ -14,6 +14,7 @@ from rtc.language.alike import nearest
 from rtc.model.cells import parts
 from rtc.programs.attributes import PLAIN
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
+from rtc.protocol import causes
 from rtc.protocol.advice import Texts, fill_in
 from rtc.protocol.messages import SavedWorld, Script, ScriptContext, Step, StepWords
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -230,7 +231,8 @@ def _angle(program: ElaboratorProgram, values: list[Any], thing: Thing, query: W
         least, most = hinge.range_deg
         between = f"from {least:g} to {most:g} deg"
         message = f"{thing.name} turns {between}, not to {math.degrees(values[0]):g} deg"
-        raise Refused.because(RefusalReason.INFEASIBLE, message, clears=f"an angle {between}")
+        cause = causes.BeyondStop(value_rad=values[0], least_rad=hinge.range_rad[0], most_rad=hinge.range_rad[1])
+        raise Refused.because(RefusalReason.INFEASIBLE, message, clears=f"an angle {between}", cause=cause)
     turned = hinges.turned(query.hinge_home(thing.name), hinge.axis, values[0])
     return _pose(turned[:3], turned[3:], thing)
 
@@ -248,7 +250,8 @@ def _refuse_held(program: ElaboratorProgram, thing: Thing, query: WorldQuery) ->
         message = f"{thing.name} is held by {holder}"
         texts: Texts = {"let_go": preconditions.let_go(program.needs, query, thing.name), "object": thing.name}
         clears = fill_in(program.needs["object_free"], texts)
-        raise Refused.because(RefusalReason.STATE, message, clears=clears)
+        cause = causes.NeedUnmet(need="object_free", by=holder)
+        raise Refused.because(RefusalReason.STATE, message, clears=clears, cause=cause)
 
 
 def _refuse_fixed(thing: Thing) -> None:

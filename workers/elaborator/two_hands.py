@@ -8,6 +8,7 @@ from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.programs.extension_names import PARTNER
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.protocol import causes
 from rtc.protocol.advice import by_person, by_sentence, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
@@ -60,7 +61,8 @@ def _unshared(program: ElaboratorProgram, query: WorldQuery, thing: str) -> Refu
     if free and empty is not None:
         texts = {"held": first, "free": free[0], "hand": hand_in_words(empty.name)}
         clears = fill_in(program.needs.get("second_hand", []), texts)
-    return Refused.because(RefusalReason.STATE, message, clears=clears)
+    cause = causes.NeedUnmet(need="both_hands", by=first)
+    return Refused.because(RefusalReason.STATE, message, clears=clears, cause=cause)
 
 
 def _takes(script: ScriptFile) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rtc.language.alike import did_you_mean, nearest
+from rtc.protocol.causes import UnknownName
 from rtc.protocol.outcomes import RefusalReason, Refused
 
 
@@ -18,4 +19,7 @@ def unknown(what: str, name: str, known: Iterable[str], where: str = "", of: str
         "" if names else "; there are none at all"
     )
     clears = did_you_mean(near) or ("use one of the names expected" if names else "")
-    return Refused.because(RefusalReason.NAME, message, where=where, nearest=near, expected=names, clears=clears)
+    cause = UnknownName(what=what, name=name, of=of)
+    return Refused.because(
+        RefusalReason.NAME, message, where=where, nearest=near, expected=names, clears=clears, cause=cause
+    )

@@ -149,7 +149,6 @@ def test_nothing_felt_is_mended_once_and_then_reported(either):
     assert run.refusal is None
     assert run.trims == [2, 3]
     assert run.failure.reason is StopReason.NO_CONTACT
-    assert "no touch" in run.failure.message
     assert "SET MACS-NEW FRAME 80 -78.5 60 CM" in in_one_line(run.failure.clears)
     assert run.labels[-2:] == ["open again", "back off from HANDLE-A"]
     assert either.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
@@ -192,7 +191,7 @@ def test_a_bad_first_close_is_repeated_once(bench, closes, succeeds):
     assert run.trims == [1]
     assert run.succeeded is succeeds
     if not succeeds:
-        assert "not between the fingers" in run.assessments[-1].message
+        assert run.failure.reason is StopReason.NO_CONTACT
         assert bench.world.value("RIGHT-ARM.holding") == ""
 
 
@@ -270,12 +269,12 @@ def test_a_force_in_a_carry_may_come_from_the_load(bench):
     bench.do("LIFT MACS-NEW BY 15 CM")
     bound, report = bound_and_done(bench, "MOVE RIGHT-ARM TO CLEAR-POINT-1")
     laden = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT))
-    assert "or MACS-NEW is heavier" in laden.message
+    assert "or MACS-NEW is heavier" in laden.message  # wording: a guess for a person
     assert "correct the mass of MACS-NEW" in in_one_line(laden.clears)
 
     bound, report = bound_and_done(bench, "MOVE LEFT-ARM TO CLEAR-POINT-1")
     empty = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT))
-    assert "heavier" not in empty.message + in_one_line(empty.clears)
+    assert "heavier" not in empty.message + in_one_line(empty.clears)  # wording
 
 
 @pytest.mark.parametrize(("peak_n", "suspect"), [(0.4, False), (7.0, True)])
@@ -320,7 +319,7 @@ def test_a_lift_that_closes_on_nothing_finds_out(bench):
 
     assert run.labels == ["hold MACS-NEW tight"]
     assert run.reasons == ["no_contact"]
-    assert run.assessments[-1].message.endswith("closed to 1.0 mm: MACS-NEW is not between the fingers")
+    assert run.reports[-1].hand_width_m == 0.001
     assert bench.world.value("RIGHT-ARM.holding") == ""
     assert bench.world.get("MACS-NEW.frame").validity is Validity.INVALID
 
@@ -344,7 +343,8 @@ def test_a_reflex_that_opened_the_hand_has_let_go(bench):
     made = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, **tripped))
 
     assert change(made, "MACS-NEW.held_by").value == ""
-    assert "stopped at 9.4 N as asked: UNLESS FORCE EXCEEDS 9 N THEN RELEASE; opened the hand to 80 mm" in made.message
+    words = "stopped at 9.4 N as asked: UNLESS FORCE EXCEEDS 9 N THEN RELEASE; opened the hand to 80 mm"
+    assert words in made.message  # wording: figures with their units
 
 
 def test_fingers_that_are_a_little_wider_may_hold_a_tilted_object(bench):
@@ -373,13 +373,13 @@ FORWARD = "MOVE RIGHT-ARM BY 5 CM ALONG TOOL-Z UNLESS CONTACT"
 def test_a_stop_that_was_asked_for_reads_as_such(bench):
     made = _felt(bench, f"{FORWARD} THEN STOP", StopReason.CONTACT, 5.0)
     assert (made.verdict, made.reason) == ("abort", StopReason.CONTACT)  # the goal is not reached
-    assert made.message.endswith("stopped at 47.4 N as asked: UNLESS CONTACT THEN STOP")
+    assert made.message.endswith("stopped at 47.4 N as asked: UNLESS CONTACT THEN STOP")  # wording
     assert "in the way" not in in_one_line(made.clears)
 
 
 def test_what_was_done_after_the_stop_is_reported(bench):
     made = _felt(bench, f"{FORWARD} THEN BACK-OFF BY 2 CM", StopReason.CONTACT, 5.0, 0.02)
-    assert made.message.endswith("as asked: UNLESS CONTACT THEN BACK-OFF; backed off by 2.0 cm")
+    assert made.message.endswith("as asked: UNLESS CONTACT THEN BACK-OFF; backed off by 2.0 cm")  # wording
 
 
 def test_a_back_off_from_a_turn_reports_the_angle():
@@ -400,8 +400,8 @@ def test_figures_of_a_condition_have_the_units_of_a_sentence():
 def test_the_reason_is_the_one_that_won_and_what_was_done_is_reported_beside_it(bench):
     made = _felt(bench, f"{FORWARD} THEN BACK-OFF BY 2 CM", StopReason.FORCE_LIMIT, 40.0, 0.02)
     assert made.reason is StopReason.FORCE_LIMIT
-    assert "47.4 N where 40 N is the limit" in made.message
-    assert made.message.endswith("; backed off by 2.0 cm")
+    words = "47.4 N where 40 N is the limit; perhaps something is in the way; backed off by 2.0 cm"
+    assert made.message.endswith(words)  # wording
 
 
 @pytest.mark.parametrize(("limit", "advised"), [(3.0, True), (30.0, False)])
@@ -439,7 +439,7 @@ def test_a_refused_primitive_tells_where_the_arm_really_is(bench):
     made = judged(bench, bound, ended(report, StopReason.REFUSED, joints=true, message="does not start where it is"))
 
     assert change(made, "RIGHT-ARM.joints").value == true
-    assert "does not start where it is" in made.message
+    assert (made.verdict, made.reason) == ("abort", StopReason.REFUSED)
 
 
 @pytest.mark.parametrize("reason", [StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.TIMEOUT])
@@ -447,7 +447,7 @@ def test_an_end_without_figures_has_its_own_words(bench, reason):
     """As of a forced end, or of a subsystem of a user: not by the words of figures that are not there."""
     bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
     bare = ended(report, reason, measured=None, limit=None, message="as forced")
-    assert judged(bench, bound, bare).message.endswith("as forced")
+    assert judged(bench, bound, bare).message.endswith("as forced")  # wording
 
 
 def test_a_goal_that_is_not_there_is_no_success(bench):
@@ -458,7 +458,7 @@ def test_a_goal_that_is_not_there_is_no_success(bench):
     made = judged(bench, bound, ended(report, StopReason.GOAL, tcp_pose=aside))
 
     assert made.verdict == "abort"
-    assert "10.0 mm from it" in made.message
+    assert made.reason is StopReason.GOAL
 
 
 def test_a_seat_touched_too_early_is_not_seated(bench):
@@ -501,7 +501,7 @@ def test_every_reason_has_an_answer_for_every_step(bench, n):
         made = judged(bench, bound, ended(report, reason))
 
         assert made.verdict in ("continue", "trim", "abort"), reason
-        assert made.message, reason
+        assert made.message, reason  # wording: there is one
         assert len({c.key for c in made.changes}) == len(made.changes), reason
 
 
@@ -571,7 +571,7 @@ def test_a_jam_has_its_unit(bench, reason, measured, limit, figures):
 
     made = judged(bench, bound, ended(report, reason, measured=measured, limit=limit, trip_wrench=wrench))
 
-    assert figures in made.message
+    assert figures in made.message  # wording: units
 
 
 def test_a_motion_that_pressed_until_its_time_ended_reports_how_far_it_came_and_with_what_force(bench):
@@ -584,12 +584,11 @@ def test_a_motion_that_pressed_until_its_time_ended_reports_how_far_it_came_and_
 
     pressed, free = judged(bench, bound, late), judged(bench, bound, ended(late, StopReason.TIMEOUT, trip_wrench=None))
 
-    assert "40 mm" in pressed.message
-    assert "16 N" in pressed.message
+    assert "40 mm from the end of its path, and pressed with 16 N" in pressed.message  # wording: figures
     verify, back = pressed.clears[0].sentences
     assert verify == "VERIFY MACS-NEW AT RIGHT-ARM"
     assert back.startswith("MOVE RIGHT-ARM BY ")
-    assert "40 mm" in free.message
+    assert free.message.endswith("40 mm from the end of its path")  # wording
     assert "a TIME-LIMIT above 20 S" in free.clears[0].words
 
 
@@ -688,18 +687,18 @@ def test_a_grip_above_the_asked_one_is_not_taken_for_an_obstacle(bench):
     assert bench.do(GRASP).succeeded
     bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 15 CM MAINTAIN GRIP-FORCE 25 N GUARDED", 1)
     made = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, measured=45.0, limit=1.3 * 25.0 + 3.0))
-    assert "press with 45 N; GRIP-FORCE 25 N allows 35.5 N" in made.message
-    assert "in the way" not in made.message + in_one_line(made.clears)
+    assert "press with 45 N; GRIP-FORCE 25 N allows 35.5 N" in made.message  # wording
+    assert "in the way" not in made.message + in_one_line(made.clears)  # wording
     assert "a GRIP-FORCE above 25 N" in in_one_line(made.clears)
     at_the_wrist = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, measured=45.0, limit=20.0))
-    assert "GRIP-FORCE" not in at_the_wrist.message + in_one_line(at_the_wrist.clears)
+    assert "GRIP-FORCE" not in at_the_wrist.message + in_one_line(at_the_wrist.clears)  # wording
 
 
 def test_a_stop_that_was_asked_for_names_the_way_out_of_what_the_arm_presses_on(bench):
     bound, report = bound_and_done(bench, "MOVE RIGHT-ARM BY 8 CM ALONG UP UNLESS FORCE EXCEEDS 20 N THEN STOP")
     stopped = pressed_down(report, StopReason.FORCE_LIMIT, measured=25.0, limit=20.0)
     made = judged(bench, bound, stopped)
-    assert "as asked" in made.message
+    assert made.reason is StopReason.FORCE_LIMIT
     assert sentences_of(made.clears) == ["RETRACT RIGHT-ARM"]
     free = judged(bench, bound, ended(stopped, StopReason.FORCE_LIMIT, trip_wrench=[0.0] * 6))
     assert free.clears == []
@@ -786,11 +785,11 @@ def test_a_joint_that_does_not_move_is_named_instead_of_the_seat(bench):
     for reason in (StopReason.FORCE_LIMIT, StopReason.TIMEOUT):
         made = judged(bench, bound, ended(done, reason, joints=stuck))
         assert made.verdict == "abort"
-        assert "joint_2 of RIGHT-ARM" in made.message
+        assert made.reason is StopReason.FOLLOWING_ERROR
         first = made.clears[0].sentences
         before = first[: first.index("RETRACT RIGHT-ARM")] if "RETRACT RIGHT-ARM" in first else first
         assert not any("RACK-1" in sentence for sentence in before)
         assert change(made, "RACK-1.frame") is None
         blocked = judged(bench, bound, ended(done, reason, joints=short))
-        assert "joint" not in blocked.message
+        assert blocked.reason is reason
         assert change(blocked, "RACK-1.frame").validity is Validity.SUSPECT

@@ -173,7 +173,7 @@ def test_poses_that_lie_too_far_apart_have_no_middle(bench):
     made = bench.bind(script, next(s for s in script.steps if s.do == "let"), given)
 
     assert made.reason is RefusalReason.INFEASIBLE
-    assert "6.0 deg apart" in made.message
+    assert made.where == "GP"
 
 
 def test_hands(bench):
@@ -192,7 +192,6 @@ def test_a_grip_beyond_the_hands_force_is_refused(bench):
 
     assert refusal.reason is RefusalReason.INFEASIBLE
     assert (refusal.cause.value_n, refusal.cause.limit_n) == (80, 60)
-    assert "80 N" in refusal.message
     assert "60 N" in in_one_line(refusal.clears)
 
 
@@ -201,7 +200,7 @@ def test_a_hand_is_not_opened_wider_than_it_goes(bench):
 
     assert refusal.reason is RefusalReason.INFEASIBLE
     assert refusal.cause.limit_m == 0.08
-    assert "it can have 0 to 80 mm" in refusal.message
+    assert refusal.cause.value_m == pytest.approx(7.08)
 
 
 @pytest.mark.parametrize(
@@ -231,7 +230,7 @@ def test_closing_by_more_than_the_hand_is_open_is_refused(bench):
     refusal = bench.bind(script, script.steps[0])
 
     assert isinstance(refusal, Refusal)
-    assert "it is open 30 mm now" in refusal.message
+    assert refusal.cause.value_m == pytest.approx(-0.02)
 
 
 def test_holding_has_an_end(bench):
@@ -537,8 +536,7 @@ def test_a_module_in_its_rack_cannot_be_carried_off_sideways(bench):
 
     refusal = bench.bind(script, step)
 
-    assert "RACK-1" in refusal.message
-    assert "MACS-NEW" in refusal.message
+    assert refusal.cause.owners == ("RACK-1", "MACS-NEW")
 
 
 def test_a_time_limit_that_cannot_be_kept_is_reported_before_the_start(bench):
@@ -564,22 +562,26 @@ def test_a_suspect_frame_is_bound_upon_only_by_the_command_that_doubts_it(bench)
 
 
 @pytest.mark.parametrize(
-    ("step", "word"),
+    ("step", "what", "name"),
     [
-        (Step(do="juggle", label=""), "juggle"),
-        (Step(do="move", label="", to="NOWHERE", stop="move_free", space="move_task"), "NOWHERE"),
-        (Step(do="move", label="", to="STOWED", stop="move_fast", space="move_joint"), "move_fast"),
-        (Step(do="move", label="", to="STOWED", stop="move_free", space="move_sideways"), "move_sideways"),
-        (Step(do="proc", label="", name="dance"), "dance"),
-        (Step(do="grip", label="", op="tickle"), "tickle"),
-        (Step(do="move", label="", who="other_arm", to="STOWED", stop="move_free", space="move_joint"), "other_arm"),
+        (Step(do="juggle", label=""), "action", "juggle"),
+        (Step(do="move", label="", to="NOWHERE", stop="move_free", space="move_task"), "binding", "NOWHERE"),
+        (Step(do="move", label="", to="STOWED", stop="move_fast", space="move_joint"), "stop class", "move_fast"),
+        (Step(do="move", label="", to="STOWED", stop="move_free", space="move_sideways"), "space", "move_sideways"),
+        (Step(do="proc", label="", name="dance"), "procedure", "dance"),
+        (Step(do="grip", label="", op="tickle"), "motion of a hand", "tickle"),
+        (
+            Step(do="move", label="", who="other_arm", to="STOWED", stop="move_free", space="move_joint"),
+            "performer of steps",
+            "other_arm",
+        ),
     ],
 )
-def test_a_step_the_program_does_not_know_is_refused_by_name(bench, step, word):
+def test_a_step_the_program_does_not_know_is_refused_by_name(bench, step, what, name):
     made = bench.bind(bench.elaborate("STOW RIGHT-ARM"), step)
 
     assert isinstance(made, Refusal)
-    assert word in made.message
+    assert made.cause == causes.UnknownName(what=what, name=name)
 
 
 def test_a_program_that_names_unknown_predicates_is_not_loaded():
@@ -619,7 +621,7 @@ def test_a_way_is_not_used_once_a_module_stands_in_it(bench):
     bench.set_fact("MACS-NEW.frame", goal)
     refusal = bench.bind(script, script.steps[0])
     assert isinstance(refusal, Refusal)
-    assert "MACS-NEW" in refusal.message
+    assert refusal.cause.owners == ("RIGHT-ARM", "MACS-NEW")
 
 
 @pytest.mark.parametrize(
@@ -638,7 +640,7 @@ def test_a_step_that_would_last_for_weeks_is_refused(bench, sentence):
 
     assert isinstance(refusal, Refusal)
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert "time limit" in refusal.message
+    assert refusal.cause.predicted_s > refusal.cause.limit_s == 1e6
     assert refusal.clears
 
 
@@ -660,5 +662,5 @@ def test_a_plan_that_does_not_fit_what_was_measured_asks_for_a_new_one(bench):
 
     refusal = bench.bind(script, step)
 
-    assert refusal.message.startswith("planned before the last look")
+    assert isinstance(refusal.cause, causes.OutOfReach)
     assert refusal.clears[0].again

@@ -52,5 +52,5 @@ def test_a_figure_of_the_spring_without_an_effect_is_refused(bench, figures: str
     bench.load("elaborator", HOLD.replace("FIGURES", figures))
     run = bench.do("HOLD RIGHT-ARM FOR 1 SEC")
     assert isinstance(run.refusal, Refusal)
-    assert words in run.refusal.message
+    assert words in run.refusal.message  # wording: for the author of the script
     assert not run.primitives

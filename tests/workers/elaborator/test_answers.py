@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from tests.refusals import stated
 from tests.workers.conftest import Bench
 
 TAKE = "GRASP MACS-NEW WITH RIGHT-ARM"
@@ -72,19 +73,19 @@ def test_via_chooses_the_strategy_of_a_verb(bench: Bench, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("via", "words", "expected"),
+    ("via", "facts", "expected"),
     [
-        ("SECOND", "does not fit MACS-NEW now", "GRASP-SIMPLE"),  # no other hand holds it
-        ("MAGIC", "no GRASP strategy MAGIC", "GRASP-CENTERING"),
-        ("CAMERA-1", "no GRASP strategy CAMERA-1", "GRASP-FEELING"),
+        ("SECOND", {"reason": RefusalReason.NO_SCRIPT, "where": "performer"}, "GRASP-SIMPLE"),  # no other hand holds it
+        ("MAGIC", {"what": "GRASP strategy", "name": "MAGIC"}, "GRASP-CENTERING"),
+        ("CAMERA-1", {"what": "GRASP strategy", "name": "CAMERA-1"}, "GRASP-FEELING"),
     ],
 )
 def test_a_strategy_that_does_not_fit_is_refused_with_those_that_do(
-    bench: Bench, via: str, words: str, expected: str
+    bench: Bench, via: str, facts: dict[str, Any], expected: str
 ) -> None:
     refusal = bench.do(f"{TAKE} VIA {via}").refusal
     assert refusal is not None
-    assert words in refusal.message
+    assert stated(refusal, facts) == facts
     assert expected in refusal.expected
 
 
@@ -98,14 +99,14 @@ def test_the_default_strategy_is_tried_first_until_it_is_forgotten(bench: Bench)
 
 
 @pytest.mark.parametrize(
-    ("sentence", "words"),
+    ("sentence", "facts"),
     [
-        ("SET GRASP-STRATEGY DEFAULT MAGIC", "no GRASP strategy MAGIC"),
-        ("SET GRASP-STRATEGY LIKELIHOOD 1", "only DEFAULT"),
-        ("SET DANCE-STRATEGY DEFAULT SIMPLE", "DANCE-STRATEGY"),
+        ("SET GRASP-STRATEGY DEFAULT MAGIC", {"what": "GRASP strategy", "name": "MAGIC"}),
+        ("SET GRASP-STRATEGY LIKELIHOOD 1", {"reason": RefusalReason.SENTENCE, "where": "LIKELIHOOD"}),
+        ("SET DANCE-STRATEGY DEFAULT SIMPLE", {"what": "object or seat", "name": "DANCE-STRATEGY"}),
     ],
 )
-def test_a_wrong_default_is_refused(bench: Bench, sentence: str, words: str) -> None:
+def test_a_wrong_default_is_refused(bench: Bench, sentence: str, facts: dict[str, Any]) -> None:
     refusal = bench.do(sentence).refusal
     assert refusal is not None
-    assert words in refusal.message
+    assert stated(refusal, facts) == facts

@@ -223,7 +223,7 @@ def test_a_hand_that_is_not_empty_cannot_grasp(bench):
     refusal = refusal_of(bench, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-B")
 
     assert refusal.reason is RefusalReason.STATE
-    assert "RIGHT-ARM holds MACS-NEW" in refusal.message
+    assert refusal.cause == causes.NeedUnmet(need="hand_empty", by="MACS-NEW")
     assert in_one_line(refusal.clears) == "RELEASE MACS-NEW"
 
 
@@ -249,7 +249,7 @@ def test_whether_a_thing_is_held_may_be_in_doubt(bench):
 
     refusal = refusal_of(bench, "LIFT MACS-NEW")
 
-    assert refusal.message.startswith("MACS-NEW is not held, but the held_by of MACS-NEW is suspect since")
+    assert refusal.cause == causes.NeedUnmet(need="object_held", by="MACS-NEW", doubt="MACS-NEW.held_by")
 
 
 def test_what_another_hand_holds_is_lifted_by_that_hand(bench):
@@ -258,7 +258,7 @@ def test_what_another_hand_holds_is_lifted_by_that_hand(bench):
     refusal = refusal_of(bench, "LIFT MACS-NEW WITH LEFT-ARM")
 
     assert refusal.reason is RefusalReason.STATE
-    assert "RIGHT-ARM" in refusal.message
+    assert refusal.cause == causes.NeedUnmet(need="held_by_another", by="RIGHT-ARM")
     assert sentences_of(refusal.clears) == ["RELEASE MACS-NEW"]
 
 
@@ -270,7 +270,7 @@ def test_an_arm_at_the_goal_is_the_reason_even_if_the_direct_way_meets_something
 
     there = refusal_of(bench, sentence)
     assert there.in_the_way == "RIGHT-ARM"
-    assert "RIGHT-ARM" in there.message
+    assert there.cause.owners == ("RIGHT-ARM", "LEFT-ARM")
 
     bench.set_fact("RIGHT-ARM.joints", list(CELL.arm("RIGHT-ARM").stow_rad))
     assert isinstance(bench.elaborate(sentence), Script)
@@ -323,33 +323,33 @@ def test_the_forms_are_those_of_the_same_hand_with_what_is_missing(sentence, cle
 
 
 @pytest.mark.parametrize(
-    ("sentence", "message", "clears"),
+    ("sentence", "where", "clears"),
     [
-        ("STOW LEFT-ARM MAINTAIN SPEED 5 DEG/S", "not a turning speed", "give SPEED"),
-        ("STOW LEFT-ARM MAINTAIN GRIP-FORCE 20 N", "is about closing of the hand, of which STOW has none", "leave out"),
+        ("STOW LEFT-ARM MAINTAIN SPEED 5 DEG/S", "SPEED", "give SPEED"),
+        ("STOW LEFT-ARM MAINTAIN GRIP-FORCE 20 N", "GRIP-FORCE", "leave out"),
         (
             "HOLD LEFT-ARM MAINTAIN TORQUE-LIMIT 2 NM",
-            "is about motions of the arm, of which HOLD has none",
+            "TORQUE-LIMIT",
             "leave out",
         ),
         (
             "OPEN LEFT-ARM MAINTAIN SPEED 1 CM/S",
-            "is about motions of the arm, of which OPEN has none",
+            "SPEED",
             "leave out SPEED",
         ),
         (
             "STOW LEFT-ARM UNLESS DISTANCE BELOW 2 CM THEN STOP",
-            "this command names none",
+            "UNLESS DISTANCE BELOW",
             "a verb that takes an object",
         ),
-        ("HOLD LEFT-ARM FOR 2 SEC REPORT EVERY 0.01 SEC", "0.1 s is the shortest interval", "REPORT EVERY 0.1 SEC"),
+        ("HOLD LEFT-ARM FOR 2 SEC REPORT EVERY 0.01 SEC", "EVERY", "REPORT EVERY 0.1 SEC"),
     ],
 )
-def test_what_would_have_no_effect_is_refused_with_what_clears_it(bench, sentence, message, clears):
+def test_what_would_have_no_effect_is_refused_with_what_clears_it(bench, sentence, where, clears):
     refusal = refusal_of(bench, sentence)
 
     assert refusal.reason is RefusalReason.NO_SCRIPT
-    assert message in refusal.message
+    assert refusal.where == where
     assert clears in in_one_line(refusal.clears)
 
 
@@ -374,7 +374,7 @@ def test_a_field_that_a_script_does_not_use_is_named_as_the_sentence_says_it(ben
 
     refusal = refusal_of(bench, "RETRACT RIGHT-ARM BY 2 CM")
 
-    assert "BY" in refusal.message
+    assert refusal.where == "amount"
     assert "put amount into its `uses`" in in_one_line(refusal.clears)
 
 
@@ -386,7 +386,7 @@ def test_the_names_there_are_stand_in_a_refusal_once(bench):
     refusal = refusal_of(bench, "GRASP ROCKET")
 
     assert "MACS-NEW" in refusal.expected
-    assert "MACS-NEW" not in refusal.message + in_one_line(refusal.clears)
+    assert "MACS-NEW" not in refusal.message + in_one_line(refusal.clears)  # wording
 
 
 def test_holding_without_an_end_says_so(bench):
@@ -460,7 +460,7 @@ def test_nothing_is_carried_while_it_is_in_doubt_how_it_is_held(bench, sentence,
         assert isinstance(made, Script), made
         return
     assert made.reason is RefusalReason.SUSPECT
-    assert made.message.startswith("the grasp of MACS-NEW is suspect since ")
+    assert (made.cause.fact, made.cause.validity) == ("MACS-NEW.grasp", Validity.SUSPECT)
     assert in_one_line(made.clears) == "VERIFY MACS-NEW AT RIGHT-ARM"
     assert bench.do("VERIFY MACS-NEW AT RIGHT-ARM").succeeded
     assert isinstance(bench.elaborate(sentence), Script)
@@ -474,17 +474,17 @@ def test_an_arm_moves_from_where_it_was_last_reported(bench, sentence):
 
 
 @pytest.mark.parametrize(
-    ("sentence", "word"),
+    ("sentence", "where"),
     [
         ("GRASP MACS-NEW MAINTAIN SHARED WRIST", "SHARED"),
         ("GRASP MACS-NEW MAINTAIN SPEED 10 DEG/S", "SPEED"),
     ],
 )
-def test_what_is_not_done_yet_is_refused_by_name(bench, sentence, word):
+def test_what_is_not_done_yet_is_refused_by_name(bench, sentence, where):
     refusal = refusal_of(bench, sentence)
 
     assert refusal.reason is RefusalReason.NO_SCRIPT
-    assert word in refusal.message
+    assert refusal.where == where
     assert refusal.clears
 
 
@@ -508,15 +508,14 @@ def test_a_missing_cell_of_the_table_is_a_clear_refusal(bench):
     refusal = refusal_of(bench, "GRASP SATELLITE")
 
     assert refusal.reason is RefusalReason.NO_SCRIPT
-    assert "SATELLITE" in refusal.message
+    assert refusal.where == "SATELLITE"
     assert in_one_line(refusal.clears) == "GRASP one of MACS-NEW, MACS-OLD"
 
 
 def test_an_action_cannot_be_given_a_trim(bench):
     refusal = refusal_of(bench, "STOW RIGHT-ARM UNLESS FORCE EXCEEDS 9 N THEN STOP AND TRY REGRASP")
 
-    assert "only skills" in refusal.message
-    assert "R78" not in refusal.message
+    assert (refusal.reason, refusal.where) == (RefusalReason.NO_SCRIPT, "REGRASP")
 
 
 def test_a_piece_of_script_that_does_not_exist_is_an_unknown_name(bench):

@@ -44,7 +44,7 @@ def test_a_joint_that_slides_takes_a_length(bench: Bench, values: str, words: st
     found = bench.elaborate(f"MOVE ARM GANTRY TO JOINTS {values}", CellModel(cell))
     assert isinstance(found, Refusal) == bool(words), found
     if isinstance(found, Refusal):
-        assert words in found.message
+        assert words in found.message  # wording: which joint, and what it takes
 
 
 def test_a_hand_whose_name_is_no_word_is_refused_with_the_sentence_that_opens_it(bench: Bench) -> None:

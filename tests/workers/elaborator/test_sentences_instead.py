@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtc.protocol import causes
 from rtc.protocol.advice import by_sentence, sentences_of
 from rtc.protocol.messages import Script, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
@@ -72,7 +73,8 @@ def test_a_level_way_that_none_is_found_for_is_offered_without_that(bench: Bench
     assert turned.succeeded, turned.refusal
     refusal = bench.do("CARRY MACS-NEW TO RACK-1-FRONT" + LEVEL).refusal
     assert refusal is not None
-    assert "off LEVEL" in refusal.message
+    assert isinstance(refusal.cause, causes.OffAttitude)
+    assert refusal.cause.attitude == "LEVEL"
     assert by_sentence("CARRY MACS-NEW TO RACK-1-FRONT", instead=True)[0] in refusal.clears
 
 

@@ -33,7 +33,7 @@ def test_a_grammar_that_does_not_compile_is_a_refusal_of_the_program() -> None:
     refusal = parse_job("sentence: nonsense", "HALT")
     assert isinstance(refusal, Refusal)
     assert refusal.reason is RefusalReason.PROGRAM
-    assert "nonsense" in refusal.message
+    assert refusal.where == "the grammar"
 
 
 def test_a_meaning_that_does_not_fit_its_production_is_a_refusal_of_the_program() -> None:

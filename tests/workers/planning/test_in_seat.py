@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rtc.protocol.advice import sentences_of
+from rtc.protocol.causes import InSeat
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.spatial import geometry
@@ -60,7 +61,7 @@ def test_two_arms_do_not_turn_a_module_in_its_seat(both_in_the_bay):
     refused = both_in_the_bay.bind(script, step)
 
     assert isinstance(refused, Refusal)
-    assert MODULE in refused.message
+    assert refused.cause == InSeat(arm="RIGHT-ARM", seat="BAY-2")
 
 
 def test_the_binder_refuses_what_has_been_elaborated_before_the_grasp(bench):

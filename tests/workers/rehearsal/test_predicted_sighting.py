@@ -23,7 +23,7 @@ def test_a_look_at_what_a_closed_door_hides_is_not_feasible() -> None:
     paper = OnPaper(SERVICING)
     hidden = paper.test("LOCATE BAY-2").refusal
     assert hidden is not None
-    assert "CAMERA-1: DOOR-2 panel is before it" in hidden.message
+    assert "CAMERA-1: DOOR-2 panel is before it" in hidden.message  # wording: what hides it
     assert paper.test("LOCATE MACS-OLD").refusal is not None
     assert paper.test("SET DOOR-2 ANGLE 95 DEG").refusal is None
     assert paper.test("LOCATE MACS-OLD").refusal is None
@@ -45,7 +45,7 @@ def test_a_look_that_would_see_two_attitudes_is_not_feasible() -> None:
     """Two of its eight tags are not hidden, and they are nearly in one plane with the camera."""
     vague = OnPaper().test("LOCATE BAY-2").refusal
     assert vague is not None
-    assert "two attitudes" in vague.message
+    assert "two attitudes" in vague.message  # wording: why not
 
 
 def test_an_arm_before_a_tag_hides_it() -> None:

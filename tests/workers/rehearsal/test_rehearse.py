@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from rtc.protocol import wire
+from rtc.protocol import causes, wire
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.protocol.primitive import GoalReached, JointTrajectory, Primitive, StopFunction, TimeAbove
@@ -135,7 +135,7 @@ def test_exact_arms_refuse_what_must_give_way_and_do_the_rest():
     assert grasp.rehearsal.steps[-2].reason == StopReason.REFUSED  # then a trim closes the hand without compliance
     opened = paper.test("OPEN DOOR-2 BY 60 DEG WITH LEFT-ARM")
     assert opened.refusal is not None
-    assert "exact" in opened.refusal.message
+    assert opened.refusal.cause == causes.ExactArm(arm="LEFT-ARM")
 
 
 # --- live motions ----------------------------------------------------------------------------------------
@@ -201,7 +201,7 @@ def test_a_stated_fact_is_there_for_the_next_sentence(paper: OnPaper):
     paper.test(GRASP)
     found = paper.test(LIFT)
     assert found.refusal is not None
-    assert "30 kg" in found.refusal.message
+    assert found.refusal.cause.mass_kg == 30.0
 
 
 def test_a_suspect_fact_is_refused_as_in_a_real_sentence(paper: OnPaper):

@@ -193,7 +193,7 @@ def test_a_remote_worker_of_another_version_ends_with_the_reason(broker: Broker)
     refusal = Refusal(reason=RefusalReason.VERSION, message="parser speaks version 3, this cluster version 2")
     broker.send(m.Declined(request="", refusal=refusal))
     broker.thread.join(10)
-    assert refusal.message in broker.why[0]
+    assert refusal.message in broker.why[0]  # wording: of the broker, unchanged
 
 
 def test_the_health_file_shows_the_age_of_the_last_answer(broker: Broker, tmp_path: Path) -> None:

@@ -65,7 +65,6 @@ def test_a_load_whose_weight_a_joint_cannot_hold_is_refused_with_the_joint(weigh
     assert refusal.cause.joint in weighed.joints
     assert abs(refusal.cause.torque_nm) > refusal.cause.limit_nm
     assert 0 <= refusal.fraction <= 1
-    assert "60 kg" in refusal.message
 
 
 def test_weight_and_motion_together_keep_within_the_torques(weighed, home):
