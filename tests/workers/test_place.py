@@ -195,9 +195,9 @@ def test_on_physics_a_bay_that_is_14_mm_off_is_named_and_the_advice_leads_in(phy
 
     failed = physical.do("PLACE MACS-NEW ON BAY-2")
 
-    stated, looked = failed.assessments[-1].clears
-    assert (stated.sentences, stated.states[-1:]) == (["LIFT MACS-NEW BY 30 CM"], ["BAY-2.frame"])
-    assert looked.sentences == ["LIFT MACS-NEW BY 30 CM", "LOCATE BAY-2"]
+    first, *others = failed.assessments[-1].clears
+    assert (first.sentences[-1], first.states[-1]) == ("LIFT MACS-NEW BY 30 CM", "BAY-2.frame")
+    assert any(one.sentences[-2:] == ["LIFT MACS-NEW BY 30 CM", "LOCATE BAY-2"] for one in others)
     assert physical.world.get("BAY-2.frame").validity is Validity.SUSPECT
     for sentence in ("LIFT MACS-NEW BY 30 CM", "STOW RIGHT-ARM", "LOCATE BAY-2"):
         assert physical.do(sentence).succeeded, sentence
