@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping
+from json import loads
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -143,11 +145,21 @@ def _state(rtc: Client, name: str, now: View) -> Facts:
 def load(file: Path) -> SavedWorld:
     """Raises typer.Exit with the reason printed."""
     try:
-        saved = msgspec.json.decode(file.read_bytes(), type=SavedWorld)
+        text = file.read_bytes()
+        saved = msgspec.json.decode(text, type=SavedWorld)
+        loads(text, object_pairs_hook=_once)  # of equal keys the decoder takes the last one
         wire.encode(saved)  # its numbers may be too large for a message
         return saved
     except (OSError, ValueError, OverflowError) as error:
         raise cli_error(f"{file} is no file of `rtc world save`: {error}", 2) from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Raises ValueError for a key that is given twice."""
+    keys = Counter(key for key, _ in pairs)
+    if twice := [key for key, n in keys.items() if n > 1]:
+        raise ValueError(f"{twice[0]} is given twice")
+    return dict(pairs)
 
 
 def as_saved(facts: Iterable[Fact]) -> dict[str, SavedFact]:

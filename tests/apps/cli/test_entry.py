@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import zmq
 
 ROOT = Path(__file__).parents[3]
 #: `rtc`, announced on stderr as soon as its first function can be called
@@ -76,3 +77,23 @@ def test_what_a_command_loads(words: list[str], none_of: set[str], tmp_path: Pat
     loaded = done.stdout.splitlines()[-1].split()
     assert "sys" in loaded, done.stderr
     assert not none_of & set(loaded)
+
+
+#: what a halt loads besides the standard library; the last three belong to the first ones
+OF_A_HALT = {"rtc", "zmq", "msgspec", "typing_extensions", "cython_runtime", "_cython"}
+
+
+@pytest.mark.slow
+@pytest.mark.untimed
+def test_what_a_halt_loads(tmp_path: Path) -> None:
+    """With a listener that answers nothing: all that it loads, for its order, its wait and its result."""
+    listed = "import sys; bare = {*sys.modules}\nfrom rtc.apps.cli import entry\ntry: entry.main()\n"
+    listed += "finally: print(*({*sys.modules} - bare))"
+    command = [sys.executable, "-P", "-c", listed, "halt", "--timeout", "0.01", "--run-dir", str(tmp_path)]
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as broker:
+        broker.bind(f"ipc://{tmp_path}/halt.sock")
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert broker.poll(10_000)
+    packages = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()} - sys.stdlib_module_names
+    assert {"rtc", "zmq", "msgspec"} <= packages, done.stderr
+    assert {"_cython" if name.startswith("_cython") else name for name in packages} <= OF_A_HALT

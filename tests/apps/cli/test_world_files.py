@@ -80,3 +80,16 @@ def test_a_file_with_a_value_that_no_message_can_have_is_refused(tmp_path, value
     file.write_bytes(b'{"cell": "c", "facts": {"A.mass": {"value": ' + value + b"}}}")
     with pytest.raises(typer.Exit):
         load(file)
+
+
+@pytest.mark.parametrize(
+    "facts",
+    ['"A.mass": {"value": 1}, "A.mass": {"value": 2}', '"A.mass": {"value": 1, "value": 2}'],
+)
+def test_a_key_that_is_given_twice_is_refused(facts: str, tmp_path, capsys) -> None:
+    """The last one was taken, as of a cell file before `rtc cell check` looked."""
+    file = tmp_path / "facts.json"
+    file.write_text(f'{{"cell": "c", "facts": {{{facts}}}}}')
+    with pytest.raises(typer.Exit):
+        load(file)
+    assert "is given twice" in capsys.readouterr().err
