@@ -269,6 +269,24 @@ def taken_apart(text: str) -> list[str]:
     ]
 
 
+def test_tests_look_at_facts_and_where_they_read_a_message_they_say_why() -> None:
+    """By a comment that begins with "wording"."""
+    files = sorted((ROOT / "tests").rglob("*.py"))
+    assert [line for path in files for line in read_messages(path)] == []
+
+
+def read_messages(path: Path) -> list[str]:
+    text = path.read_text()
+    lines = text.splitlines()
+    return [
+        f"{place(path)}:{node.lineno}"
+        for node in (ast.walk(ast.parse(text)) if ".message" in text else ())
+        if isinstance(node, ast.Assert)
+        if any(isinstance(part, ast.Attribute) and part.attr == "message" for part in ast.walk(node.test))
+        if not any("# wording" in line for line in lines[node.lineno - 1 : node.end_lineno])
+    ]
+
+
 @pytest.mark.parametrize(
     "line", ["HALT.fullmatch(note.message)", "note.found.partition(': ')", "re.sub('a', '', n.note)"]
 )

@@ -469,7 +469,6 @@ def test_a_halt_of_nothing_is_not_confirmed_although_nothing_of_it_moves(
         for _ in range(20):  # whichever answer comes first
             result = rtc.halt(scope)
             assert (result.confirmed, result.declined) == (False, True)
-            assert scope in result.message
 
 
 def test_a_halt_of_a_command_that_has_ended_is_confirmed(run_dir: Path) -> None:
@@ -495,7 +494,6 @@ def test_the_halt_of_an_unknown_command_is_not_confirmed(run_dir: Path, monkeypa
     with Client(run_dir, need_broker=False) as rtc:
         result = rtc.halt(ENDED)
     assert (result.confirmed, result.declined) == (False, False)
-    assert "only the broker knows" in result.message
     broker.stop()
 
 
@@ -531,7 +529,6 @@ def test_a_halt_that_no_one_will_confirm_is_answered_at_once(broker: SmallBroker
         result = rtc.halt(scope, timeout_s=600.0)
     assert time.monotonic() - called_at_s < 60.0
     assert (result.confirmed, result.declined) == (False, False)  # it was obeyed
-    assert "too many calls" in result.message
 
 
 @pytest.mark.parametrize("overloaded", ["halt", "estop"])
@@ -549,7 +546,7 @@ def test_a_halt_without_rest_is_not_confirmed(broker: SmallBroker, run_dir: Path
         result = rtc.halt(timeout_s=0.2)
 
     assert not result.confirmed
-    assert why in result.message
+    assert why in result.message  # wording: what is awaited
     assert result.latency_s is not None
 
 

@@ -90,7 +90,7 @@ def test_what_has_come_to_rest_is_stated_while_the_line_waits_for_others(setting
     [words] = stated
     assert "MCM: rest confirmed" in words
     assert result.confirmed is answered
-    assert answered or result.message == "MCM-2 has not answered; MCM rests"
+    assert answered or result.message == "MCM-2 has not answered; MCM rests"  # wording: who
     assert answered or "NOT CONFIRMED" in as_text(in_words(result), False)
 
 

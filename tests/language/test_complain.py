@@ -197,13 +197,13 @@ def test_wrong_sentence(marked: str, expected: list[str], nearest: list[str], wo
     assert refusal.column == marked.index("¦")
     assert refusal.expected == expected
     assert refusal.nearest == nearest
-    assert words in refusal.message
+    assert words in refusal.message  # wording: what stands beside the caret
 
 
 def test_bytes_that_are_no_text_are_located_in_characters() -> None:
     refusal = refused("GRASP é".encode() + b"\xff X")
     assert refusal.column == len("GRASP é")
-    assert "0xFF" in refusal.message
+    assert "0xFF" in refusal.message  # wording: what stands beside the caret
 
 
 def test_a_cut_character_is_located_where_it_begins() -> None:
@@ -227,7 +227,7 @@ def test_control_bytes_come_before_everything_else() -> None:
 
 def test_messages_quote_only_the_beginning_of_long_words() -> None:
     refusal = refused("X" * 1500)
-    assert refusal.message == "X" * 37 + "... is not a verb of the language."
+    assert refusal.message == "X" * 37 + "... is not a verb of the language."  # wording: cut
 
 
 def test_columns_hold_in_upper_and_lower_case_and_behind_tabs() -> None:

@@ -377,7 +377,7 @@ def check_settled(sentence: str | bytes) -> None:
     assert result.column is not None
     assert 0 <= result.column <= min(len(sentence), MAX_CHARACTERS)
     assert result.expected
-    assert result.message.isprintable()
+    assert result.message.isprintable()  # wording: whatever was typed
     msgspec.msgpack.encode(result)
 
 

@@ -156,7 +156,7 @@ def test_a_sample_succeeds_or_its_refusal_is_true_of_the_cell(name: str) -> None
         assert run.succeeded, (run.refusal, run.failure)
         return
     refused: Any = run.refusal or run.failure
-    assert sample.words in refused.message
+    assert sample.words in refused.message  # wording: as the page of the sample has it
     assert refused.clears or run.refusal.expected
 
 
@@ -173,4 +173,4 @@ def test_a_sample_for_the_broker_succeeds_or_its_refusal_is_true(name: str) -> N
         cluster.tick()
     outcome = cluster.outcomes[command]
     assert outcome.kind is (OutcomeKind.REFUSED if sample.words else OutcomeKind.SUCCEEDED), outcome
-    assert sample.words in outcome.message
+    assert sample.words in outcome.message  # wording: as the page of the sample has it

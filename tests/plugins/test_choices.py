@@ -166,7 +166,7 @@ def test_a_trimmer_that_fails_is_named_and_the_next_one_is_asked(install: Instal
     bench.subsystem.instead["C-1.5"] = StopReason.FORCE_LIMIT
     done = bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
     assert done.trims[:1] == [2]
-    assert any("trimmer EVIL" in one.message for one in done.assessments)
+    assert any("trimmer EVIL" in one.message for one in done.assessments)  # wording: whose code has failed
 
 
 MARK = "from rtc.sensing.detector import Mark\nimport numpy as np\n"

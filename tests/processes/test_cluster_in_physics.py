@@ -56,7 +56,6 @@ def test_a_guarded_move_stops_at_the_contact_without_the_broker(run_dir: Path) -
         assert geometry.distance(stopped.tcp[ARM], after.tcp[ARM]) < 0.0002  # it holds
         assert end.outcome.kind is OutcomeKind.FAILED
         assert end.outcome.stop is StopReason.CONTACT
-        assert "as asked: UNLESS CONTACT THEN STOP" in end.outcome.message
 
 
 def test_an_arm_that_is_pushed_at_rest_is_braked_and_reported_and_can_leave(run_dir: Path) -> None:
@@ -68,7 +67,7 @@ def test_an_arm_that_is_pushed_at_rest_is_braked_and_reported_and_can_leave(run_
         rtc.undo_fault("ALL")
         assert ended.outcome.kind is OutcomeKind.FAILED
         arm, other = sorted(before, key=lambda name: name in ended.outcome.message, reverse=True)
-        assert ended.outcome.message.startswith(f"{arm} moved without a command")
+        assert ended.outcome.message.startswith(f"{arm} moved without a command")  # wording: which arm
         (mcm,) = (row for row in rtc.status().subsystems if row.name == "MCM")
         assert any(arm in words for words in mcm.strayed)
         facts = {fact.key: fact for fact in rtc.world.view(keys=[arm]).facts}

@@ -96,7 +96,7 @@ def test_the_job_of_a_killed_worker_is_done_by_another(rtc: Client, chaos: Chaos
             if again:
                 break
             struck.clear()
-        assert [(note.about, note.message) for note in again] == [(struck[0].name, "exit status -9")]
+        assert [note.about for note in again] == [struck[0].name]
         assert begun(run_dir, end.command) == 1
         address = {row.name: row.node for row in processes(run_dir).values()}
         assert address[struck[0].name] == int(struck[0].name.partition("@")[2])  # under its address
@@ -234,7 +234,7 @@ def test_the_commands_of_a_dead_client_are_halted_if_it_wanted_that(rtc: Client,
     assert record is not None
     assert record.outcome is not None
     assert record.outcome.kind is OutcomeKind.HALTED
-    assert any("its client disconnected" in note.message for note in record.notes)
+    assert any("its client disconnected" in note.message for note in record.notes)  # wording: why
     assert rtc.trace(free.number).phase is m.Phase.EXECUTING  # no other command was halted
     free.halt()
     assert free.wait(LIMIT_S).outcome.kind is OutcomeKind.HALTED

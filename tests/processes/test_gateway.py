@@ -152,7 +152,7 @@ def test_an_observer_sees_all_and_commands_nothing(new_key: Callable[[str], Path
         assert refusal_of(rtc, STOW) is RefusalReason.NOT_ALLOWED
         halted = rtc.halt()
         assert not halted.confirmed
-        assert "observer" in halted.message
+        assert "observer" in halted.message  # wording: why not
         with pytest.raises(RequestDeclined, match="not allowed"):
             rtc.load("binder", Path(__file__))
         assert here.status().halts.called == 0 or here.status().commands_live == 0

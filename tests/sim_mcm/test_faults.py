@@ -84,7 +84,7 @@ def test_the_joint_that_is_stuck_is_named(physical, make, stuck) -> None:
     goal = [q + by for q, by in zip(start, (-0.4, 0.4, -0.4, -0.3, -0.4, -0.4), strict=True)]
     report = physical.do(make.joint_path(start, goal, 1.0), watch=watch)
     assert report.reason is StopReason.FOLLOWING_ERROR
-    assert report.message.startswith(f"joint_{stuck} ")
+    assert report.message.startswith(f"joint_{stuck} ")  # wording: the joint that is named
 
 
 def test_a_motion_is_made_to_end_for_a_reason_once(exact) -> None:

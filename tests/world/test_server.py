@@ -58,17 +58,17 @@ def test_the_same_job_again_writes_nothing(server):
 
 
 @pytest.mark.parametrize(
-    ("request_", "complaint"),
+    ("request_", "where"),
     [
-        (commit("j", {"A.seat": "X"}, key=b"other" * 7), "not signed by this cluster's broker"),
-        (commit("j", {"B.seat": "X"}), "B.seat is outside the lease of j, which is for A"),
-        (commit("j", {"A.seat": "X", "A.frame": [0.0] * 7}), "unit quaternion"),
+        (commit("j", {"A.seat": "X"}, key=b"other" * 7), "j"),
+        (commit("j", {"B.seat": "X"}), "B.seat"),
+        (commit("j", {"A.seat": "X", "A.frame": [0.0] * 7}), "A.frame"),
     ],
 )
-def test_a_refused_commit_writes_nothing_at_all(server, request_, complaint):
+def test_a_refused_commit_writes_nothing_at_all(server, request_, where):
     answer = server.answer(request_, 0.0)
     assert answer.refusal.reason == RefusalReason.NOT_ALLOWED
-    assert complaint in answer.refusal.message
+    assert answer.refusal.where == where
     assert (server.store.version, server.store.facts["A.seat"].value) == (1, "BAY-1")
 
 

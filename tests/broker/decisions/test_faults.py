@@ -36,7 +36,7 @@ def test_the_operator_finds_it_among_the_commands():
     (ended,) = (effect.record for effect in s.log if type(effect).__name__ == "ReportEnd")
     assert ended.text == "RIGHT-ARM moved without a command"
     assert ended.outcome.kind is OutcomeKind.FAILED
-    assert "joint_3 by 1.2 deg" in ended.outcome.message
+    assert "joint_3 by 1.2 deg" in ended.outcome.message  # wording: of the subsystem
 
 
 @pytest.mark.parametrize(("arm", "ends"), [("RIGHT-ARM", True), ("LEFT-ARM", False)])

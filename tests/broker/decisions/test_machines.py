@@ -12,7 +12,7 @@ from broker.decisions.program_rollout import ROLLOUT
 from broker.decisions.state import Deferral, HaltPhase, JobKind, LinkState, RolloutPhase
 from broker.decisions.subsystem_link import LINK
 from rtc.protocol.messages import WorkerKind
-from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 from tests.broker.harness import Harness, bound, go_on, script
 
 
@@ -69,7 +69,7 @@ def test_a_command_between_two_steps_ends_with_its_subsystem(between):
     s = Harness()
     between(s)
     assert s.mcm_gone()[-1] == "end C-1 lost_subsystem"
-    assert s.outcome("C-1").message == "MCM was lost: killed"
+    assert s.outcome("C-1").kind is OutcomeKind.LOST_SUBSYSTEM
 
 
 def closing(s: Harness) -> None:
@@ -155,14 +155,14 @@ def test_the_trace_of_a_halt_sentence_names_who_confirmed_rest():
     s.says("HALT ALL")
     s.rests("C-1")
     (end,) = (e.record for e in s.log if isinstance(e, ReportEnd))
-    assert (end.outcome.message, end.notes[-1].node) == ("ALL at rest", "MCM")
+    assert (end.outcome.kind, end.notes[-1].node) == ("succeeded", "MCM")
 
 
 def test_a_halt_sentence_ends_when_something_in_scope_is_not_at_rest():
     s = Harness()
     s.says("HALT ALL")
     s.rests("C-1", at_rest=False)
-    assert s.outcome("C-1").message == "MCM is not at rest"
+    assert s.outcome("C-1").kind is OutcomeKind.HALT_NOT_CONFIRMED
 
 
 # --- subsystem link ----------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from broker.decisions.events import HaltConfirmed, PrimitiveEnded, SubsystemConn
 from broker.decisions.state import ParsedHead
 from broker.decisions.subsystem_link import MAX_SUBSYSTEMS
 from rtc.protocol.messages import Declined, Phase
+from rtc.protocol.outcomes import RefusalReason
 from tests.broker.harness import Harness, bound, go_on, record, report, script
 from tests.simulation.invariants import violations
 
@@ -31,7 +32,7 @@ def test_one_client_has_so_many_live_and_another_is_taken(story: Harness) -> Non
     assert story.says("X", request="3") == ["tell ann Declined"]
     declined = story.log[-1].message
     assert isinstance(declined, Declined)
-    assert "3 of one client" in declined.refusal.message
+    assert declined.refusal.reason is RefusalReason.OVERLOAD
     assert "tell bob Accepted C-4" in story.says("X", client="bob", request="3")
     story.declines("C-1")
     assert "tell ann Accepted C-5" in story.says("X", request="4")

@@ -53,7 +53,7 @@ def test_what_is_refused_for_its_place_is_refused_again(s):
     s.answers("C-1", record(after="LAST"))
     s.says("STOW AFTER LAST", client="cid")
     again, before = s.outcome("C-2").refusal, s.outcome("C-1").refusal
-    assert (again.reason, again.message) == (before.reason, before.message)
+    assert (again.reason, again.where, again.expected) == (before.reason, before.where, before.expected)
     assert "C-1" in in_one_line(again.clears)  # the same advice is not given anew
 
 

@@ -36,8 +36,7 @@ def test_a_script_must_fit_the_binder_in_use(tmp_path, stop, fits):
         assert loaded.changes[0] == "scripts: mine is new"
     else:
         assert isinstance(loaded, Refusal)
-        assert "mine.yaml, line 4: " in loaded.message
-        assert "no stop class move_fast; there are" in loaded.message
+        assert loaded.message.startswith("mine.yaml, line 4: ")  # wording: the place in the file
 
 
 def test_what_was_loaded_is_taken_away_again(tmp_path):

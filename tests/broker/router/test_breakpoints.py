@@ -28,7 +28,7 @@ def test_a_step_that_no_command_reaches_is_refused(cell: str) -> None:
     beyond = last_step(bodies, "STOW") + 1
     refused = refusal_of([Breakpoint("STOW", 1), Breakpoint("STOW", beyond)], bodies)
     assert refused is not None
-    assert f"step {beyond}" in refused.message
+    assert f"step {beyond}" in refused.message  # wording: which of the two breakpoints
     assert f"1 to {last_step(alone, 'STOW')}" in in_one_line(refused.clears)
 
 

@@ -33,7 +33,7 @@ def supervised() -> Bench:
 def test_a_stranger_that_calls_itself_mcm_is_refused_in_words(supervised: Bench) -> None:
     stranger = m.SubsystemHello(protocol=VERSION, name="MCM", pid=8, performers=["LEFT-ARM"])
     (refused,) = supervised.send("subsystems", b"MCM", stranger, m.Heartbeat(name="MCM"))
-    assert "pid 7" in refused.refusal.message
+    assert "pid 7" in refused.refusal.message  # wording: who has the name
     assert supervised.state.subsystems["MCM"].pid == 7
     supervised.router.enqueue(made(HaltCalled, at_s=supervised.now, client="x", halt="H", scope="ALL"))
     assert [type(order) for order in supervised.send("subsystems", OURS, m.Heartbeat(name="MCM"))] == [m.HaltOrder]

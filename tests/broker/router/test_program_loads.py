@@ -45,7 +45,7 @@ def test_no_one_waits_for_a_program_that_is_checked(slow: Bench) -> None:
     assert isinstance(reply, m.StatusReply)
     Slow.started[0].checked = CheckResult(error="mine.lark: it takes more than 3 s")
     (declined,) = slow.send("front", b"ann", m.ClientHello(protocol=VERSION, client="ann"))[1:]
-    assert declined.refusal.message == "mine.lark: it takes more than 3 s"
+    assert declined.refusal.message == "mine.lark: it takes more than 3 s"  # wording: of the check
 
 
 def test_programs_are_checked_one_after_the_other_each_upon_the_one_before(slow: Bench) -> None:

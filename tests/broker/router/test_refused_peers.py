@@ -50,7 +50,7 @@ def test_a_hello_of_another_version_is_refused_with_both_versions(
 ) -> None:
     (declined,) = bench.send(socket, peer, of_version(hello, version))
     assert (declined.request, declined.refusal.reason) == ("", RefusalReason.VERSION)
-    assert {str(version), str(VERSION)} <= set(declined.refusal.message.split())
+    assert {str(version), str(VERSION)} <= set(declined.refusal.message.split())  # wording: both versions
     assert refused(bench) == [{"name": peer.decode(), "socket": socket, "protocol": version}]
     assert (bench.router.core.registry.workers, bench.state.subsystems) == ({}, {})
     assert bench.router.core.supervised is False

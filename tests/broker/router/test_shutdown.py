@@ -6,7 +6,7 @@ import pytest
 
 from broker.router.loop import ORPHAN_LIMIT_S
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.outcomes import OutcomeKind, RefusalReason
 from tests.broker.harness import Harness, script
 from tests.broker.router.bench import MCM, Bench, forwarded
 
@@ -17,7 +17,7 @@ def test_a_cluster_that_is_stopped_ends_its_commands_and_takes_no_more(working: 
         answers = working.send("supervisor", supervisor, m.Shutdown())
         assert m.AllEnded(commands=["C-1"]) in answers, asked
     (declined,) = working.send("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
-    assert "is being stopped" in declined.refusal.message
+    assert declined.refusal.reason is RefusalReason.STATE
     known = working.send("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
     assert [type(answer) for answer in known] == [m.Accepted, m.CommandEnded]
     assert known[1].outcome.kind is OutcomeKind.HALTED
@@ -47,8 +47,6 @@ def test_without_its_supervisor_it_sends_every_client_an_outcome_in_time(bench: 
         (done, OutcomeKind.HALTED),
         (silent, OutcomeKind.HALT_NOT_CONFIRMED),
     ]
-    assert "until the world database is updated" in ended[done].message
-    assert "no report after the supervisor's death" in ended[silent].message
     assert bench.now - began_s == pytest.approx(ORPHAN_LIMIT_S, abs=0.01)
 
 

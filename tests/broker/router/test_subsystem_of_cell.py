@@ -14,7 +14,6 @@ def test_a_subsystem_that_the_cell_does_not_have_is_refused() -> None:
     bench = Bench()
     (declined,) = bench.send("subsystems", b"LAMP", LAMP)
     assert declined.refusal.reason is RefusalReason.NOT_ALLOWED
-    assert "LAMP" in declined.refusal.message
     (reply,) = bench.send("front", b"observer", m.StatusQuery(request="q"))
     assert [(row.name, row.socket) for row in reply.status.refused] == [("LAMP", "subsystems")]
     assert bench.state.subsystems == {}

@@ -35,7 +35,7 @@ def test_a_job_of_little_processor_time_is_done_once_however_long_it_takes(worki
     refused = m.JobRefused(id="C-1/1", attempt=1, refusal=m.Refusal(reason="sentence", message="done"))
     working.send("workers", b"parser@0", m.ResultBatch(name="parser@0", results=[refused]))
     (ended,) = [message for message in forwarded(working) if isinstance(message, m.CommandEnded)]
-    assert ended.outcome.message == "done"
+    assert ended.outcome.refusal.reason == "sentence"
 
 
 @pytest.mark.parametrize("worked_s", [20.0, 0.0])  # it computes without end; it waits without end
@@ -49,7 +49,7 @@ def test_a_job_that_hangs_some_workers_is_poison(working: Bench, worked_s: float
     (ended,) = [message for message in forwarded(working) if isinstance(message, m.CommandEnded)]
     assert ended.outcome.refusal is not None
     assert ended.outcome.refusal.reason == "poison"
-    assert inside in ended.outcome.refusal.message
+    assert inside in ended.outcome.refusal.message  # wording: whose code has failed
 
 
 def subsystem_beats(bench: Bench, share: float, by_the_clock_s: float) -> None:

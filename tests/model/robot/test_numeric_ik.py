@@ -127,7 +127,7 @@ def test_a_slide_has_no_turns_and_its_limit_is_stated_in_mm(gantry):
     assert gantry.step_weights[0] == 1.0
     refusal = gantry.why_not_within([0.9, *[0.0] * 6])
     assert refusal is not None
-    assert "900 mm" in refusal.message
+    assert "900 mm" in refusal.message  # wording: the unit of a slide
     target = gantry.fk([0.6, 0.3, 0.8, -2.2, 0.5, 0.9, -0.4])
     assert all(-0.8 <= q[0] <= 0.8 for q in gantry.ik(target))
 
@@ -186,8 +186,8 @@ def test_what_an_arm_with_few_joints_cannot_reach_is_refused_with_its_reason():
     assert arm.ik(tilted) == []
     why = arm.why_no_ik(tilted)
     assert why is not None
-    assert "11 deg" in why.message
-    assert "with 4 joints" in why.message
+    assert isinstance(why.cause, causes.OutOfReach)
+    assert math.degrees(why.cause.turned_rad) == pytest.approx(11.5, abs=0.5)
 
 
 def test_the_margin_of_a_slide_is_some_millimetres():
@@ -199,4 +199,4 @@ def test_the_margin_of_a_slide_is_some_millimetres():
     assert len(arm.ik(arm.fk(near_the_end), arm.middle, three_deg)) == 1
     refusal = arm.why_not_within(arm.limits.lower + 0.004, three_deg)
     assert refusal is not None
-    assert refusal.message.endswith("with a margin of 5 mm")
+    assert refusal.message.endswith("with a margin of 5 mm")  # wording: the unit of a slide

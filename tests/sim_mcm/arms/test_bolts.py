@@ -131,7 +131,7 @@ def test_without_a_driver_in_the_hand_nothing_begins(make) -> None:
     made = make.primitive(p.SpindleMotion(turn_rad=1.0, speed_rad_s=1.0, torque_nm=1.0))
     ((_, answer),) = McmSubsystem(world.arms, pid=1).handle(m.Execute(primitive=made), BROKER, 0.0)
     assert answer.reason is StopReason.REFUSED
-    assert "physics" in answer.message
+    assert "physics" in answer.message  # wording: of a report, which has no cause
     assert world.arms[ARM].spindle().turned_rad == 0.0
 
 

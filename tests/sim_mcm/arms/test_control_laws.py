@@ -106,7 +106,7 @@ def test_a_primitive_is_executed_under_an_added_law_in_physics(install, cell, ma
     finally:
         world.close()
     assert refused.reason is StopReason.REFUSED
-    assert "wn" in refused.message
+    assert "wn" in refused.message  # wording: which gain is wrong
     assert report.reason is StopReason.GOAL
     assert report.joints == pytest.approx([*start[:-1], start[-1] + 0.3], abs=1e-3)
 
@@ -163,5 +163,5 @@ def test_a_law_that_fails_is_replaced_at_once_and_its_primitive_ends(install, ce
     finally:
         world.close()
     assert report.reason is StopReason.FOLLOWING_ERROR
-    assert "control law evil" in report.message
+    assert "control law evil" in report.message  # wording: whose code has failed
     assert after.reason is StopReason.GOAL

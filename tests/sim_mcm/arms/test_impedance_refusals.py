@@ -80,7 +80,7 @@ def test_an_exact_arm_refuses_to_comply(cell, make) -> None:
     answer = executor.accept(make.primitive(p.HoldStill(duration_s=1.0), control_law=law), 0.0)[0]
     assert isinstance(answer, m.EndReport)
     assert answer.reason is StopReason.REFUSED
-    assert "exact arm" in answer.message
+    assert "exact arm" in answer.message  # wording: of a report, which has no cause
 
 
 def test_an_exact_arm_refuses_the_reflex_comply(cell, make) -> None:
@@ -89,4 +89,4 @@ def test_an_exact_arm_refuses_the_reflex_comply(cell, make) -> None:
     answer = executor.accept(make.primitive(p.HoldStill(duration_s=1.0), trip), 0.0)[0]
     assert isinstance(answer, m.EndReport)
     assert answer.reason is StopReason.REFUSED
-    assert "exact arm" in answer.message
+    assert "exact arm" in answer.message  # wording: of a report, which has no cause

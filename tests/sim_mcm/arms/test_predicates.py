@@ -57,14 +57,14 @@ def test_a_joint_that_comes_near_its_limit(world, perform, turn) -> None:
     way = turn(highest - 0.05 - world.arms[ARM].read().joints[-1], 3.0)
     report = perform(way, StopReason.JOINT_LIMIT, p.JointMarginBelow(0.1))
     assert report.reason is StopReason.JOINT_LIMIT
-    assert report.message.startswith("joint_6 ")
+    assert report.message.startswith("joint_6 ")  # wording: the joint that is named
     assert 0.05 < highest - report.joints[-1] < 0.1
 
 
 def test_a_joint_that_is_too_fast(perform, turn) -> None:
     report = perform(turn(-1.0, 1.0), StopReason.OVERSPEED, p.SpeedAbove(0.3))
     assert report.reason is StopReason.OVERSPEED
-    assert report.message.startswith("joint_6 ")
+    assert report.message.startswith("joint_6 ")  # wording: the joint that is named
     assert report.measured == pytest.approx(report.limit, rel=0.05)
 
 
@@ -101,4 +101,4 @@ def test_a_body_that_touches_a_link(world, perform) -> None:
     pybullet.resetBaseVelocity(body.module, [0.0, 0.0, -0.15], physicsClientId=client)
     report = perform(p.HoldStill(duration_s=3.0), StopReason.COLLISION, p.BodyTouch())
     assert report.reason is StopReason.COLLISION
-    assert report.message.endswith(f" touches {MODULE}")
+    assert report.message.endswith(f" touches {MODULE}")  # wording: the body that is named

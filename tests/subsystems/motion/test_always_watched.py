@@ -61,7 +61,7 @@ def test_an_arm_that_does_not_follow_is_stopped_for_that(rig) -> None:
     report = rig.until_end()
     assert report.reason is StopReason.FOLLOWING_ERROR
     assert report.measured == pytest.approx(0.25)
-    assert "joint_1 is -14.3 deg from where it is commanded to be" in report.message
+    assert "joint_1 is -14.3 deg from where it is commanded to be" in report.message  # wording: the joint
 
 
 def test_an_arm_that_runs_away_is_stopped_for_that(rig, make) -> None:
@@ -71,7 +71,7 @@ def test_an_arm_that_runs_away_is_stopped_for_that(rig, make) -> None:
     rig.arm.read = lambda: m_replace(read(), [0.0, 0.0, 0.0, 0.0, 0.0, 7.0])
     report = rig.until_end()
     assert report.reason is StopReason.OVERSPEED
-    assert "joint_6 turns at 7.00 rad/s" in report.message
+    assert "joint_6 turns at 7.00 rad/s" in report.message  # wording: the joint
 
 
 def m_replace(sample, velocities):

@@ -84,7 +84,6 @@ def test_it_ends_where_it_stands_if_the_other_arm_does_not_come_there_any_more(b
     report = end_of(bench, SECOND)
     assert report.reason is StopReason.BLOCKED
     assert report.duration_s > 0.0
-    assert "C-7.1 has ended before it left" in report.message
     assert report.joints[0] != pytest.approx(bench.simulation.arms[ARM].read().joints[0])
     assert pair(bench).second.path_s <= 0.8
 
@@ -103,7 +102,7 @@ def test_all_its_waits_together_have_a_limit(bench, swing, make):
     bench.handle(m.Execute(primitive=swing(SECOND, OTHER, after(0.0, (0.8, 15.0), within_s=0.5))))
     bench.tick(5000)
     assert end_of(bench, SECOND).reason is StopReason.BLOCKED
-    assert "within 0.5 s" in end_of(bench, SECOND).message
+    assert 0.5 < end_of(bench, SECOND).duration_s < 2.0  # the other arm would be there for 15 s
 
 
 def test_a_pause_while_it_stands_is_reported_and_ends_although_it_may_not_go_on(bench, swing):

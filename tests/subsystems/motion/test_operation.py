@@ -198,7 +198,7 @@ def test_cannot_ends_the_primitive_at_once(hands_on) -> None:
     it.drive(0.2, twist=up())
     assert it.answer(done=False, why="it is stuck") == ""
     [report] = [s for s in it.tick(1500) if isinstance(s, m.EndReport)]
-    assert (report.reason, report.message) == (StopReason.OPERATOR_CANNOT, "it is stuck")
+    assert (report.reason, report.message) == (StopReason.OPERATOR_CANNOT, "it is stuck")  # wording: the operator's
 
 
 def test_a_pause_holds_the_arm_and_its_clock(hands_on) -> None:

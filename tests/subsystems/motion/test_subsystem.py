@@ -85,7 +85,6 @@ def test_another_primitive_of_a_known_id_is_refused_and_not_answered_from_memory
     bench.tick(ticks)
     (answer,) = kinds(bench.handle(m.Execute(primitive=swing(duration_s=2.0))), m.EndReport)
     assert answer.reason is StopReason.REFUSED
-    assert "a different primitive with the id C-7.1" in answer.message
 
 
 def test_two_arms_work_at_the_same_time(bench, swing) -> None:
@@ -99,7 +98,7 @@ def test_a_busy_arm_refuses_and_goes_on(bench, swing) -> None:
     bench.handle(m.Execute(primitive=swing("C-7.1")))
     (answer,) = kinds(bench.handle(m.Execute(primitive=swing("C-8.1"))), m.EndReport)
     assert answer.reason is StopReason.REFUSED
-    assert "busy with C-7.1" in answer.message
+    assert answer.primitive == "C-8.1"
     reasons = {report.primitive: report.reason for report in kinds(bench.tick(1010), m.EndReport)}
     assert reasons["C-7.1"] is StopReason.GOAL
 
@@ -108,7 +107,7 @@ def test_an_unknown_performer_is_refused_by_name(bench, swing, make) -> None:
     wanted = make.primitive(p.HoldStill(), performer="THIRD-ARM")
     (answer,) = kinds(bench.handle(m.Execute(primitive=wanted)), m.EndReport)
     assert answer.reason is StopReason.REFUSED
-    assert all(name in answer.message for name in ("THIRD-ARM", "RIGHT-ARM", "LEFT-ARM"))
+    assert all(name in answer.message for name in ("THIRD-ARM", "RIGHT-ARM", "LEFT-ARM"))  # wording: the names
 
 
 def test_hello_tells_what_is_under_way_and_says_kept_reports_again(bench, swing) -> None:
@@ -317,7 +316,7 @@ def test_what_was_sent_in_ignorance_of_a_halt_does_not_begin_after_it(bench, swi
     blind = m.Execute(primitive=swing("C-7.2"))
     (report,) = kinds(bench.handle(blind), m.EndReport)
     assert report.reason is StopReason.HALT
-    assert "not yet acknowledged halt H-1" in report.message
+    assert report.primitive == "C-7.2"
     assert bench.subsystem.idle
 
 
@@ -466,7 +465,7 @@ def test_what_does_not_decode_is_refused_with_the_id_that_can_be_read(bench, cha
     assert order is not None
     ((peer, report),) = bench.handle(order)
     assert (peer, report.primitive, report.performer, report.reason) == (BROKER, "C-7.1", ARM, StopReason.REFUSED)
-    assert words in report.message
+    assert words in report.message  # wording: what is wrong with the order
     assert len(report.joints) == 6
     assert bench.subsystem.outstanding == ["C-7.1"]  # until it is acknowledged
     assert bench.handle(order) == [(BROKER, report)]
@@ -491,5 +490,5 @@ def test_what_decodes_or_has_no_id_is_not_answered_so() -> None:
 def test_an_id_that_no_halt_would_find_is_refused(bench, swing, name: str) -> None:
     (report,) = kinds(bench.handle(m.Execute(primitive=swing(name))), m.EndReport)
     assert report.reason is StopReason.REFUSED
-    assert "valid primitive name" in report.message
+    assert report.primitive == name
     assert bench.subsystem.idle

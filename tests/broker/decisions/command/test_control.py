@@ -59,7 +59,7 @@ def test_the_answer_to_pause_or_resume_states_what_will_happen(verb, before, mes
     for word in [*before, verb]:
         command = s.parsed(kind="control", verb=word, object="C-1")
     outcome = s.outcome(command)
-    assert outcome.message == message
+    assert outcome.message == message  # wording: it is the answer
     assert outcome.kind is (OutcomeKind.REFUSED if "not" in message else OutcomeKind.SUCCEEDED)
 
 
@@ -69,7 +69,7 @@ def test_a_pause_in_the_last_step_is_refused():
     outcome = s.outcome(s.parsed(kind="control", verb="PAUSE", object="C-1"))
     assert outcome.refusal is not None
     assert outcome.kind is OutcomeKind.REFUSED
-    assert "last step" in outcome.message
+    assert outcome.refusal.reason is RefusalReason.STATE
     assert "HALT C-1" in in_one_line(outcome.refusal.clears)
 
 
@@ -89,7 +89,6 @@ def test_a_motion_pauses_on_its_path_and_goes_on_even_in_the_last_step():
         "pause C-1.1 at MCM",
     ]
     assert s.outcome("C-2").kind is OutcomeKind.SUCCEEDED
-    assert "step 1 of 1" in s.outcome("C-2").message
     s.handle(PrimitivePaced, subsystem="MCM", primitive="C-1.1", paused=True, done=0.4)
     stands = s.state.commands["C-1"].notes[-1]
     assert (stands.kind, stands.value) == (NoteKind.STANDS, 0.4)
@@ -161,7 +160,7 @@ def test_a_command_that_is_being_halted_is_not_resumed():
     s.halts()
     resume = s.parsed(kind="control", verb="RESUME", object="C-1")
     assert s.outcome(resume).kind is OutcomeKind.REFUSED
-    assert "is ending" in s.outcome(resume).message
+    assert s.outcome(resume).refusal.reason is RefusalReason.STATE
     assert s.outcome(resume).refusal.clears
 
 
@@ -187,7 +186,7 @@ def test_a_control_word_that_finds_nothing_says_so():
     s = Harness()
     s.parsed(kind="control", verb="ABORT", object="ALL")
     assert s.outcome("C-1").kind is OutcomeKind.SUCCEEDED
-    assert "nothing" in s.outcome("C-1").message
+    assert "nothing" in s.outcome("C-1").message  # wording: it is the answer
 
 
 @pytest.mark.parametrize("verb", ["PAUSE", "RESUME", "ABORT"])
@@ -197,5 +196,5 @@ def test_an_idle_arm_is_nothing_to_act_on_and_an_unknown_name_is_refused(verb):
     s.parsed(kind="control", verb=verb, hand="RIGHT-ARM")
     s.parsed(kind="control", verb=verb, object="NOWHERE")
     kind = "succeeded" if verb == "ABORT" else "refused"
-    assert (s.outcome("C-1").kind, s.outcome("C-1").message) == (kind, f"{verb} had nothing to act on")
+    assert s.outcome("C-1").kind == kind
     assert s.outcome("C-2").refusal.reason == "name"

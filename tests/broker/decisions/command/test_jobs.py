@@ -36,7 +36,7 @@ def test_three_deaths_are_poison_and_name_the_evidence():
     assert s.loses_worker("C-1") == ["note C-1 ended", "end C-1 refused"]
     assert s.outcome("C-1").refusal.reason is RefusalReason.POISON
     assert s.outcome("C-1").refusal.cause.deaths[2] == "worker: exit -9"
-    assert s.outcome("C-1").refusal.message.endswith("3 times: exit -9")
+    assert len(s.outcome("C-1").refusal.cause.deaths) == 3
 
 
 def test_a_job_that_only_lay_with_a_dead_worker_is_not_blamed():

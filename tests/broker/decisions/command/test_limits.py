@@ -72,4 +72,4 @@ def test_of_an_overdue_report_and_then_no_rest_the_cause_comes_first():
     s.answers("C-1", give_up(StopReason.HALT))
     outcome = s.outcome("C-1")
     assert (outcome.kind, outcome.stop) == (OutcomeKind.HALT_NOT_CONFIRMED, StopReason.TIMEOUT)
-    assert outcome.message.startswith("MCM gave no end report within")
+    assert outcome.message.startswith("MCM gave no end report within")  # wording: the cause comes first

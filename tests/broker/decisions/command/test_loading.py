@@ -27,7 +27,7 @@ def ended(sentence: str) -> object:
 def test_the_result_of_a_load_states_what_has_changed() -> None:
     outcome = ended("LOAD CENTERING-GRASP INTO ELABORATOR")
     assert outcome.kind is OutcomeKind.SUCCEEDED
-    assert "grasp_centering.yaml is in use already" in outcome.message
+    assert "grasp_centering.yaml is in use already" in outcome.message  # wording: it is the answer
 
 
 def test_a_load_into_no_kind_of_worker_is_refused() -> None:

@@ -61,7 +61,6 @@ def test_a_primitive_of_another_name_is_not_sent(name):
     assert not [line for line in s.answers("C-1", bound(name)) if line.startswith("primitive")]
     refusal = s.outcome("C-1").refusal
     assert refusal.reason is RefusalReason.PROGRAM
-    assert "which is not the next one of C-1" in refusal.message
 
 
 def test_a_primitive_that_no_subsystem_could_read_is_not_sent():
@@ -72,7 +71,7 @@ def test_a_primitive_that_no_subsystem_could_read_is_not_sent():
     assert not [line for line in s.answers("C-1", product) if line.startswith("primitive")]
     refusal = s.outcome("C-1").refusal
     assert refusal.reason is RefusalReason.PROGRAM
-    assert "F is not complete" in refusal.message
+    assert "F is not complete" in refusal.message  # wording: what is wrong with the primitive
 
 
 def test_a_primitive_that_no_analyzer_could_judge_is_not_sent():
@@ -137,7 +136,6 @@ def test_an_analyzer_that_refuses_ends_the_command_and_closes_its_names_until_th
     s = Harness()
     s.analyzing(script(resources=("RIGHT-ARM", "MODULE")))
     assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused", "timer C-1/4"]
-    assert "become suspect" in s.outcome("C-1").message
     assert s.state.resources.quarantine == dict.fromkeys(("RIGHT-ARM", "MODULE"), (WORLD, "C-1"))
     assert s.rings("C-1/4") == ["job C-1/4 analyzer #3 lease MODULE+RIGHT-ARM doubt"]
     assert s.tells("C-1") == []
@@ -181,4 +179,5 @@ def test_the_remark_of_the_last_step_is_in_the_outcome():
     s = Harness()
     s.analyzing()
     s.answers("C-1", msgspec.structs.replace(go_on(), remark="5 cm more"))
-    assert (s.outcome("C-1").kind, s.outcome("C-1").message) == (OutcomeKind.SUCCEEDED, "5 cm more")
+    assert s.outcome("C-1").kind is OutcomeKind.SUCCEEDED
+    assert s.outcome("C-1").message == "5 cm more"  # wording: the remark of the analyzer

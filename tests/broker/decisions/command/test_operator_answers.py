@@ -49,7 +49,7 @@ def test_a_done_that_is_not_proved_is_refused_and_may_come_again() -> None:
     first, _ = answer(s, "DONE")
     s.handle(events.AnswerWasRefused, primitive=f"{asked}.1", message="it is 310 mm away")
     assert s.outcome(first).kind is OutcomeKind.REFUSED
-    assert "310 mm" in s.outcome(first).message
+    assert "310 mm" in s.outcome(first).message  # wording: of the subsystem, for the operator
     assert s.phase(asked) == "executing"
     second, _ = answer(s, "DONE")
     s.reports(asked, StopReason.OPERATOR_DONE)
