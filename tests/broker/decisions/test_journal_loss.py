@@ -67,8 +67,8 @@ def test_a_client_that_waits_for_a_lost_command_receives_its_true_end():
     s = Harness()
     loses(s)
     asks(s, "r17", known_as="C-17")
-    told = [e.message for e in s.log if isinstance(e, TellClient)]
-    assert Accepted(request="r17", command="C-17") in told
+    answers = [e.message for e in s.log if isinstance(e, TellClient)]
+    assert Accepted(request="r17", command="C-17") in answers
     outcome = s.outcome("C-17")
     assert outcome.kind is OutcomeKind.FAILED
     assert "how far it came is not known" in outcome.message  # wording: why
