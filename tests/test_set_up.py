@@ -13,16 +13,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMIT_S = 30.0
-#: stands for the Python of the environment: it writes what pip writes, and goes on when the test has seen it
+#: stands for the Python of the environment: it writes what pip writes, and goes on when the test has seen it. It reads
+#: again if it met the end of the writer before
 PIP = """#!/bin/sh
 case "$*" in *"pip install"*) ;; *) exit 0 ;; esac
 for n in 1 2 3 4 5 6 7 8 9 10 11 12; do echo "Collecting package-$n"; done
-read go < {pipe}
+until read go < {pipe}; do :; done
 echo "Building wheels for collected packages: telerobot-rtc"
 echo "Building wheel for telerobot-rtc"
-read go < {pipe}
+until read go < {pipe}; do :; done
 echo "Installing collected packages: package-1"
-read go < {pipe}
+until read go < {pipe}; do :; done
 exit {status}
 """
 

@@ -131,9 +131,10 @@ def by_the_button(page: Page) -> None:
 
 
 def as_tested(page: Page) -> None:
-    page.type(slow_move(page))
+    sentence = slow_move(page)
+    page.type(sentence)
     page.press("Enter", modifiers=8)
-    page.wait("rtcConsole.state.prediction !== null")
+    page.wait(f"document.querySelector('#tested.fine code')?.textContent === {sentence!r}")
     page.click("#tested button.primary")
 
 
@@ -208,6 +209,14 @@ def test_sentences_of_one_advice_are_tested_one_after_the_other_and_done_so(page
     page.click("#tested button.primary")
     page.wait(ENDED.format(text="RETRACT RIGHT-ARM BY 5 CM", kind="succeeded"))
     assert page.ask(ENDED.format(text="RELEASE MACS-NEW", kind="succeeded"))
+
+
+@pytest.mark.usefixtures("at_home")
+def test_the_advice_for_a_sentence_goes_with_the_next_one(page: Page):
+    page.ask("rtcConsole.submit('PLACE MACS-OLD ON RACK-2') && 0")
+    page.wait("document.querySelector('#tested:not([hidden]).advice button') !== null")
+    page.ask("rtcConsole.submit('STOW RIGHT-ARM') && 0")
+    page.wait("document.querySelector('#tested').hidden")
 
 
 @pytest.mark.usefixtures("at_home")
@@ -326,7 +335,7 @@ def test_a_test_of_another_client_is_not_shown(page: Page, run_dir: Path):
         client.run(text)
     page.wait(ENDED.format(text=text, kind="succeeded"))
     assert page.ask("rtcConsole.state.prediction?.text") != text
-    assert "LEFT-ARM" not in page.ask("document.querySelector('#tested').textContent")
+    assert text.removeprefix("TEST ") not in page.ask("document.querySelector('#tested').textContent")
 
 
 @pytest.mark.usefixtures("at_home")

@@ -78,6 +78,7 @@ export async function submit(sentence, about = {}) {
   if (!clean) return '';
   closeCompletion(editor);
   leaveFields();
+  if (tested.className === 'advice') tested.hidden = true;
   earlier = [...earlier.filter((one) => one !== clean), clean].slice(-KEPT);
   at = earlier.length;
   sessionStorage.setItem('sentences', JSON.stringify(earlier));
@@ -85,7 +86,7 @@ export async function submit(sentence, about = {}) {
   const sentMs = performance.now();
   const answer = await post('/sentence', { text: clean, ...about }).catch(() => ({ error: 'the gateway does not answer: it was not sent' }));
   if (answer.command) {
-    state.chosen = answer.command;
+    newest = state.chosen = answer.command;
     takeOwn(answer.command);
     typed.set(answer.command, text().trim() === clean ? clean : '');
     if (text().trim() === clean) put('');
@@ -218,8 +219,10 @@ function showTested() {
 // --- advice: an alternative is tested on paper when it is pressed, and then done as tested ---
 
 let tried = []; // sentences of the alternative whose last test is shown
+let newest = ''; // command of this page; the advice of earlier ones would take the place of its test
 
 function offerAdvice(command, { kind, refusal }) {
+  if (command !== newest) return;
   const { text } = state.rows.get(command);
   const options = kind === 'succeeded' || TEST.test(text) ? [] : (refusal?.clears ?? []).filter((one) => !one.states);
   const buttons = options.map(({ sentences = [], words = '', again }) => [[...sentences, ...(again ? [text] : [])], words])
