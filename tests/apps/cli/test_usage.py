@@ -29,6 +29,8 @@ from rtc.runtime.settings import LOCK, Settings, shell_command
         ("demo grasp --speed abc", "--speed is a number above 0, or max; not abc"),
         ("demo grasp --speed 0", "--speed is a number above 0, or max; not 0"),
         ("demo graps", "did you mean grasp?"),
+        ("do --advice 1 C-1 C-2", "--advice takes the number of one command at most"),
+        ("do --advice 1 --file plan.txt", "--advice takes the number of one command at most"),
         ("demo grasp --part insertion", "--test and --part are for the demo swapout, not for grasp"),
         ("up --speed inf", "--speed is a number above 0, or max; not inf"),
         ("up --speed nan", "--speed is a number above 0, or max; not nan"),
