@@ -9,7 +9,7 @@ saturated       every core has a busy process, and sentences stream through the 
 planning        the other arm is planned for all the time, and moves
 hung_worker     a binder with a job is stopped
 broker_stopped  SIGSTOP: only the estop socket is left
-operator        an operator in a process of his own moves the arm, by 50 twists per second
+operator        an operator in an own process moves the arm, by 50 twists per second
 shared          the same, while the program moves it along its path: MAINTAIN SHARED WRIST
 compliant       both arms under impedance, the other one holding, and every core has a busy process
 carrying        both arms under impedance carry one module, every core has a busy process, and both are halted at once;
@@ -61,7 +61,7 @@ SENTENCES = {
 }
 BY_HAND = ("operator", "shared")  # without a halt or DONE these sentences do not end
 HAND_M_S, HAND_RAD_S = 0.08, 0.2  # of the operator
-COUNTED_S = 0.3  # a message of his has counted within this time, also after a halt
+COUNTED_S = 0.3  # a message of the operator has counted within this time, also after a halt
 MOVING_RAD_S = 0.05  # a faster joint counts as moving
 MOTION_S = 20.0  # maximum wait for a motion
 LATER_S = 0.15  # the halt comes at a random time within this after the start

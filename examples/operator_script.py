@@ -60,7 +60,7 @@ def main() -> None:
             while not done(rtc) and hand.request:
                 follow(hand, 0.0)
         except BaseException:
-            rtc.run("TAKE RIGHT-ARM FROM OPERATOR")  # what he does not finish stays his
+            rtc.run("TAKE RIGHT-ARM FROM OPERATOR")  # what is not finished stays the operator's
             raise
         command.wait(LIMIT_S).raise_for_outcome()
         rtc.run("STOW RIGHT-ARM").raise_for_outcome()

@@ -38,7 +38,7 @@ FOR_OTHERS = {
     "SubsystemHalt.own_rest_s": "an answer of `rtc.client.halt`; `examples/swapout` reads it",
     "ObjectRow.true_pose": "a row of `rtc look --json`",
     "WorkerRow.mean_ms": "a row of `rtc status --json`, and of `benchmarks.scaling`",
-    "ArmSample.operation": "what an operator is asked to do, for the program of his hand controller",
+    "ArmSample.operation": "what an operator is asked to do, for the program of a hand controller",
 }
 #: members that are made from a text or number, with the code that does it
 CONVERTED = {

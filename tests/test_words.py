@@ -26,10 +26,13 @@ RETIRED = {
     "front door": "connection of the client",
     "gate": "gateway",
     "give_out": "assign (a job), create (a job)",
+    "he": "the operator",
     "hear": "receive, handle",
     "heard": "received, handled",
     "hearing": "receiving, handling",
     "hears": "receives, handles",
+    "him": "the operator",
+    "his": "of the operator",
     "knock": "connect",
     "legs": "path segments",
     "lifeline": "heartbeat",
@@ -81,7 +84,7 @@ ALLOWED: tuple[tuple[str, str, str], ...] = (
     ("gate", "", "logs/gate.log"),
     ("gate", "tests/processes/test_gateway.py", "dropped_gate_"),
     ("gate", "tests/broker/gateway/test_refusals.py", "gate_stale"),
-    # Keys of messages and of programs.
+    ("his", "CHANGELOG.md", "`his`"),
     # A parameter of the library rich.
     ("fold", "rtc/apps/cli/output.py", 'overflow="fold"'),
 )

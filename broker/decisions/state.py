@@ -489,7 +489,7 @@ class Surrender(msgspec.Struct, kw_only=True):
     sentence: str
     """Asks the operator for the same."""
     waiting: list[str] = []
-    """Commands that were to follow it or to use its arms; they wait for him, or for RESUME."""
+    """Commands that were to follow it or to use its arms; they wait for the operator, or for RESUME."""
 
 
 class Advised(msgspec.Struct):

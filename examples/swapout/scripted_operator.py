@@ -2,8 +2,8 @@
 
 Each dialogue is a function of `Hands`; it runs in a thread, with a client of its own, while the planner waits. Hands
 use what a person sees: the request, the goal that is shown with it, the measured force, whether the head of a bolt
-moves. On a busy machine some of what he wants comes too late and does nothing: what a refused DONE shows to be missing,
-he does again. A dialogue that cannot go on says CANNOT with the reason, which fails its command.
+moves. On a busy machine some messages come too late and do nothing: what a refused DONE shows to be missing, is done
+again. A dialogue that cannot go on says CANNOT with the reason, which fails its command.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ LIMIT_S = 1200.0  # of each wait, on a machine with many busy processes
 
 
 class Act(NamedTuple):
-    """What he did, and how it was taken; an empty `why`: it was accepted."""
+    """What was done, and how it was taken; an empty `why`: it was accepted."""
 
     what: str
     why: str
 
 
 class Hands:
-    """His hands at one arm, and what he did."""
+    """Hands at one arm, and what they did."""
 
     def __init__(
         self, rtc: Client, hand: HandController, record: Callable[[Act], None], over: Callable[[], bool]
@@ -58,7 +58,7 @@ class Hands:
 
     @property
     def operation(self) -> m.Operation:
-        """What he may do now. Raises RtcError if the arm is not his any more."""
+        """What may be done now. Raises RtcError if the arm is not the operator's any more."""
         operation = self._hand.operation
         if operation is None:
             raise RtcError(f"{self._hand.arm} is not the operator's any more")
@@ -66,16 +66,16 @@ class Hands:
 
     @property
     def seen(self) -> m.ArmSample:
-        self.operation  # noqa: B018 - the arm is his
+        self.operation  # noqa: B018 - the arm is the operator's
         assert self._hand.state is not None
         return self._hand.state
 
     def wait(self, words: str) -> None:
-        """Until he is asked for this. Raises RtcError after the limit."""
+        """Until this is asked for. Raises RtcError after the limit."""
         end_s = time.monotonic() + LIMIT_S
         while words not in self._hand.request:
             if self._over() or time.monotonic() > end_s:
-                raise RtcError(f"he is not asked to {words}, but: {self._hand.request or 'nothing'}")
+                raise RtcError(f"the request is not to {words}, but: {self._hand.request or 'nothing'}")
             time.sleep(PERIOD_S)
         self._record(Act(f"is asked: {self._hand.request}", ""))
 
@@ -101,7 +101,7 @@ class Hands:
         return outcome
 
     def done(self, again: Callable[[], None] = lambda: None) -> None:
-        """DONE until it is believed; `again`: what he does after each refusal. Raises RtcError after the limit."""
+        """DONE until it is believed; `again`: what is done after each refusal. Raises RtcError after the limit."""
         end_s = time.monotonic() + LIMIT_S
         while True:
             self.let_go()
@@ -112,7 +112,7 @@ class Hands:
             again()
 
     def close_by_mistake(self) -> None:
-        """Until the answer says that the hand is not his. Raises RtcError after the limit."""
+        """Until the answer says that the hand is not the operator's. Raises RtcError after the limit."""
         end_s = time.monotonic() + LIMIT_S
         while "the hand" not in (why := self.hold(hand="close")):
             if time.monotonic() > end_s:
@@ -136,12 +136,12 @@ class Hands:
         end_s = time.monotonic() + LIMIT_S
         while float(np.linalg.norm(self.seen.wrench[:3])) < FELT_N:
             if time.monotonic() > end_s:
-                raise RtcError("he feels nothing")
+                raise RtcError("nothing is felt")
             self.hold(twist=[*(FEEL_M_S * along), 0.0, 0.0, 0.0])
 
 
 def turn_the_bolt(it: Hands, cell: Cell) -> None:
-    """C13: the bolt whose driver has slipped. He looks, errs twice, seats the driver by feel, and turns."""
+    """C13: the bolt whose driver has slipped. Looks, errs twice, seats the driver by feel, and turns."""
     it.wait(f"neighborhood of {BOLT}")
     at = it.seen.tcp_pose
     ahead = geometry.rotate(at, [0.0, 0.0, 1.0])
@@ -155,14 +155,14 @@ def turn_the_bolt(it: Hands, cell: Cell) -> None:
     it.feel(ahead)
     it.done()
     it.wait(f"turn {BOLT}")
-    it.rtc.undo_fault(StrippedBolt(bolt=BOLT).name)  # in his hands the driver bites
+    it.rtc.undo_fault(StrippedBolt(bolt=BOLT).name)  # by hand the driver bites
     it.say("DONE")
     _turn(it)
     it.done(lambda: _turn(it))
 
 
 def _turn(it: Hands) -> None:
-    """Until the head rests: the spindle stops by itself after what was asked, or nothing that he wants has come in
+    """Until the head rests: the spindle stops by itself after what was asked, or no message has come in
     time."""
     end_s, before = time.monotonic() + LIMIT_S, it.rtc.truth().poses[BOLT]
     while time.monotonic() < end_s:
@@ -177,7 +177,7 @@ def _turn(it: Hands) -> None:
 
 
 def guide_the_wrist(it: Hands, cell: Cell) -> None:
-    """C27: the program brings the module before the bay, and he holds it level, after a turn that he takes back."""
+    """C27: the program brings the module before the bay; a person holds it level, after a turn that is taken back."""
     it.wait("its WRIST is yours")
     it.say("DONE")
     level = cell.place(PLACE).poses[it.arm].pose
@@ -186,7 +186,7 @@ def guide_the_wrist(it: Hands, cell: Cell) -> None:
 
 
 def _hold_level(it: Hands, level: Array, aside: int = 0) -> None:
-    """Until the arm is at the end of the way with this attitude. `aside`: for so many moments he also turns the hand
+    """Until the arm is at the end of the way with this attitude. `aside`: for so many moments the hand is also turned
     away. Raises RtcError after the limit."""
     end_s = time.monotonic() + LIMIT_S
     for moment in itertools.count():
@@ -202,12 +202,12 @@ def _hold_level(it: Hands, level: Array, aside: int = 0) -> None:
 
 
 Dialogue = Callable[[Hands, Cell], None]
-#: label of a line -> what he does for it
+#: label of a line -> its dialogue
 DIALOGUES: dict[str, Dialogue] = {"C13": turn_the_bolt, "C27": guide_the_wrist}
 
 
 class ScriptedOperator:
-    """Performs the dialogue of a line, from its begin to its end. `acts`: label -> what he did, in order."""
+    """Performs the dialogue of a line, from its begin to its end. `acts`: label -> what was done, in order."""
 
     def __init__(self, run_dir: Path, cell: Cell, arm: str = "RIGHT-ARM") -> None:
         self.acts: dict[str, list[Act]] = {}
@@ -221,7 +221,7 @@ class ScriptedOperator:
         self._thread.start()
 
     def end(self, label: str) -> Sequence[Act]:
-        """What he did, once his command has ended."""
+        """What was done, once the command has ended."""
         assert self._thread is not None
         self._over.set()
         self._thread.join(LIMIT_S)

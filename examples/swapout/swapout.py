@@ -2,7 +2,7 @@
 
 `swapout.txt` has the sentences. A line is given as soon as the lines that it depends on have ended (`lines`); the
 cluster finds out which may be performed at once. The result is checked against the simulator's truth. BOLT-2 slips in
-the driver (C12), so the operator, who is a program here, loosens it (C13); he also holds the module level before the
+the driver (C12), so the operator, who is a program here, loosens it (C13), and holds the module level before the
 bay (C27). A part of the task, or a run in which something goes wrong, is some of the lines.
 """
 
@@ -332,7 +332,7 @@ def track(spans: dict[str, list[float]], scale: float) -> str:
 
 
 def check_dialogue(narrator: Narrator, label: str, acts: Sequence[Act]) -> None:
-    """The operator has erred and was refused, and what he has proved was believed."""
+    """The operator has erred and was refused; what was proved was believed."""
     for what, why in acts:
         narrator.line(f"{label:>4}  operator {what}{f': refused, {why}' if why else ''}", "dim")
     refused = [what for what, why in acts if why]
@@ -341,7 +341,7 @@ def check_dialogue(narrator: Narrator, label: str, acts: Sequence[Act]) -> None:
         f"{label}: refused {', '.join(refused) or 'nothing'}; the last DONE is believed", ended and "DONE" in refused
     )
     if label == "C13":
-        narrator.check("C13: the fingers are not his to close", "closes the hand" in refused)
+        narrator.check("C13: the operator may not close the fingers", "closes the hand" in refused)
 
 
 def check_surrender(narrator: Narrator, course: Course) -> None:

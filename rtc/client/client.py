@@ -272,7 +272,7 @@ class Client(ClientSession):
         return subscribe(self.context, self.endpoints, "telemetry", reader(m.Telemetry), silence_s)
 
     def hand(self, arm: str, operator: str = "OPERATOR") -> HandController:
-        """The stream of an operator's hand to an arm that he has. Use it as a context manager. Over tcp it needs the
+        """The stream of an operator's hand to a granted arm. Use it as a context manager. Over tcp it needs the
         key of an operator; what has seen nothing of the arm for 200 ms does nothing. Raises KeyTrouble for another
         key, ClusterError without telemetry of this arm."""
         return HandController(self.context, self.endpoints, arm, operator, self.round_trip_s)

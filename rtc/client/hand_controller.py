@@ -1,8 +1,8 @@
-"""The stream of an operator's hand to an arm that he has: `Client.hand`.
+"""The stream of an operator's hand to a granted arm: `Client.hand`.
 
     with Client() as client, client.hand("RIGHT-ARM", "ADA") as hand:
         print(hand.request)
-        hand.move([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])  # 50 times per second while he holds the deadman
+        hand.move([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])  # 50 times per second while the deadman is held
         hand.release()
 
 Each message carries the latest time that this process has seen of the subsystem, so one that was delayed does nothing.
@@ -65,13 +65,13 @@ class HandController:
 
     @property
     def operation(self) -> m.Operation | None:
-        """What he may do with the arm now; None: it is not his."""
+        """What the operator may do with the arm now; None: nothing."""
         self._look(0.0)
         return self.state.operation if self.state is not None else None
 
     @property
     def request(self) -> str:
-        """What he is asked to do; empty: the arm is not his."""
+        """What the operator is asked to do; empty: nothing."""
         return operation.request if (operation := self.operation) is not None else ""
 
     def move(

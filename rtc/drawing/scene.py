@@ -181,7 +181,7 @@ def true_scene(truth: m.SimTruthReply) -> SceneView:
 
 def request_camera(cameras: Sequence[Camera], arm: str, seen: m.ArmSample) -> str:
     """The camera for the picture of a request to the operator: the one on this hand, else the fixed one whose axis
-    passes nearest to where he shall bring it. Empty: there is neither."""
+    passes nearest to where it shall go. Empty: there is neither."""
     if carried := next((one.name for one in cameras if one.arm == arm), ""):
         return carried
     goal = (seen.operation.centre if seen.operation is not None else []) or seen.tcp_pose[:3]

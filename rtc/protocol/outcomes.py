@@ -102,11 +102,11 @@ class StopReason(StrEnum):
     BLOCKED = "blocked"  # not started, or stopped on its way: another arm has not left the space that it needs
     SUBSYSTEM_LOST = "subsystem_lost"  # the subsystem was lost before its report
     # Answers of the operator to a request.
-    OPERATOR_DONE = "operator_done"  # he has done it, and the subsystem has proved it
-    OPERATOR_CANNOT = "operator_cannot"  # he cannot do it
+    OPERATOR_DONE = "operator_done"  # it is done, and the subsystem has proved it
+    OPERATOR_CANNOT = "operator_cannot"  # it cannot be done
 
 
-#: Answers of the operator: only what he performs ends with one.
+#: Answers of the operator: only what the operator performs ends with one.
 OF_OPERATOR = frozenset({StopReason.OPERATOR_DONE, StopReason.OPERATOR_CANNOT})
 
 PRIORITY: dict[StopReason, int] = {reason: n for n, reason in enumerate(StopReason)}

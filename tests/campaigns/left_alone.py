@@ -1,7 +1,7 @@
 """Does a sentence lead on after a pause of an hour, and after an operator who has left?
 
-A command is paused in its motion for an hour, or an operator has an arm, moves it and leaves: his page is closed with
-the deadman held, he lets go and says nothing, or his grant is ended by another one. An hour later a second person says
+A command is paused in its motion for an hour, or an operator has an arm, moves it and leaves: the page is closed with
+the deadman held, or let go without a word, or the grant is ended by another one. An hour later a second person says
 a sentence. What waits says what it waits for, and what ends that; this is followed literally, and so is the advice of
 what fails (`tests.campaigns.advice`). A run is done if the sentence succeeds within four sentences, and free if its arm
 does. Arms of exact kinematics, with Decision Unit, workers and MCM in one process; no tick passes in the hour.
@@ -231,7 +231,7 @@ def _pause(cluster: OneProcess, command: str, drawn: Drawn) -> bool:
 
 
 def _operate(cluster: OneProcess, command: str, drawn: Drawn) -> bool:
-    """The operator has the arm, moves it and leaves. False: it was not handed to him."""
+    """The operator has the arm, moves it and leaves. False: it was not handed over."""
     executor = cluster.mcm.executors[drawn.arm]
     for _ in range(LIMIT):
         if executor.operated is not None or command in cluster.outcomes:

@@ -44,7 +44,7 @@ class Grant(NamedTuple):
     least_m: float  # of all its ticks
     pair: str
     touched_n: float  # the greatest normal force
-    end: str  # reason of the stop that ended it; empty: he let go
+    end: str  # reason of the stop that ended it; empty: the deadman was let go
     way_m: float  # how far the tcp has come
 
 

@@ -1,4 +1,4 @@
-"""Can a stream of an operator move an arm where F or his grant does not allow it?
+"""Can a stream of an operator move an arm where F or its grant does not allow it?
 
 Both exact arms with the real F of three sentences: GIVE, a step VIA OPERATOR-INTERVENTION, MAINTAIN SHARED. The grants
 are drawn: a ball, fingers, axes shared with the program, speeds. Up to three hands send to both arms, at 5 to 1000
@@ -109,11 +109,11 @@ class Judge:
             return False
         numbers = (*wanted.twist, wanted.turn, wanted.seen_at_s)
         age_s = now_s - wanted.seen_at_s
-        his = (self.motion.hand or not wanted.hand) and (self.motion.spindle or not wanted.turn)
+        granted = (self.motion.hand or not wanted.hand) and (self.motion.spindle or not wanted.turn)
         another = self.holder not in (b"", caller) and now_s - self.held_at_s <= STALE_S
         of_a_hand = all(abs(part) <= HAND_M_S for part in wanted.twist)
         recent = of_a_hand and all(map(math.isfinite, numbers)) and -TICK_S <= age_s <= STALE_S
-        return recent and his and not another and not (wanted.hold and self.executor.paused)
+        return recent and granted and not another and not (wanted.hold and self.executor.paused)
 
     def counted(self, wanted: m.Operate, caller: bytes, now_s: float) -> None:
         self.held_at_s = now_s
@@ -143,7 +143,7 @@ class Judge:
         if self.grant is not None and self.motion.hand:
             self._hand = self.executor.hand
         elif self.executor.hand != self._hand:
-            yield "the fingers move, which are not his"
+            yield "the fingers move, which are not granted"
         if not moves:
             self._tcp = self._place()
         elif self.bench.ticks % 5 == 0:
@@ -223,7 +223,8 @@ class Bench:
         here = executor.arm.tcp_pose(executor.sample.joints)
         changed: dict[str, Any] = {"speed_m_s": float(drawn.choice([0.01, motion.speed_m_s]))}
         if kind == "shared":
-            changed |= {"along": self._path(executor.sample.joints), "his": SHARES[drawn.integers(len(SHARES))]}
+            axes = SHARES[drawn.integers(len(SHARES))]
+            changed |= {"along": self._path(executor.sample.joints), "operator_axes": axes}
         elif kind == "step":
             way = drawn.normal(size=3)
             away_m = drawn.choice([0.0, 0.02, 0.2])

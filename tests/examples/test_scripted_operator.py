@@ -1,4 +1,4 @@
-"""The operator of the swap-out, who is a program: he moves where he is asked, and repeats DONE until it is believed."""
+"""The operator of the swap-out is a program: it moves where it is asked, and repeats DONE until it is believed."""
 
 from __future__ import annotations
 
@@ -72,14 +72,14 @@ def hands(arm: Arm) -> Hands:
     return Hands(arm, arm, arm.acts.append, lambda: arm.over)  # type: ignore[arg-type]
 
 
-def test_he_brings_the_arm_to_a_pose() -> None:
+def test_the_operator_brings_the_arm_to_a_pose() -> None:
     arm, goal = Arm(), geometry.from_rpy([0.05, -0.02, 0.1], [0.2, 0.0, -0.1])
     hands(arm).go(goal)
     assert geometry.distance(arm.pose, goal) < 0.002
     assert geometry.angle(arm.pose, goal) < 0.011
 
 
-def test_he_says_done_until_it_is_believed_and_gives_up_after_that() -> None:
+def test_the_operator_says_done_until_it_is_believed_and_gives_up_after_that() -> None:
     arm = Arm(believed=3)
     hands(arm).done()
     assert [bool(why) for _, why in arm.acts] == [True, True, False]
@@ -94,7 +94,7 @@ def test_a_mistaken_close_is_recorded_as_refused() -> None:
 
 
 class Starved(Arm):
-    """On a busy machine: only every hundredth moment of his stream is in time, and turns the bolt a little."""
+    """On a busy machine: only every hundredth moment of the stream is in time, and turns the bolt a little."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -116,7 +116,7 @@ class Starved(Arm):
         return SimpleNamespace(outcome=Outcome(kind=kind, message="" if good else f"{self.turned} of 8 turns"))
 
 
-def test_he_turns_again_what_a_refused_done_shows_to_be_missing() -> None:
+def test_the_operator_turns_again_what_a_refused_done_shows_to_be_missing() -> None:
     arm = Starved()
     it = hands(arm)
     it.done(lambda: scripted_operator._turn(it))
@@ -124,30 +124,30 @@ def test_he_turns_again_what_a_refused_done_shows_to_be_missing() -> None:
     assert len(arm.acts) >= 8  # a poll in which nothing moves is no proof
 
 
-def test_he_waits_for_the_answer_to_a_mistake() -> None:
+def test_the_operator_waits_for_the_answer_to_a_mistake() -> None:
     arm = Starved()
     hands(arm).close_by_mistake()
     assert arm.acts == [Act("closes the hand", "the hand is not part of this request")]
 
 
-def test_he_does_not_go_on_without_the_arm() -> None:
+def test_the_operator_does_not_go_on_without_the_arm() -> None:
     arm = Arm()
     arm.request = ""
     with pytest.raises(RtcError, match="not the operator's"):
         hands(arm).feel(np.array([0.0, 0.0, 1.0]))
-    with pytest.raises(RtcError, match="not asked to"):
+    with pytest.raises(RtcError, match="request is not to"):
         hands(arm).wait("turn")
 
 
-def test_he_waits_no_longer_than_the_command_lasts(clock: Clock) -> None:
+def test_the_operator_waits_no_longer_than_the_command_lasts(clock: Clock) -> None:
     arm = Arm()
     arm.over = True
-    with pytest.raises(RtcError, match="not asked to"):
+    with pytest.raises(RtcError, match="request is not to"):
         hands(arm).wait("turn")
     assert clock.now_s < 1.0
 
 
-def test_the_lines_of_his_dialogues_are_his() -> None:
+def test_the_lines_of_the_dialogues_are_the_operators() -> None:
     texts = {line.label: line.text for line in lines.read(swapout.LINES.read_text())}
     assert all("OPERATOR-INTERVENTION" in texts[label] or "SHARED" in texts[label] for label in DIALOGUES)
     assert {label for label, text in texts.items() if "OPERATOR" in text or "SHARED" in text} == set(DIALOGUES)

@@ -1,4 +1,4 @@
-"""The operator performs sentences, in one process: a scripted operator moves the arms by his stream, and answers."""
+"""The operator performs sentences, in one process: a scripted operator moves the arms by a stream, and answers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ GAIN_PER_S, ARRIVED_M = 4.0, 0.0008
 
 
 class Operator:
-    """A person with a hand controller, who sees where things are; `at` the arm that he has."""
+    """A person with a hand controller, who sees where things are; `at` the operated arm."""
 
     def __init__(self, rtc: OneProcess, arm: str = ARM) -> None:
         self.rtc, self.arm = rtc, arm
@@ -38,11 +38,11 @@ class Operator:
 
     @property
     def asked(self) -> str:
-        """What he is asked to do; empty: nothing."""
+        """The request; empty: none."""
         return "" if self.executor.operated is None else self.executor.operated.look().request
 
     def wait(self, words: str, limit_s: float = 60.0) -> None:
-        """Until he is asked to do this."""
+        """Until this is requested."""
         for _ in range(round(limit_s * 1000)):
             if words in self.asked:
                 return
@@ -89,7 +89,7 @@ def grasp_pose(sim: Any, thing: str, point: str) -> np.ndarray:
 
 
 def grasp_by_hand(rtc: OneProcess, command: str) -> None:
-    """Perform the three requests of GRASP VIA OPERATOR-INTERVENTION, with what he does wrong on the way."""
+    """Perform the three requests of GRASP VIA OPERATOR-INTERVENTION, with what is done wrong on the way."""
     it, sim = Operator(rtc), rtc.sim
     it.wait("neighborhood")
     goal = grasp_pose(sim, "MACS-NEW", "HANDLE-A")
@@ -135,7 +135,7 @@ def displaced(sim: Any) -> OneProcess:
 
 
 @pytest.mark.physics
-def test_in_physics_the_world_knows_what_he_has_gripped_and_moved() -> None:
+def test_in_physics_the_world_knows_what_the_operator_has_gripped_and_moved() -> None:
     sim = BulletCell(MODEL.cell)
     try:
         rtc = displaced(sim)
@@ -165,7 +165,7 @@ def test_give_and_take_hand_an_arm_over_between_two_points_of_rest() -> None:
     rtc = OneProcess(KinematicCell(MODEL.cell))
     it, given = Operator(rtc), rtc.give("GIVE RIGHT-ARM TO OPERATOR")
     it.wait("move")
-    held = rtc.give("STOW RIGHT-ARM")  # the arm is his
+    held = rtc.give("STOW RIGHT-ARM")  # the arm is the operator's
     beside = rtc.give("STOW LEFT-ARM")  # is not planned beside an arm that a person moves
     it.drive(1.0, twist=[0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
     assert "hand is not part" in it.send(hand="close")
@@ -183,7 +183,7 @@ def test_give_and_take_hand_an_arm_over_between_two_points_of_rest() -> None:
     assert where != pytest.approx(MODEL.cell.arm(ARM).home_rad)
 
 
-def test_cannot_ends_the_command_with_his_reason() -> None:
+def test_cannot_ends_the_command_with_the_reason() -> None:
     rtc = OneProcess(KinematicCell(MODEL.cell))
     it = Operator(rtc)
     command = rtc.give("MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED VIA OPERATOR-INTERVENTION")
@@ -192,10 +192,10 @@ def test_cannot_ends_the_command_with_his_reason() -> None:
     rtc.run()
     outcome = rtc.outcomes[command]
     assert (outcome.kind, outcome.stop) == (OutcomeKind.FAILED, StopReason.OPERATOR_CANNOT)
-    assert "the way is blocked" in outcome.message  # wording: his own words
+    assert "the way is blocked" in outcome.message  # wording: the operator's own words
 
 
-def test_he_is_asked_again_after_a_stop_function_and_then_the_command_fails() -> None:
+def test_the_request_comes_again_after_a_stop_function_and_then_the_command_fails() -> None:
     rtc = OneProcess(KinematicCell(MODEL.cell))
     it, command = Operator(rtc), rtc.give("GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM VIA OPERATOR-INTERVENTION")
     for _ in range(4):
@@ -237,7 +237,7 @@ SHARED = "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED WRIST AND FORCE-LIMIT 15
 
 
 @pytest.mark.parametrize("cell_of", [KinematicCell, pytest.param(BulletCell, marks=pytest.mark.physics)])
-def test_the_program_brings_the_arm_to_the_place_while_he_turns_the_wrist(cell_of: Any) -> None:
+def test_the_program_brings_the_arm_to_the_place_while_the_operator_turns_the_wrist(cell_of: Any) -> None:
     rtc = OneProcess(sim := cell_of(MODEL.cell))
     try:
         it, command = Operator(rtc), rtc.give(SHARED)
@@ -265,7 +265,7 @@ def test_the_program_brings_the_arm_to_the_place_while_he_turns_the_wrist(cell_o
 
 
 @pytest.mark.parametrize("laden", [False, True])
-def test_full_stick_towards_an_obstacle_ends_before_it_and_he_may_go_back(laden: bool) -> None:
+def test_full_stick_towards_an_obstacle_ends_before_it_and_may_go_back(laden: bool) -> None:
     rtc = OneProcess(sim := KinematicCell(MODEL.cell))
     if laden:
         back = geometry.translate(sim.arms[ARM].pose, [-0.2, 0.0, 0.0])
@@ -354,7 +354,7 @@ def test_the_dialogue_about_a_stripped_bolt() -> None:
         assert it.say("DONE").kind is OutcomeKind.SUCCEEDED
         it.wait("grasp point of BOLT-2")
         for _ in range(1000):
-            if np.linalg.norm(it.executor.wrench[:3]) > 2.0:  # he feels the head
+            if np.linalg.norm(it.executor.wrench[:3]) > 2.0:  # the head is felt
                 break
             it.drive(PERIOD / 1000, twist=[*(0.002 * ahead), 0.0, 0.0, 0.0])
             assert it.executor.operated is not None, rtc.notes[-4:]
@@ -375,8 +375,8 @@ def test_the_dialogue_about_a_stripped_bolt() -> None:
         physical.close()
 
 
-def test_a_command_whose_trims_are_used_up_is_surrendered_and_goes_on_after_him() -> None:
-    """R81: the arm rests, the outcome asks the operator for the same, and what waits is held until he has done it."""
+def test_a_command_whose_trims_are_used_up_is_surrendered_and_goes_on_after_the_operator() -> None:
+    """R81: the arm rests, the outcome asks the operator for the same, and what waits is held until it is done."""
     rtc = OneProcess(KinematicCell(MODEL.cell))
     it, command = Operator(rtc), rtc.give("MOVE RIGHT-ARM TO BAY-2-FRONT")
     after = rtc.give(f"MOVE RIGHT-ARM TO CLEAR-POINT-1 AFTER {command}")

@@ -237,7 +237,7 @@ def test_a_second_hand_that_closes_on_nothing_looks_and_takes_again(held: Bench)
     assert who_holds(held) == ("", MODULE, LEFT)
 
 
-def test_the_arm_is_offered_to_the_operator_where_he_has_no_script_for_the_verb(held: Bench) -> None:
+def test_the_arm_is_offered_to_the_operator_without_a_script_for_the_verb(held: Bench) -> None:
     sentence = f"PLACE {MODULE} ON RACK-1"
     script = held.elaborate(sentence)
     first = next(step for step in script.steps if step.do == "move")

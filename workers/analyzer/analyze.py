@@ -129,7 +129,7 @@ def _assessed(task: AnalyzeTask) -> Assessment:
         task = AnalyzeTask(task.program, task.query, msgspec.structs.replace(task.data, report=report))
     cells = task.program.outcomes[row]
     behind = task.program.unmet if wrong == UNMET else task.program.squeezed if squeezed(task) else ""
-    # An answer of the operator to what he does not perform: it was stopped.
+    # An answer of the operator to what another subsystem performs: it was stopped.
     name = behind or cells.get(reason, cells[StopReason.HALT])
     return _failure(task, reason, name)
 

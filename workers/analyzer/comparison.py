@@ -46,7 +46,7 @@ def in_words(drifts: Iterable[Figure]) -> str:
 
 
 def _duration(task: AnalyzeTask, _: Changes) -> Finding | None:
-    """Of an arm or a hand: a camera takes the time that its computer needs, the operator the time that he wants. A
+    """Of an arm or a hand: a camera takes the time that its computer needs, the operator any time. A
     pause is not counted."""
     evaluation, report = task.evaluation, task.report
     if evaluation.body or not evaluation.predicted_s or report.reason in OF_OPERATOR:

@@ -18,7 +18,7 @@ THIN_M = 0.002  # fingers closer together than this hold nothing
 
 def arm_changes(task: AnalyzeTask) -> Changes:
     """The facts of the arm of the step."""
-    commanded = bool(task.step.op) or task.step.do == "proc" or bool(task.step.words.his)
+    commanded = bool(task.step.op) or task.step.do == "proc" or bool(task.step.words.operator_has)
     return _reported(task, task.report, task.evaluation.arm, hand_commanded=commanded)
 
 

@@ -104,7 +104,7 @@ def between_fingers(task: AnalyzeTask, moved: Spread = EXACT) -> Found:
 
 
 def at_grasp_point(task: AnalyzeTask, within_m: float, within_rad: float) -> Found:
-    """A person has brought the hand to the grasp point: `within_m` and `within_rad` are how well he can see that.
+    """A person has brought the hand to the grasp point: `within_m` and `within_rad` are how well a person sees that.
 
     The object is turned as the hand is, about each axis about which it may be turned so far. A hand that is turned
     farther is turned itself; so is one about a round bar, and one at an object with a hinge.

@@ -1,7 +1,7 @@
-"""A step that the operator performs: what he is asked to do, what is his, and what his DONE must prove. Pure.
+"""A step that the operator performs: the request, what it grants, and what DONE must prove. Pure.
 
 The request has no numbers: those of the step are for the subsystem and the analyzer. The stop functions are those of
-any motion; so he moves under the limits of the sentence, and at a distance from all that the command is not about.
+any motion; so the limits of the sentence hold, and a distance from all that the command is not about.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from workers.binder.motion import motion_to_share
 from workers.conditions import sharing
 from workers.conditions.prediction import Expected
 
-HAND, SPINDLE = "hand", "spindle"  # what else than the arm may be his: the word `his` of a step
+HAND, SPINDLE = "hand", "spindle"  # the word `operator_has` of a step
 PLACE = {0, 1, 2}  # axes of a twist that move the tcp
 TURN = 2.0 * math.pi
 PRESSES = 0.5  # share of the grip force that proves a grip
@@ -33,8 +33,8 @@ def bind_operated(task: BindTask) -> BoundStep:
     ruled = task.under(task.data.step.stop)
     values, step = ruled.values, task.data.step
     pose = _place(task)
-    hand = _hand(ruled) if step.words.his == HAND else {}
-    spindle = _spindle(ruled) if step.words.his == SPINDLE else {}
+    hand = _hand(ruled) if step.words.operator_has == HAND else {}
+    spindle = _spindle(ruled) if step.words.operator_has == SPINDLE else {}
     if step.to:
         return _shared(ruled, pose)
     motion = Operated(
@@ -57,16 +57,16 @@ def _shared(task: RuledTask, goal: list[float]) -> BoundStep:
         raise refused_program(
             "a shared motion needs the part that the operator has, and within_m", "both in the script"
         )
-    way, his = motion_to_share(task), SHARED_AXES[part]
+    way, axes = motion_to_share(task), SHARED_AXES[part]
     motion = Operated(
         request=_request(task),
         speed_m_s=task.values["speed_m_s"],
         turn_rad_s=task.values["turn_rad_s"],
         along=way.timed.trajectory(),
-        his=his,
+        operator_axes=axes,
         done_m=figures.within_m,
     )
-    return _bound(task, motion, None if PLACE & set(his) else goal)
+    return _bound(task, motion, None if PLACE & set(axes) else goal)
 
 
 def _request(task: BindTask) -> str:
@@ -101,14 +101,14 @@ def _place(task: BindTask) -> list[float]:
 
 
 def _hand(task: RuledTask) -> dict[str, Any]:
-    """The fingers are his; a grip proves his DONE."""
+    """The operator closes the fingers; a grip proves DONE."""
     gripper = task.query.cell.arm(task.arm).gripper
     grip_n = task.data.context.limits.grip_force_n or min(task.values["grip_n"], gripper.max_force_n)
     return {"hand": True, "grip_n": grip_n, "done_grip_n": PRESSES * grip_n}
 
 
 def _spindle(task: RuledTask) -> dict[str, Any]:
-    """The spindle of the driver is his; its turn proves his DONE. Positive turns of the step are outwards."""
+    """The operator turns the spindle; its turn proves DONE. Positive turns of the step are outwards."""
     driver, turns = task.query.driver(task.arm), task.data.step.figures.by_turns
     if driver is None or driver.spindle is None:
         raise Refused.because(RefusalReason.STATE, f"{task.arm} holds no driver", clears="GRASP a driver with it")

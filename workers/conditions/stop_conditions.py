@@ -249,7 +249,7 @@ def _beside(data: BinderInput, query: WorldQuery) -> list[Vector]:
     """Balls round the object and the target of the command, and round their seats: a command may come near to them.
 
     There is none round what the hand holds, which is watched itself. It may come near to its seat; not by hand, because
-    he needs no way through it: what is near at the start he may leave."""
+    a hand needs no way through it, and may leave what is near at the start."""
     context, cell = data.context, query.cell
     things = {thing.name: thing.shapes for thing in cell.objects}
     seats = {seat.name: seat.shapes for seat in cell.seats}

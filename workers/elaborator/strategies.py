@@ -65,7 +65,7 @@ def _by_operator(program: ElaboratorProgram, parsed: ParsedCommand, branches: li
         return chosen
     verbs = list(dict.fromkeys(row.verb for row in program.decision_tree if row.by_operator))
     message = f"there is no script in which the operator performs {parsed.verb}"
-    clears = f"leave out VIA; he performs {', '.join(verbs)}"
+    clears = f"leave out VIA; the operator performs {', '.join(verbs)}"
     raise Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", expected=verbs, clears=clears)
 
 

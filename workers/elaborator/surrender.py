@@ -24,10 +24,10 @@ KEPT = ("AVOID-TASK-REGION", "SAFE-WORK-RANGE")
 
 
 def by_operator(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], candidate: TaskCandidate) -> str:
-    """The same task VIA OPERATOR-INTERVENTION. For a task with an object for which he has no script, the sentence that
-    gives him the arm.
+    """The same task VIA OPERATOR-INTERVENTION. For a task with an object and without such a script, the
+    sentence that gives the arm to the operator.
 
-    Empty if he has it already, and while two hands hold one object: one of them does not move alone."""
+    Empty if it is given already, and while two hands hold one object: one of them does not move alone."""
     parsed, arm = candidate.parsed, candidate.hand
     if arm is None or parsed.performer == OPERATOR or _shares(parsed) or candidate.query.sharers(arm.name):
         return ""
@@ -35,7 +35,7 @@ def by_operator(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], c
 
 
 def _same_task(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], candidate: TaskCandidate) -> str:
-    """The same task VIA OPERATOR-INTERVENTION; empty if he has no script for it."""
+    """The same task VIA OPERATOR-INTERVENTION; empty if no script is for it."""
     parsed = candidate.parsed
     if candidate.partner is not None:
         return ""
@@ -51,7 +51,7 @@ def _same_task(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], ca
 
 
 def _the_arm(program: ElaboratorProgram, candidate: TaskCandidate, arm: str) -> str:
-    """The sentence that gives him the arm for a task with an object; empty if the program has none."""
+    """The sentence that gives the arm for a task with an object; empty if the program has none."""
     row = program.clears.get("operator", []) if candidate.thing else []
     return next(iter(sentences_of(fill_in(row, {"arm": hand_in_words(arm)}))), "")
 
@@ -61,7 +61,7 @@ def _shares(parsed: ParsedCommand) -> bool:
 
 
 def _is_used(parsed: ParsedCommand, script: ScriptFile) -> bool:
-    """Whether his script achieves all that the sentence asks for."""
+    """Whether the script achieves all that the sentence asks for."""
     try:
         command_fields.refuse_unused_field(parsed, script.script, script.uses, performer=True)
     except Refused:

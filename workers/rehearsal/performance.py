@@ -304,7 +304,7 @@ def assumptions(bound: BoundStep, report: EndReport) -> list[str]:
     if report.sighting is not None:
         return [f"{label}: {bound.evaluation.body} is seen where it is believed to be"]
     if report.reason is StopReason.OPERATOR_DONE:
-        return [f"{label.removeprefix('OPERATOR: ')}: the operator does it; his time is not counted"]
+        return [f"{label.removeprefix('OPERATOR: ')}: the operator does it; the time is not counted"]
     if report.reason is StopReason.CONTACT:
         return [f"{label}: the touch is felt where it is expected"]
     return []

@@ -47,7 +47,7 @@ BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
 
 def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopReason | None = None) -> EndReport:
     """The report on a bound step that begins at `now_s`. `reason`: that it ends with, instead of the expected one.
-    Raises Refused: an operator could not do what he is asked."""
+    Raises Refused: an operator could not do what is asked."""
     made, evaluation = bound.primitive, bound.evaluation
     assert made is not None
     assert evaluation is not None
@@ -297,7 +297,7 @@ def _turned(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, r
 
 
 def _of_operator(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
-    """He does what he is asked to do. Only the path that he shares takes a time that is known. Raises Refused."""
+    """What is asked is done. Only a shared path takes a time that is known. Raises Refused."""
     asked, name = made.trajectory, made.performer
     assert isinstance(asked, Operated)
     done = reason is StopReason.OPERATOR_DONE

@@ -65,7 +65,7 @@ def _waits_for(context: DecisionContext, command: Command | None) -> Collection[
 
 
 def on_resumed(context: DecisionContext, command: Command, _: Any) -> None:
-    """Withdraw a pause; go on without the operator if the command waits for him."""
+    """Withdraw a pause; go on without the operator if the command waits for one."""
     command.pause_wanted = command.single_step = False
     if surrender.is_held(context, command.id):
         surrender.let_go(context, command.id)

@@ -1,4 +1,4 @@
-"""DONE, CANNOT and TAKE: answers of the operator to what he performs. Pure.
+"""DONE, CANNOT and TAKE: answers of the operator to a request. Pure.
 
 An answer is passed on to the subsystem of the primitive, which knows where the arm is. The command of the answer waits
 for the end report of that primitive, or for the refusal of a DONE.

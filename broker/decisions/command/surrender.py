@@ -2,7 +2,7 @@
 
 Its arms rest where they are. Commands that were to follow it, and those that wait in line for one of its arms, are held
 outside the line: until the operator has done it, or until RESUME or ABORT of each. Later sentences are free to use the
-arms, his own first of all.
+arms, that of the operator first of all.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""rtc operator: what the operator is asked to do, with its picture, and his answer."""
+"""rtc operator: what the operator is asked to do, with its picture, and the answer."""
 
 from __future__ import annotations
 
@@ -80,9 +80,9 @@ def _answer(rtc: Client, sentence: str) -> None:
 def _show(name: str, arm: ArmSample) -> None:
     operation = arm.operation
     assert operation is not None
-    his = [name, *(part for part, is_his in (("hand", operation.hand), ("spindle", operation.spindle)) if is_his)]
+    granted = [name, *(part for part, has in (("hand", operation.hand), ("spindle", operation.spindle)) if has)]
     console.print(f"{arm.primitive}: {operation.request}")
-    console.print(f"  yours: {', '.join(his)}{_distance(operation)}")
+    console.print(f"  yours: {', '.join(granted)}{_distance(operation)}")
     force_n = sum(x * x for x in arm.wrench[:3]) ** 0.5
     console.print(f"  force {force_n:.1f} N, hand {in_words(round(arm.hand_width_m, 4), 'm')} open")
     for words in filter(None, (operation.operator and f"moved by {operation.operator}", operation.cut)):
@@ -115,7 +115,7 @@ def _truth(rtc: Client) -> SimTruthReply | None:
 
 
 def _offer(surrendered: SurrenderRow) -> None:
-    """A command that has failed, and that he may do instead."""
+    """A command that has failed, and that the operator may do instead."""
     console.print(f"{surrendered.command} has failed: {surrendered.cause}")
     if waiting := ", ".join(surrendered.waiting):
         console.print(f"  held until you have done it, or RESUME: {waiting}")

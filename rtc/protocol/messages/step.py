@@ -37,7 +37,7 @@ class StepWords(Strict, frozen=True, kw_only=True, omit_defaults=True):
     says: str = ""  # the answer that the result of the command states
     until: str = ""  # "ends": the condition of UNTIL ends it; "watched": it may
     place: str = ""  # binding that the operator is asked to bring the hand to
-    his: str = ""  # what else than the arm the operator has: hand, spindle
+    operator_has: str = ""  # what the operator has besides the arm: hand, spindle
     needs: str = ""  # a seat whose bounds the pose of the held object must keep
 
 

@@ -58,7 +58,7 @@ class SetPaused(Message, frozen=True, kw_only=True):
 
 
 class OperatorAnswer(Message, frozen=True, kw_only=True):
-    """DONE or CANNOT of the operator, to a primitive that he performs. The answer is its end report, or AnswerRefused.
+    """DONE or CANNOT of the operator who performs a primitive. The answer is its end report, or AnswerRefused.
     Repeating it changes nothing."""
 
     primitive: Name
@@ -192,16 +192,16 @@ class ArmSample(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 class Operation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What the operator may do with an arm, and does. It is a grant: it ends with the primitive of the sample."""
 
-    request: str  # what he is asked to do
+    request: str  # what the operator is asked to do
     centre: list[float] = []  # m, world: the ball that the tcp may not leave; empty: anywhere
     radius_m: float | None = None
     off_m: float | None = None  # of the tcp from the centre
     done_m: float | None = None  # DONE needs it to be at most this
-    hand: bool = False  # the fingers are his
+    hand: bool = False  # the operator moves the fingers too
     spindle: bool = False
     operator: str = ""  # who moves it now
-    cut: str = ""  # why it moves less than he wants
-    towards: list[float] = []  # m and rad, world: the way in his axes that a shared path waits for; empty: it does not
+    cut: str = ""  # why it moves less than wanted
+    towards: list[float] = []  # m and rad, world: the way in the operator's axes that a path waits for; empty: none
 
 
 class Operate(Message, frozen=True, kw_only=True):

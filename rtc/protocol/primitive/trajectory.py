@@ -116,29 +116,30 @@ class SpindleMotion(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="
 
 
 class Operated(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="operated"):
-    """P for an arm that the operator moves: his twists (`messages.Operate`) instead of positions over time.
+    """P for an arm that the operator moves: twists (`messages.Operate`) instead of positions over time.
 
-    It ends with his DONE, if the measurements prove it, or with his CANNOT. The tcp may not leave the ball about
+    It ends with DONE, if the measurements prove it, or with CANNOT. The tcp may not leave the ball about
     `centre`; one that is outside at the start may not go farther away.
     """
 
-    request: str  # what he is asked to do, in words for a person; no process reads it
+    request: str  # what the operator is asked to do, in words for a person; no process reads it
     speed_m_s: float  # maximum speeds of the tcp
     turn_rad_s: float
-    centre: Vector = []  # m, world; empty: he may move anywhere
+    centre: Vector = []  # m, world; empty: the arm may move anywhere
     radius_m: float = math.inf  # of the ball
-    hand: bool = False  # the fingers are his
+    hand: bool = False  # the operator moves the fingers too
     grip_n: float = 0.0  # with which they close
-    spindle: bool = False  # the spindle of the driver in the hand is his
+    spindle: bool = False  # and the spindle of the driver in the hand
     spindle_rad_s: float = 0.0
     spindle_nm: float = 0.0
     done_m: float | None = None  # DONE needs the tcp within this distance of the centre
     done_grip_n: float | None = None  # DONE needs both fingers to press with this
-    turn_rad: float = 0.0  # turn of the spindle that is asked for: he turns no farther, and DONE needs it
-    # The path of the program, which he shares: `his` are his axes of the twist (0 to 2 along, 3 to 5 about x, y, z of
-    # the tool); in the others the tcp follows the path while he holds the deadman, and DONE needs its end.
+    turn_rad: float = 0.0  # turn of the spindle that is asked for: it turns no farther, and DONE needs it
+    # A shared motion has a path of the program. `operator_axes` are those of the twist that the operator has (0 to 2
+    # along, 3 to 5 about x, y, z of the tool). In the others the tcp follows the path while the deadman is held; DONE
+    # needs its end.
     along: JointTrajectory | None = None
-    his: Annotated[list[Annotated[int, msgspec.Meta(ge=0, le=5)]], msgspec.Meta(max_length=6)] = []
+    operator_axes: Annotated[list[Annotated[int, msgspec.Meta(ge=0, le=5)]], msgspec.Meta(max_length=6)] = []
 
     def __post_init__(self) -> None:
         if not (0.0 < self.speed_m_s < math.inf and 0.0 < self.turn_rad_s < math.inf):
@@ -154,7 +155,7 @@ class Operated(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="opera
         figures = (self.spindle_rad_s, self.spindle_nm, abs(self.turn_rad))
         if self.spindle and not all(0.0 < figure < math.inf for figure in figures):
             raise ValueError("a spindle of the operator needs a speed, a torque and a turn")
-        if (self.along is None) != (not self.his):
+        if (self.along is None) != (not self.operator_axes):
             raise ValueError("a shared motion needs both a path and the axes of the operator")
 
 

@@ -419,7 +419,7 @@ class Subsystem(ABC, Generic[Performer]):
         """Pause a primitive, or let it go on. A subsystem without `pauses` in its hello gets no such order."""
 
     def _answer_of_operator(self, answer: m.OperatorAnswer) -> Outgoing:
-        """End what the operator performs with his DONE or CANNOT, or refuse the DONE."""
+        """End what the operator performs with DONE or CANNOT, or refuse the DONE."""
         why = f"{self.name} has nothing that an operator performs"
         return [(BROKER, m.AnswerRefused(primitive=answer.primitive, message=why))]
 

@@ -356,7 +356,7 @@ class Executor:
         return self.operated.objection(wanted, caller, now_s)
 
     def answer(self, answer: m.OperatorAnswer) -> str:
-        """End what the operator does with his DONE or CANNOT. Returns why a DONE is refused; empty: it is accepted."""
+        """End what the operator does with DONE or CANNOT. Returns why a DONE is refused; empty: it is accepted."""
         assert self.operated is not None
         if not answer.done:
             self.halt(StopReason.OPERATOR_CANNOT, answer.why)

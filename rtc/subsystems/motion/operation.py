@@ -1,8 +1,8 @@
-"""What the operator does with one arm during a primitive `Operated`: who moves it, what he wants now, what proves DONE.
+"""What the operator does with one arm during a primitive `Operated`: who moves it, what they want, what proves DONE.
 Pure: the time is an argument, the seconds of this process' clock.
 
-A message counts if it is of this grant, recent, finite, of the one who moves the arm, and only about what is his. What
-counts holds for `LOST_S`; then the arm stops. This module must not know how an arm follows a twist.
+A message counts if it is of this grant, recent, finite, of the one who moves the arm, and only about what is granted.
+It holds for `LOST_S`; then the arm stops. This module must not know how an arm follows a twist.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TURNED = 0.98  # share of a turn that proves it
 DONE_RAD = 0.02  # of the attitude that the program gives to a shared motion, at its end
 TURNED_RAD = 1e-3  # what is left of a turn that is complete
 
-BEYOND_M = 0.0005  # beyond the edge of the ball he may only go back
+BEYOND_M = 0.0005  # beyond the edge of the ball the tcp may only go back
 
 NO_TWIST = (0.0,) * 6
 
@@ -39,14 +39,14 @@ class OperatedArm:
         self._operator = ""
         self._latest: Operate | None = None  # that counts
         self._at_s = -math.inf  # its arrival
-        self.cut = ""  # why the arm moves less than he wants
+        self.cut = ""  # why the arm moves less than wanted
         self.cut_by_arm: Callable[[], str] = str  # the same, of the arm that follows
         self.done = False
         self.paused = False
         self._turns = 0.0  # the present command of the spindle
         self._turned_rad = 0.0  # before it
-        along = motion.along  # of the program, if he shares the motion with it
-        self._way = SharedWay(along, motion.his, seen.arm.tcp_pose) if along is not None else None
+        along = motion.along  # of the program, if the motion is shared
+        self._way = SharedWay(along, motion.operator_axes, seen.arm.tcp_pose) if along is not None else None
         self._reach_m = max(motion.radius_m, self._off_m()) if motion.centre else math.inf
 
     # --- the stream --------------------------------------------------------------------------------------
@@ -58,7 +58,7 @@ class OperatedArm:
         if max(map(abs, wanted.twist)) > MOST_TWIST:  # in other axes its square is no number any more
             return f"a part of its twist is beyond {MOST_TWIST:g} m/s or rad/s"
         if self._is_moved_by_another(caller, now_s):
-            return f"{self._operator} moves this arm; it is free when he lets go"
+            return f"{self._operator} moves this arm; it is free after letting go"
         if (age_s := now_s - wanted.seen_at_s) > STALE_S:
             return f"stale: it has seen nothing of this subsystem for {age_s:.2f} s; {STALE_S:g} s are allowed"
         if age_s < -TICK_S:
@@ -77,10 +77,10 @@ class OperatedArm:
         return self._caller not in (b"", caller) and now_s - self._at_s <= STALE_S
 
     def follow(self, now_s: float) -> None:
-        """Bring hand and spindle to what he wants in this tick."""
+        """Bring hand and spindle to what is wanted in this tick."""
         if self._latest is not None and (not self._latest.hold or now_s - self._at_s > LOST_S or self.paused):
             self._latest = None
-        if self._caller and now_s - self._at_s > STALE_S:  # he is lost: another one may move the arm
+        if self._caller and now_s - self._at_s > STALE_S:  # the operator is lost: another one may move the arm
             self._caller, self._operator = b"", ""
         wanted = self._latest
         self._turn(wanted.turn if wanted is not None else 0.0)
@@ -117,11 +117,11 @@ class OperatedArm:
         return self._turned_rad + (self._seen.arm.spindle().turned_rad if self._turns else 0.0)
 
     def stop(self) -> None:
-        """The primitive ends, and with it his grant."""
+        """The primitive ends, and with it the grant."""
         self._latest, self._caller, self._operator = None, b"", ""
         self._turn(0.0)
 
-    # --- what he wants -----------------------------------------------------------------------------------
+    # --- what is wanted ----------------------------------------------------------------------------------
 
     def twist(self, tcp: Array) -> list[float]:
         """The wanted velocity of the tcp (m/s, rad/s, world axes), within its speeds and inside its ball."""

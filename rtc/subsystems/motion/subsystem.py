@@ -137,7 +137,7 @@ class McmSubsystem(Subsystem[Executor]):
     # --- of the operator ---------------------------------------------------------------------------------
 
     def operate(self, wanted: m.Operate, caller: bytes, now_s: float) -> m.OperateReply:
-        """Follow the hand of an operator; `caller`: the identity of his connection."""
+        """Follow the hand of an operator; `caller`: the identity of the connection."""
         executor = next((one for one in self._all if one.primitive_id == wanted.primitive != ""), None)
         if executor is not None:
             refused = executor.operate(wanted, caller, now_s)

@@ -521,7 +521,7 @@ STEER = """(goal) => () => {
 
 
 @pytest.mark.usefixtures("at_home")
-def test_the_operator_grasps_what_is_displaced_and_his_word_alone_is_not_believed(
+def test_the_operator_grasps_what_is_displaced_and_a_word_alone_is_not_believed(
     page: Page, run_dir: Path, tmp_path: Path
 ):
     with Client(run_dir) as client:

@@ -1,4 +1,4 @@
-"""The operator moves an arm: his stream, what is not his, DONE and CANNOT; also with fuzzed streams."""
+"""The operator moves an arm: the stream, what is not granted, DONE and CANNOT; also with fuzzed streams."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GRANT = "C-7.1"
 
 
 class Operator:
-    """An operator with a hand controller at 50 Hz, and the arm that he moves; both run by one clock."""
+    """An operator with a hand controller at 50 Hz, and the operated arm; both run by one clock."""
 
     def __init__(self, rig, make, **granted) -> None:
         self.rig, self.executor, self.now_s = rig, rig.executor, 100.0
@@ -116,7 +116,7 @@ def test_a_silent_stream_stops_the_arm_within_100_ms(hands_on) -> None:
         {"turn": 0.5},
     ],
 )
-def test_what_is_not_his_or_not_new_does_nothing(hands_on, changed) -> None:
+def test_what_is_not_granted_or_not_new_does_nothing(hands_on, changed) -> None:
     it = hands_on()
     before = it.rig.arm.hand
     assert it.send(**{"twist": up()} | changed) != ""
@@ -143,7 +143,7 @@ def test_an_operator_who_is_lost_gives_the_arm_up(hands_on) -> None:
     assert it.send(ANOTHER, operator="BOB", twist=up()) == ""
 
 
-def test_he_does_not_leave_the_neighbourhood(hands_on, rig) -> None:
+def test_the_operator_does_not_leave_the_neighbourhood(hands_on, rig) -> None:
     centre = rig.arm.tcp_pose(rig.home)[:3].tolist()
     it = hands_on(centre=centre, radius_m=0.03)
     it.drive(2.0, twist=up(0.1))
@@ -213,7 +213,7 @@ def test_a_pause_holds_the_arm_and_its_clock(hands_on) -> None:
     it.drive(0.2, twist=up())
 
 
-def test_a_halt_stops_him(hands_on) -> None:
+def test_a_halt_stops_the_operator(hands_on) -> None:
     it = hands_on()
     it.drive(0.4, twist=up(0.1))
     assert it.executor.halt()
@@ -276,11 +276,11 @@ def off_way(it: Operator, pose) -> tuple[float, float]:
     return math.dist(here[:3], pose[:3]), geometry.angle(here, pose)
 
 
-def test_the_place_is_the_programs_and_the_attitude_his(hands_on, way) -> None:
-    it = hands_on(along=way, his=WRIST, done_m=0.005)
+def test_the_place_is_the_programs_and_the_attitude_the_operators(hands_on, way) -> None:
+    it = hands_on(along=way, operator_axes=WRIST, done_m=0.005)
     end = it.rig.arm.tcp_pose(way.positions[-1])
     assert "is near enough" in it.answer()
-    it.drive(1.0, twist=[0.1, 0.1, 0.1, 0.0, 0.0, 0.3])  # his linear twist does nothing
+    it.drive(1.0, twist=[0.1, 0.1, 0.1, 0.0, 0.0, 0.3])  # the linear twist does nothing
     it.drive(4.0, twist=[0.0] * 6)
     away_m, _ = off_way(it, end)
     here = it.rig.arm.tcp_pose(it.executor.command[0])
@@ -290,8 +290,8 @@ def test_the_place_is_the_programs_and_the_attitude_his(hands_on, way) -> None:
     assert it.answer() == ""
 
 
-def test_the_attitude_is_the_programs_and_the_place_his(hands_on, way) -> None:
-    it = hands_on(along=way, his=POSITION, done_m=0.005)
+def test_the_attitude_is_the_programs_and_the_place_the_operators(hands_on, way) -> None:
+    it = hands_on(along=way, operator_axes=POSITION, done_m=0.005)
     it.drive(1.0, twist=[0.0, 0.0, 0.03, 0.5, 0.5, 0.5])
     it.drive(4.0, twist=[0.0] * 6)
     _, turned_rad = off_way(it, it.rig.arm.tcp_pose(way.positions[-1]))
@@ -301,8 +301,8 @@ def test_the_attitude_is_the_programs_and_the_place_his(hands_on, way) -> None:
     assert it.answer() == ""
 
 
-def test_one_axis_of_the_tool_is_his(hands_on, way) -> None:
-    it = hands_on(along=way, his=TOOL_Z, done_m=0.005)
+def test_one_axis_of_the_tool_is_the_operators(hands_on, way) -> None:
+    it = hands_on(along=way, operator_axes=TOOL_Z, done_m=0.005)
     end = it.rig.arm.tcp_pose(way.positions[-1])
     it.drive(6.0, twist=[0.0] * 6)
     _, turned_rad = off_way(it, end)
@@ -311,8 +311,8 @@ def test_one_axis_of_the_tool_is_his(hands_on, way) -> None:
     assert np.abs(geometry.relative(here, end)[:2]) == pytest.approx([0.0, 0.0], abs=0.001)
 
 
-def test_the_program_moves_only_while_he_holds(hands_on, way) -> None:
-    it = hands_on(along=way, his=WRIST, done_m=0.005)
+def test_the_program_moves_only_while_the_deadman_is_held(hands_on, way) -> None:
+    it = hands_on(along=way, operator_axes=WRIST, done_m=0.005)
     it.tick(500)
     assert np.linalg.norm(it.moved) == 0.0
     it.drive(0.6, twist=[0.0] * 6)
@@ -345,7 +345,7 @@ def test_a_path_that_waits_says_which_way(rig, make) -> None:
     aside = [*stuck[:3] + np.array([0.02, 0.0, 0.0]), *stuck[3:]]
     for _ in range(5000):
         shared.twist(stuck, [0.0] * 6)
-    assert shared.towards == []  # of his axes alone it is not behind
+    assert shared.towards == []  # of the operator's axes alone it is not behind
     for _ in range(20):
         shared.twist(np.array(aside), [0.0] * 6)
     aside[0] = stuck[0] + 0.006  # less than it waits for on its way; at its end nothing else brings the arm nearer
@@ -357,7 +357,7 @@ def test_a_path_that_waits_says_which_way(rig, make) -> None:
     assert f": turn about {sign}TOOL-Z by 57.3 deg" in shared.waits_for
 
 
-@pytest.mark.parametrize("granted", [{"his": WRIST}, {"his": [7]}])
+@pytest.mark.parametrize("granted", [{"operator_axes": WRIST}, {"operator_axes": [7]}])
 def test_a_shared_motion_needs_its_path_and_its_axes(granted) -> None:
     with pytest.raises(ValueError, match=r"path|axes|<= 5"):
         msgspec.convert({"request": "turn it", "speed_m_s": 0.1, "turn_rad_s": 0.5} | granted, p.Operated)
@@ -365,7 +365,7 @@ def test_a_shared_motion_needs_its_path_and_its_axes(granted) -> None:
 
 def test_a_path_that_begins_elsewhere_is_refused(hands_on, rig, make) -> None:
     far = make.joint_path([q + 0.3 for q in rig.home], rig.home, 2.0)
-    shared = p.Operated(request="turn it", speed_m_s=0.1, turn_rad_s=0.5, along=far, his=WRIST)
+    shared = p.Operated(request="turn it", speed_m_s=0.1, turn_rad_s=0.5, along=far, operator_axes=WRIST)
     ended = rig.accept(make.primitive(shared, id=GRANT))
     assert isinstance(ended, m.EndReport)
     assert ended.reason is StopReason.REFUSED

@@ -60,7 +60,7 @@ def test_the_object_is_where_and_how_the_hand_shows_it(bench, of_hand) -> None:
     found, spread = pointed(bench, of_hand, true)
     assert geometry.distance(found, true) < 1e-6
     assert geometry.angle(found, true) < 1e-6
-    assert max(spread[3:]) <= 0.0351  # how well he sees it, not how badly it was known before
+    assert max(spread[3:]) <= 0.0351  # how well the operator sees it, not how badly it was known before
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -211,7 +211,7 @@ def test_a_suspect_fact_is_refused_as_in_a_real_sentence(paper: OnPaper):
     assert found.refusal is not None
 
 
-def test_an_operator_is_assumed_to_do_what_he_is_asked(paper: OnPaper):
+def test_an_operator_is_assumed_to_do_what_is_asked(paper: OnPaper):
     found = paper.test("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A VIA OPERATOR-INTERVENTION")
     assert found.refusal is None
     assert found.rehearsal.holding["RIGHT-ARM"] == "MACS-NEW"

@@ -1,4 +1,4 @@
-// Requests to the operator: what he is asked to do, how far he is, and the means to do it. One card per operated arm.
+// Requests to the operator: what is asked, how far it is, and the means to do it. One card per operated arm.
 import { openGamepad } from './gamepad.js';
 import { answers, hold, holding, release } from './operate.js';
 import { gizmo, grip } from './scene.js';
@@ -48,7 +48,7 @@ function update() {
   else if (!empty) holder.append(element('p', { class: 'empty' }, 'nothing is asked of the operator. GIVE RIGHT-ARM TO OPERATOR hands an arm over; VIA OPERATOR-INTERVENTION asks for each step.'));
 }
 
-// What has failed and waits for the operator: the sentence that asks him for it, and the commands that are held.
+// What has failed and waits for the operator: the sentence that asks for it, and the commands that are held.
 function offers() {
   const now = state.status.surrenders ?? [], stamp = JSON.stringify([now, state.role]);
   if (holder.offered === stamp) return;

@@ -1,4 +1,4 @@
-"""Surrender to the operator: what waits for a failed command, or for its arm, is held until he has done it (R81)."""
+"""Surrender to the operator: what waits for a failed command, or for its arm, is held until it is done (R81)."""
 
 from __future__ import annotations
 
@@ -35,8 +35,10 @@ def by_operator(s: Harness, reason: StopReason) -> str:
     command = s.elaborated()
     made = bound(f"{command}.1")
     assert made.primitive is not None
-    his = msgspec.structs.replace(made.primitive, trajectory=Operated(request="move it", speed_m_s=0.1, turn_rad_s=0.5))
-    s.answers(command, msgspec.structs.replace(made, primitive=his))
+    operated = msgspec.structs.replace(
+        made.primitive, trajectory=Operated(request="move it", speed_m_s=0.1, turn_rad_s=0.5)
+    )
+    s.answers(command, msgspec.structs.replace(made, primitive=operated))
     s.reports(command, reason)
     s.answers(command, go_on(reason) if reason is StopReason.OPERATOR_DONE else give_up(reason))
     assert s.phase(command) == "gone"
@@ -72,7 +74,7 @@ def test_what_waits_goes_on_when_the_operator_has_done_it():
     assert not violations(s.state)
 
 
-def test_it_stays_held_when_he_cannot_do_it_either():
+def test_it_stays_held_when_the_operator_cannot_do_it_either():
     s = surrendered()
     by_operator(s, StopReason.OPERATOR_CANNOT)
     assert (s.phase("C-2"), s.phase("C-3")) == ("held", "held")
@@ -98,7 +100,7 @@ def test_each_can_be_let_go_or_ended(sentence: str, phase: str):
     assert not violations(s.state)
 
 
-def test_halt_all_ends_what_waits_for_him():
+def test_halt_all_ends_what_waits_for_the_operator():
     s = surrendered()
     s.halts()
     s.rests("h1")
