@@ -11,10 +11,10 @@ from typing import Any, cast
 
 import msgspec
 
-from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.protocol import faults as f
 from rtc.protocol.outcomes import PRIORITY, StopReason
+from rtc.protocol.spelling import unknown
 from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Sample, Simulation
 from rtc.subsystems.motion.executor import Executor

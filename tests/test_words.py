@@ -79,7 +79,7 @@ ALLOWED: tuple[tuple[str, str, str], ...] = (
     # The process `gate`: its name in status, counters, logs and halt calls is part of the wire.
     ("gate", "", '"gate"'),
     ("gate", "broker/", "gate_"),
-    ("gate", "broker/gateway/halts.py", 'f"gate {'),
+    ("gate", "broker/gateway/halt_forwarding.py", 'f"gate {'),
     ("gate", "docs/security.md", "dropped_gate_strangers"),
     ("gate", "", "logs/gate.log"),
     ("gate", "tests/processes/test_gateway.py", "dropped_gate_"),

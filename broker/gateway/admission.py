@@ -8,7 +8,7 @@ import zmq
 from zmq.utils import z85
 
 from broker.gateway.endpoints import HALTS, ServerSockets
-from broker.gateway.halts import HaltForwarder
+from broker.gateway.halt_forwarding import HaltForwarder
 from rtc.protocol.roles import a_role, admits
 from rtc.runtime.keys import KeyRing, KnownKey
 from rtc.runtime.process import Every, Process, inbox

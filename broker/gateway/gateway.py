@@ -23,7 +23,7 @@ import zmq
 
 from broker.gateway.admission import RELOAD_S, Admission
 from broker.gateway.endpoints import HALTS, MAX_MESSAGES, PUBLISHED, Peer, ServerSockets, push
-from broker.gateway.halts import RETRY_S, HaltForwarder
+from broker.gateway.halt_forwarding import RETRY_S, HaltForwarder
 from broker.gateway.sessions import PeerConnection, Sessions, node_of
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol import messages as m

@@ -14,10 +14,10 @@ import zmq
 
 from broker.gateway.endpoints import Peer, ServerSockets, close, push
 from broker.gateway.peers import Connection
-from rtc.language.alike import unknown
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import RefusalReason
+from rtc.protocol.spelling import unknown
 from rtc.runtime import process
 from rtc.runtime.keys import PEERS_OF_KEY, KnownKey
 from rtc.runtime.process import Process, now_s

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from broker.router.client_messages import ClientMessages
 from broker.router.core import Core
 from broker.router.egress import Egress
-from broker.router.halts import Halts
+from broker.router.halt_intake import HaltIntake
 from broker.router.health import Health
 from broker.router.shutdown import Shutdown
 from broker.router.subsystem_messages import SubsystemMessages
@@ -47,7 +47,7 @@ class Source(NamedTuple):
 
 
 class Ingress:
-    def __init__(self, core: Core, egress: Egress, halts: Halts, health: Health, shutdown: Shutdown) -> None:
+    def __init__(self, core: Core, egress: Egress, halts: HaltIntake, health: Health, shutdown: Shutdown) -> None:
         self._core, self._egress = core, egress
         self._sources = {
             "halt": Source(_read_halt, halts.receive),

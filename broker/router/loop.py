@@ -17,7 +17,7 @@ from broker.router import part_loads
 from broker.router.arms_in_motion import ArmsInMotion
 from broker.router.core import Core
 from broker.router.egress import Egress
-from broker.router.halts import Halts
+from broker.router.halt_intake import HaltIntake
 from broker.router.health import Health
 from broker.router.ingress import Ingress
 from broker.router.shutdown import Shutdown
@@ -37,7 +37,7 @@ class Router:
     def __init__(self, core: Core, guard: MemoryGuard | None = None) -> None:
         self.core = core
         self.egress = Egress(self.core)
-        self.halts = Halts(self.core)
+        self.halts = HaltIntake(self.core)
         self._arms_in_motion = ArmsInMotion(self.core)
         self._shutdown = Shutdown(self.core, self.egress, self.halts)
         self._health = Health(self.core, self.egress, guard)

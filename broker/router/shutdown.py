@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from broker.router.core import Core
 from broker.router.egress import Egress
-from broker.router.halts import Halts
+from broker.router.halt_intake import HaltIntake
 from rtc.protocol import messages as m
 
 
 class Shutdown:
-    def __init__(self, core: Core, egress: Egress, halts: Halts) -> None:
+    def __init__(self, core: Core, egress: Egress, halts: HaltIntake) -> None:
         self._core, self._egress, self._halts = core, egress, halts
         self._commands: list[str] | None = None  # live when the end began
         self._arms: set[str] = set()  # in motion when the end began

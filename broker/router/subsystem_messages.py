@@ -18,15 +18,15 @@ from broker.decisions.events import (
 from broker.decisions.state import LinkState
 from broker.router.core import Core, name_of, peer_of
 from broker.router.egress import Egress
-from broker.router.halts import Halts
+from broker.router.halt_intake import HaltIntake
 from broker.router.health import Health
 from broker.router.shutdown import Shutdown
 from broker.router.supervisor_messages import count_dropped
-from rtc.language.alike import unknown
 from rtc.protocol import messages as m
 from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.protocol.primitive_id import command_of
+from rtc.protocol.spelling import unknown
 from rtc.protocol.versions import ARRAYS
 from rtc.runtime.allowance import Allowance
 from rtc.runtime.process import send
@@ -35,7 +35,7 @@ DROP_COUNTERS = ("estop", "bench")  # of the MCM's own sockets
 
 
 class SubsystemMessages:
-    def __init__(self, core: Core, egress: Egress, halts: Halts, health: Health, shutdown: Shutdown) -> None:
+    def __init__(self, core: Core, egress: Egress, halts: HaltIntake, health: Health, shutdown: Shutdown) -> None:
         self._core, self._egress, self._halts, self._health, self._shutdown = core, egress, halts, health, shutdown
         self._of_cell = {core.given.identity(one.name): one.name for one in core.settings.subsystems}
         self._forwarded = Allowance(reporting.MAX_PER_S)  # periodic reports, to each client

@@ -10,12 +10,12 @@ from collections.abc import Collection, Sequence
 
 from lark.exceptions import UnexpectedInput
 
-from rtc.language.alike import nearest_words
 from rtc.language.grammar import END, Grammar
 from rtc.language.hands import ARM_OF_WORD
 from rtc.language.refuse import SentenceError, quoted, refusal
 from rtc.language.words import Word
 from rtc.protocol.outcomes import Refusal
+from rtc.protocol.spelling import nearest_words
 from rtc.protocol.units import KINDS, UNITS
 
 READABLE = {

@@ -13,8 +13,8 @@ from importlib import resources
 
 import msgspec
 
-from rtc.language.alike import nearest_words
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.spelling import nearest_words
 
 NIL = "nil"
 ARROW = "-->"

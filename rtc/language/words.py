@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from lark.lexer import PatternStr, TerminalDef, Token
 
-from rtc.language.alike import nearest_words
 from rtc.language.refuse import MAX_CHARACTERS, SentenceError, quoted, refusal
 from rtc.protocol.outcomes import ProgramError, Refusal
+from rtc.protocol.spelling import nearest_words
 from rtc.protocol.units import UNITS
 
 TOKEN_CLASSES = ("NAME", "STRING", "NUMBER", "QUANTITY")

@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from rtc.language.alike import unknown
 from rtc.model.cells.parts import Numbers
 from rtc.plugins import registry
 from rtc.programs import attributes, expressions, extension_names, plugin_fields, recovery, splice
@@ -23,6 +22,7 @@ from rtc.protocol.advice import Advice
 from rtc.protocol.messages import Limits, StepWords
 from rtc.protocol.outcomes import OF_OPERATOR, Reflex, StopReason
 from rtc.protocol.sentence import ParsedCommand
+from rtc.protocol.spelling import unknown
 from rtc.protocol.units import SUFFIXES
 
 Problems = Iterator[tuple[str, str]]  # place, problem

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rtc.language.alike import did_you_mean, nearest
+from rtc.protocol.spelling import did_you_mean, nearest
 from rtc.spatial import geometry
 
 MAX_APART_RAD = math.radians(5.0)  # maximum angle between averaged attitudes (A15)

@@ -9,7 +9,6 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from rtc.language.alike import unknown
 from rtc.programs.compatibility import misfits, row_of
 from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE, RULES, SEARCH, STACK, Failure, matching, searched
@@ -26,6 +25,7 @@ from rtc.programs.schema import (
 from rtc.programs.splice import spliced
 from rtc.protocol.messages import TrimOffer
 from rtc.protocol.outcomes import OF_OPERATOR, ProgramError, StopReason
+from rtc.protocol.spelling import unknown
 
 FIRST_SKILL = 3  # cases 1 and 2 are actions, which cannot be trimmed
 Entries = dict[int, TrimEntry | ReserveEntry]  # of the trimming stack and of `reserve`, by number

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping
 
 import msgspec
 
-from rtc.language.alike import unknown
 from rtc.programs.schema import ElaboratorProgram, ScriptPiece, ScriptStep
+from rtc.protocol.spelling import unknown
 
 PIECE = "piece"
 

@@ -22,9 +22,9 @@ from urllib.parse import urlsplit
 import msgspec
 import zmq
 
-from rtc.language.alike import unknown
 from rtc.protocol.outcomes import ClusterError, KeyTrouble
 from rtc.protocol.roles import MAY, TCP_ENDPOINTS, Role
+from rtc.protocol.spelling import unknown
 from rtc.runtime.settings import KEYS
 
 CLUSTER, KNOWN, REVOKED = "cluster.secret", ".known", ".revoked"

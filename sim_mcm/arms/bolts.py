@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import pybullet
 
-from rtc.language.alike import unknown
 from rtc.model.cells import parts
+from rtc.protocol.spelling import unknown
 from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import TICK_S, SpindleCommand, SpindleState
 from sim_mcm.arms.bullet_world import PhysicsWorld

@@ -14,12 +14,12 @@ import numpy as np
 import pinocchio as pin
 import pybullet
 
-from rtc.language.alike import unknown
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
 from rtc.model.robot.finger_mass import finger_mass, require_stable
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.primitive import ControlLaw, Load
+from rtc.protocol.spelling import unknown
 from rtc.runtime.environment import physics_seed
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array

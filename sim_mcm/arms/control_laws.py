@@ -20,11 +20,11 @@ from typing import Any, Protocol
 import numpy as np
 import pinocchio as pin
 
-from rtc.language.alike import unknown
 from rtc.model.robot.kinematics import ArmModel
 from rtc.plugins import guard, registry
 from rtc.plugins.guard import PluginError
 from rtc.protocol.primitive import ControlLaw
+from rtc.protocol.spelling import unknown
 from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import Motion
 from sim_mcm.arms import unrolled

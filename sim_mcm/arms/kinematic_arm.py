@@ -18,13 +18,13 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from rtc.language.alike import unknown
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
 from rtc.model.robot import hulls
 from rtc.model.robot.bodies import COAL_SHAPES
 from rtc.model.robot.kinematics import ArmModel
 from rtc.protocol.primitive import ControlLaw
+from rtc.protocol.spelling import unknown
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
 from rtc.subsystems.motion.arm import (

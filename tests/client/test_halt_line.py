@@ -11,7 +11,7 @@ import pytest
 import zmq
 
 from rtc.apps.cli.halt_words import as_text, confirmed, in_words
-from rtc.apps.console.halts import Halts
+from rtc.apps.console.halt_lines import HaltLines
 from rtc.client.client import Client
 from rtc.client.halt import HaltLine, SubsystemHalt
 from rtc.protocol import messages as m
@@ -123,7 +123,7 @@ def test_a_page_learns_at_once_what_rests(settings) -> None:
             mcms.answer()
 
         async def order() -> dict[str, Any]:
-            halts = Halts(settings, [f"ARM-{n}" for n in range(len(NAMES))])
+            halts = HaltLines(settings, [f"ARM-{n}" for n in range(len(NAMES))])
             try:
                 return await halts.order("ALL", note)
             finally:

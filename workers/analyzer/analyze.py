@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import msgspec
 
-from rtc.language.alike import unknown
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
 from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
+from rtc.protocol.spelling import unknown
 from rtc.world.model import World
 from workers.analyzer import comparison, nearby, reported_facts, sighting, trimmers, turning, what_is_left
 from workers.analyzer.analyze_task import AnalyzeTask

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import msgspec
 
-from rtc.language.alike import unknown
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.causes import UnknownName
 from rtc.protocol.messages import BinderInput, Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.spelling import unknown
 from workers.conditions import stop_conditions
 from workers.conditions.stop_conditions import Values
 from workers.planning.world_query import WorldQuery

@@ -19,13 +19,13 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from rtc.language.alike import unknown
 from rtc.model.cells import parts
 from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile
 from rtc.protocol.messages import Binding, PlannedPath, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import Constraint, ParsedCommand, Quantity
+from rtc.protocol.spelling import unknown
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array

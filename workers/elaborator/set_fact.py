@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from rtc.language.alike import nearest
 from rtc.model.cells import parts
 from rtc.programs.attributes import PLAIN
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
@@ -19,6 +18,7 @@ from rtc.protocol.advice import Texts, fill_in
 from rtc.protocol.messages import SavedWorld, Script, ScriptContext, Step, StepWords
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
+from rtc.protocol.spelling import nearest
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
 from rtc.world.model import LOOSE, TIGHT

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rtc.language.alike import did_you_mean, nearest
 from rtc.protocol.causes import UnknownName
 from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.protocol.spelling import did_you_mean, nearest
 
 
 def unknown(what: str, name: str, known: Iterable[str], where: str = "", of: str = "") -> Refused:

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 
 import msgspec
 
-from rtc.language.alike import unknown
 from rtc.protocol.messages import BoundStep, EndReport
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import HandMotion, JointTrajectory, Look
 from rtc.protocol.rehearsal import FaultBranch
+from rtc.protocol.spelling import unknown
 from workers.planning.world_query import WorldQuery
 from workers.rehearsal.performance import BoundPrimitive, Performance, copied
 from workers.rehearsal.predicted_report import end_report

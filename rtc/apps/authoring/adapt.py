@@ -20,12 +20,12 @@ import pinocchio as pin
 from rtc.apps.authoring import inertias
 from rtc.apps.authoring.hull import hull_of
 from rtc.apps.authoring.robot_file import PACKAGE, RobotFile, implausible, kinematics
-from rtc.language.alike import unknown
 from rtc.model.cells import urdf_values
 from rtc.model.cells.urdf import number, numbers, origin
 from rtc.model.cells.urdf_values import MOVING
 from rtc.model.robot.numeric_ik import MIN_JOINTS
 from rtc.protocol.outcomes import ProgramError
+from rtc.protocol.spelling import unknown
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 

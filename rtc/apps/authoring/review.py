@@ -19,7 +19,6 @@ import numpy as np
 from rtc.apps.authoring import self_collisions, words_and_keys
 from rtc.apps.authoring.inertias import GYRATION
 from rtc.apps.authoring.robot_file import EXPAND, RobotFile, implausible, kinematics
-from rtc.language.alike import unknown
 from rtc.model.cells import cell as cells
 from rtc.model.cells import extension, model_checks, two_readers, urdf_values
 from rtc.model.cells.cell import Cell
@@ -33,6 +32,7 @@ from rtc.model.robot.collision_scene import Scene
 from rtc.model.robot.kinematics import ArmModel
 from rtc.programs.yaml_location import line_of_key, path_of
 from rtc.protocol.outcomes import ProgramError, RtcError
+from rtc.protocol.spelling import unknown
 from rtc.spatial import geometry
 from rtc.wording.advice import in_one_line
 

@@ -12,7 +12,7 @@ import typer
 import rtc
 from rtc.apps.cli.cluster import speed_of
 from rtc.apps.cli.output import cli_error, console, exits_with
-from rtc.language.alike import unknown
+from rtc.protocol.spelling import unknown
 
 CHECKOUT = Path(rtc.__file__).resolve().parents[1]
 EXAMPLES = ["swapout"] if (CHECKOUT / "examples" / "swapout").is_dir() else []  # a wheel has none of them

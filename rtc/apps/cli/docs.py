@@ -11,7 +11,7 @@ import typer
 from rich.text import Text
 
 from rtc.apps.cli.output import cli_error, console, table
-from rtc.language.alike import unknown
+from rtc.protocol.spelling import unknown
 
 CHECKOUT = Path(__file__).parents[3]
 INSTALLED = "share/doc/telerobot-rtc/docs/tutorial.md"  # end of its path in a wheel, see `data-files` of pyproject.toml

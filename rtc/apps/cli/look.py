@@ -29,11 +29,11 @@ from rtc.drawing.scene import (
     degrees,
     true_scene,
 )
-from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import KeyTrouble, TimedOut
 from rtc.protocol.primitive_id import command_of
+from rtc.protocol.spelling import unknown
 from rtc.runtime import process
 
 MEASURED_S = 1.0  # maximum wait for a telemetry sample of the arms; there are 50 per second

@@ -12,11 +12,11 @@ from rich.text import Text
 from rtc.apps.cli.cluster_cell import cell_of
 from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, table
 from rtc.apps.cli.teach import with_taught
-from rtc.language.alike import unknown
 from rtc.language.hands import hand_in_words
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Camera, Object, Place, Region, Seat
 from rtc.protocol.sentence import BOTH_ARMS
+from rtc.protocol.spelling import unknown
 from rtc.spatial.axis_names import AXES
 
 NO_GRASP = "GRASP needs a row of command_object_table for it"  # of an object of a kind that the programs do not know

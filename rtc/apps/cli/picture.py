@@ -19,11 +19,11 @@ from rtc.apps.cli.output import AsJson, RunDir, cli_error, console, emit_json, t
 from rtc.client.client import Client
 from rtc.drawing.renderer import ASKED_NICENESS, Renderer
 from rtc.drawing.scene import CameraPicture, believed, centimetres, degrees, true_scene
-from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Camera
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError, TimedOut
+from rtc.protocol.spelling import unknown
 from rtc.sensing import absence, optics
 from rtc.sensing import locate as locator
 from rtc.sensing.detector import TagDetector

@@ -15,10 +15,10 @@ from rtc.apps.cli.cluster_cell import cell_file, cell_of
 from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_json, exit_code, table
 from rtc.apps.cli.progress import print_result
 from rtc.client.client import Client
-from rtc.language.alike import unknown
 from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import Fact, MotionRow, Status, Validity, View
 from rtc.protocol.outcomes import OutcomeKind, RtcError
+from rtc.protocol.spelling import unknown
 from rtc.wording.facts import JointUnits, stated, units_in
 from rtc.wording.measured import seconds
 from rtc.world.client import WorldClient

@@ -25,7 +25,7 @@ from rtc.apps.console import halt_door, token
 from rtc.apps.console.access import Access
 from rtc.apps.console.camera_pictures import CameraPictures
 from rtc.apps.console.halt_door import HaltDoor, take_connections
-from rtc.apps.console.halts import Halts
+from rtc.apps.console.halt_lines import HaltLines
 from rtc.apps.console.hub import Hub
 from rtc.apps.console.paced import PacedSocket, configured, taker
 from rtc.apps.console.reopened import ReopenedClient
@@ -112,7 +112,7 @@ def _parts(given: ConsoleOptions, access: Access) -> Iterator[Console]:
     """What answers pages, with its halt lines and pictures."""
     endpoints = given.endpoints
     pictures = CameraPictures(endpoints.cell) if isinstance(endpoints, Settings) else None
-    halts = Halts(endpoints, [arm.name for arm in given.cell.arms], given.round_trip_s)
+    halts = HaltLines(endpoints, [arm.name for arm in given.cell.arms], given.round_trip_s)
     hello: dict[str, Any] = {"life": os.urandom(4).hex(), "role": given.role, "where": _where(endpoints)}
     hello |= {"delay_s": 0.5 * given.round_trip_s} if endpoints.far else {}
     hub = Hub(given.cell, now_s, hello)

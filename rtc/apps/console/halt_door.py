@@ -28,7 +28,7 @@ from uvicorn.server import ServerState
 
 from rtc.apps.console.access import Access, body, objects
 from rtc.apps.console.admission import Admission
-from rtc.apps.console.halts import Halts, OnNews
+from rtc.apps.console.halt_lines import HaltLines, OnNews
 from rtc.apps.console.paced import PacedHaltSocket, configured, taker
 from rtc.protocol import messages as m
 from rtc.runtime import process
@@ -87,7 +87,7 @@ class HaltDoor:
 # --- the process -----------------------------------------------------------------------------------------
 
 
-def app(access: Access, halts: Halts) -> Starlette:
+def app(access: Access, halts: HaltLines) -> Starlette:
     """POST /halt and the socket /halt, for pages that are admitted."""
 
     async def order(scope: str, on_news: OnNews | None = None) -> dict[str, Any]:
@@ -203,7 +203,7 @@ def take_connections(channel: socket.socket, take: Callable[[socket.socket], Non
     loop.add_reader(channel, receive)
 
 
-async def _serve(given: HaltDoorOptions, halts: Halts, listening: socket.socket, channel: socket.socket) -> None:
+async def _serve(given: HaltDoorOptions, halts: HaltLines, listening: socket.socket, channel: socket.socket) -> None:
     config = configured(app(given.access, halts), PacedHaltSocket)
     Sorter(listening, channel, taker(config, ServerState()))
     over = asyncio.Event()
@@ -230,7 +230,7 @@ def main() -> None:
     endpoints: Endpoints | None = given.settings or given.key
     assert endpoints is not None
     _raise_priority()
-    halts = Halts(endpoints, given.arms, given.round_trip_s)
+    halts = HaltLines(endpoints, given.arms, given.round_trip_s)
     asyncio.run(_serve(given, halts, listening, channel))
 
 

@@ -34,7 +34,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from rtc.apps.console.access import Access, body, objects
 from rtc.apps.console.admission import Admission, same
 from rtc.apps.console.camera_pictures import CameraPictures
-from rtc.apps.console.halts import Halts
+from rtc.apps.console.halt_lines import HaltLines
 from rtc.apps.console.hub import Hub
 from rtc.apps.console.operating import OperatorStream
 from rtc.apps.console.pages import FrameSlot, Mailbox
@@ -64,7 +64,7 @@ class Console:
         self,
         hub: Hub,
         access: Access,
-        halts: Halts,
+        halts: HaltLines,
         client: ReopenedClient,
         grammar: Grammar,
         pictures: CameraPictures | None,

@@ -18,7 +18,6 @@ from typing import Annotated, Any
 
 import msgspec
 
-from rtc.language.alike import unknown
 from rtc.model.cells import extension, model_checks
 from rtc.model.cells.parts import (
     FAR,
@@ -42,6 +41,7 @@ from rtc.plugins.guard import PluginError
 from rtc.protocol.digest import digest
 from rtc.protocol.outcomes import ProgramError
 from rtc.protocol.primitive.limits import HEAVIEST_KG, MAX_INERTIA_KG_M2
+from rtc.protocol.spelling import unknown
 from rtc.protocol.subsystems import ARMS, Subsystem, owner, resolved
 from rtc.spatial import geometry, hinges
 

@@ -10,11 +10,11 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from rtc.language.alike import unknown
 from rtc.model.cells import urdf_values
 from rtc.model.cells.parts import Arm
 from rtc.model.cells.urdf import Urdf
 from rtc.model.cells.urdf_values import MOVING
+from rtc.protocol.spelling import unknown
 
 HULL = ".obj"
 WIDTH_SLACK_M = 0.0005

@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from rtc.language.alike import unknown
 from rtc.model.cells import tag_family
+from rtc.protocol.spelling import unknown
 from rtc.spatial import geometry
 
 Name = Annotated[str, Meta(pattern=r"^[A-Z][A-Z0-9]*(-[A-Z0-9]+)*$")]

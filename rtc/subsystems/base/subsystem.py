@@ -25,13 +25,13 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from rtc.language.alike import unknown
 from rtc.plugins import guard
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Measured, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.protocol.primitive_id import MAX_CHARACTERS, is_name
+from rtc.protocol.spelling import unknown
 from rtc.protocol.versions import ARRAYS, VERSION
 from rtc.runtime.halt_admission import HaltRateLimiter, overload
 

@@ -31,21 +31,21 @@ def nearest(name: str, known: Iterable[str]) -> list[str]:
 
 def nearest_words(written: str, known: Iterable[str]) -> list[str]:
     """The known words at the least edit distance, at most MAX_NEAREST, sorted; empty if that exceeds the allowance."""
-    allowed = slips_allowed(written)
+    allowed = max_edit_distance(written)
     near: dict[int, list[str]] = {}
     for word in known:
         if abs(len(word) - len(written)) <= allowed:
-            near.setdefault(slips(written, word), []).append(word)
+            near.setdefault(edit_distance(written, word), []).append(word)
     fewest = min(near, default=allowed + 1)
     return sorted(near[fewest])[:MAX_NEAREST] if fewest <= allowed else []
 
 
-def slips_allowed(written: str) -> int:
+def max_edit_distance(written: str) -> int:
     """The greatest edit distance for a word of this length. It leaves at least one letter right."""
     return min(len(written) - 1, 1 if len(written) < 5 else 2 if len(written) < 9 else 3)
 
 
-def slips(written: str, meant: str) -> int:
+def edit_distance(written: str, meant: str) -> int:
     """The edit distance (optimal string alignment): omitted, added, changed and transposed letters."""
     before: list[int] = []
     last = list(range(len(meant) + 1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from broker.router.halts import AGAIN_S, CALLERS_KEPT, HALTS_OF_CALLER
+from broker.router.halt_intake import AGAIN_S, CALLERS_KEPT, HALTS_OF_CALLER
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.runtime.halt_admission import PER_S

@@ -1,10 +1,10 @@
-"""Slips of the finger."""
+"""Spelling mistakes."""
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtc.language.alike import nearest_words, slips
+from rtc.protocol.spelling import edit_distance, nearest_words
 
 WORDS = ["GRASP", "MAINTAIN", "MOVE", "STOW", "SHOW", "LEFT-ARM", "RIGHT-ARM"]
 
@@ -22,8 +22,8 @@ WORDS = ["GRASP", "MAINTAIN", "MOVE", "STOW", "SHOW", "LEFT-ARM", "RIGHT-ARM"]
         ("RIHGTARM", "RIGHT-ARM", 2),
     ],
 )
-def test_slips(written: str, meant: str, count: int) -> None:
-    assert slips(written, meant) == count
+def test_edit_distance(written: str, meant: str, count: int) -> None:
+    assert edit_distance(written, meant) == count
 
 
 @pytest.mark.parametrize(
@@ -44,6 +44,6 @@ def test_nearest_words(written: str, near: list[str]) -> None:
 
 @settings(derandomize=True)
 @given(st.text("ABC-", max_size=8), st.text("ABC-", max_size=8))
-def test_slips_are_the_same_both_ways_and_none_only_for_the_same_word(one: str, other: str) -> None:
-    assert slips(one, other) == slips(other, one) <= max(len(one), len(other))
-    assert (slips(one, other) == 0) == (one == other)
+def test_the_distance_is_the_same_both_ways_and_none_only_for_the_same_word(one: str, other: str) -> None:
+    assert edit_distance(one, other) == edit_distance(other, one) <= max(len(one), len(other))
+    assert (edit_distance(one, other) == 0) == (one == other)

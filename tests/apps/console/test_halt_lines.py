@@ -6,7 +6,7 @@ import asyncio
 import time
 from pathlib import Path
 
-from rtc.apps.console.halts import Halts
+from rtc.apps.console.halt_lines import HaltLines
 from rtc.runtime.halt_admission import PER_S
 from rtc.runtime.settings import Settings
 from tests.client.test_client import SmallBroker, obliging
@@ -18,7 +18,7 @@ def test_no_page_makes_a_line_send_more_than_subsystems_confirm(tmp_path: Path) 
     count = PER_S // 4
 
     async def flood() -> list[bool]:
-        halts = Halts(Settings.load(tmp_path), ["RIGHT-ARM"])
+        halts = HaltLines(Settings.load(tmp_path), ["RIGHT-ARM"])
         found = [(await halts.order("C-1"))["confirmed"] for _ in range(count)]  # one line has these scopes
         halts.close()
         return found

@@ -28,7 +28,7 @@ class Called:
     answered: bool = False  # a subsystem has reported whether all in its scope is at rest
 
 
-class Halts:
+class HaltIntake:
     def __init__(self, core: Core) -> None:
         self._core = core
         self._limiter = HaltRateLimiter()

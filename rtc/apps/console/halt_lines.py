@@ -45,7 +45,7 @@ class _Lines(msgspec.Struct):
     waiting: dict[str, _Asked] = {}
 
 
-class Halts:
+class HaltLines:
     """For one event loop. `arms`: names of arms."""
 
     def __init__(self, endpoints: Endpoints, arms: Collection[str], round_trip_s: float = 0.0) -> None:
