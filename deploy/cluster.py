@@ -37,7 +37,7 @@ from rtc.protocol.messages import REHEARSER, ProcessRow
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.protocol.subsystems import ARMS, CAMERAS, Subsystem
 from rtc.runtime import handover, process, process_table
-from rtc.runtime.settings import ENDPOINTS, LAST_WORDS, LOCK, Settings, prepare_run_dir, shell_command
+from rtc.runtime.settings import LAST_WORDS, LOCK, Settings, prepare_run_dir, shell_command
 from rtc.world import lease
 
 LOGS = "logs"
@@ -63,6 +63,7 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
         *([_spec("gate", "broker.gateway.gateway", settings, beats=True)] if settings.listen else []),
         *([_recorder(settings)] if settings.record else []),
         *(worker(settings, address) for address in _first_workers(settings)),
+        _spec("cli-template", "rtc.apps.cli.template", settings, **FROM_COMMON),
     ]
     return [_hand(spec, fd) for spec in made]
 
@@ -397,8 +398,8 @@ def _clean(run_dir: Path) -> None:
 def _remove_traces(run_dir: Path) -> None:
     """Removes the signs of a running cluster: sockets, which killed processes leave behind, and the process table."""
     (run_dir / process_table.FILE).unlink(missing_ok=True)
-    for file in ENDPOINTS.values():
-        (run_dir / file).unlink(missing_ok=True)
+    for socket in run_dir.glob("*.sock"):
+        socket.unlink(missing_ok=True)
 
 
 def write_key(run_dir: Path, key: bytes) -> None:

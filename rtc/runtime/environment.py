@@ -24,6 +24,22 @@ def use_rooms() -> None:
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (ROOMS, os.environ.get("PYTHONPATH"))))
 
 
+def all_variables() -> dict[bytes, bytes]:
+    """The whole environment, for a process that takes the place of this one."""
+    return dict(os.environb)
+
+
+def replace(variables: dict[bytes, bytes]) -> None:
+    """Be in this environment from now on."""
+    os.environb.clear()
+    os.environb.update(variables)
+
+
+def module_path() -> str:
+    """PYTHONPATH."""
+    return os.environ.get("PYTHONPATH", "")
+
+
 def data_dir() -> str:
     """Directory of this user's data that outlive a run: XDG_DATA_HOME, or ~/.local/share."""
     return f"{os.environ.get('XDG_DATA_HOME') or os.path.expanduser('~/.local/share')}/rtc"

@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 LIMIT_S = 90.0
 WORKERS = ["parser@0", "elaborator@1", "binder@2", "analyzer@3"]
 TEMPLATES = ["common-template", "template", "broker-template", "world-template", "MCM-template"]
-NAMES = [*TEMPLATES, "broker", "world", "MCM", "S&P", *WORKERS]
+NAMES = [*TEMPLATES, "cli-template", "broker", "world", "MCM", "S&P", *WORKERS]
 
 
 def deploy(*arguments, run_dir):
@@ -124,7 +124,7 @@ def test_up_work_down_and_again_beside_another_one(run_dir, tmp_path):
     assert (run_dir / "front.sock").exists()
 
     assert up(tmp_path, "--dim", "3").returncode == 0
-    assert len(rows(tmp_path)) == len(TEMPLATES) + 4 + 8
+    assert len(rows(tmp_path)) == len(TEMPLATES) + 5 + 8
     assert report(run_dir)["cluster"] != report(tmp_path)["cluster"]
     ends_in_order(tmp_path)
     all_ready(run_dir)

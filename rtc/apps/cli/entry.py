@@ -5,20 +5,24 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from rtc.apps.cli.halt_at_once import run
+from rtc.apps.cli import forked, halt_at_once
 from rtc.apps.cli.interrupts import leave_at_interrupts
 from rtc.runtime.environment import use_rooms
 
 
 def main() -> None:
-    """Import and run the command line. A plain `rtc halt` sends its order before anything else is imported."""
+    """Run the command line: in a process of the cluster's, else in this one, once all is imported.
+
+    A plain `rtc halt` sends its order before that."""
     leave_at_interrupts()
     if sys.argv[1:] == ["--version"]:
         print(import_module("rtc.apps.cli.version").line())
         return
-    if sys.argv[1:2] == ["halt"] and (status := run(sys.argv[2:])) is not None:
+    if sys.argv[1:2] == ["halt"] and (status := halt_at_once.run(sys.argv[2:])) is not None:
         sys.exit(status)
     use_rooms()
+    if (status := forked.run(sys.argv[1:])) is not None:
+        sys.exit(status)
     import_module("rtc.apps.cli.main").main()
 
 

@@ -142,7 +142,7 @@ def _call() -> None:
     called = sys.argv[1] if len(sys.argv) > 1 else ""
     time_limit.install()
     try:
-        build([called] if called in COMMANDS else list(COMMANDS))()
+        build([called] if called in COMMANDS else list(COMMANDS))(prog_name="rtc")
     except NoCluster as error:
         sys.exit(cli_error(str(error), NO_CLUSTER).exit_code)
     except RequestDeclined as error:
