@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from rtc.apps.cli import forked, halt_at_once
+from rtc.apps.cli import halt_at_once
 from rtc.apps.cli.interrupts import leave_at_interrupts
 from rtc.runtime.environment import use_rooms
 
@@ -21,7 +21,7 @@ def main() -> None:
     if sys.argv[1:2] == ["halt"] and (status := halt_at_once.run(sys.argv[2:])) is not None:
         sys.exit(status)
     use_rooms()
-    if (status := forked.run(sys.argv[1:])) is not None:
+    if (status := import_module("rtc.apps.cli.forked").run(sys.argv[1:])) is not None:
         sys.exit(status)
     import_module("rtc.apps.cli.main").main()
 
