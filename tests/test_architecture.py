@@ -6,6 +6,7 @@ import ast
 import functools
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -249,6 +250,15 @@ TAKES_APART = {
 }
 #: `outcome_table`: the message of a program, with places for figures
 READ_TEXTS = {"rtc/programs/outcome_table.py", "workers/rehearsal/repairs.py"}
+
+
+#: the client for asyncio has the names of the one with threads
+ALIKE = {"Client", "CommandHandle"}
+
+
+def test_no_two_classes_have_one_name() -> None:
+    names = Counter(name for path in ALL for name in re.findall(r"^ *class (\w+)", path.read_text(), re.MULTILINE))
+    assert {name for name, count in names.items() if count > 1} == ALIKE
 
 
 def test_no_code_takes_the_text_of_a_message_apart() -> None:

@@ -46,7 +46,7 @@ JobInput = ParserInput | ElaboratorInput | BinderInput | AnalyzerInput | Rehears
 NO_PROGRAMS: dict[str, str] = {}
 
 
-class Facts(TypedDict, total=False):
+class NoteFacts(TypedDict, total=False):
     """What a note states besides its kind; the fields are those of ProgressNote."""
 
     reason: StopReason | None
@@ -185,7 +185,7 @@ class DecisionContext:
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1
 
-    def note(self, command: Command, kind: NoteKind, **facts: Unpack[Facts]) -> None:
+    def note(self, command: Command, kind: NoteKind, **facts: Unpack[NoteFacts]) -> None:
         """Write a note. The phase stays."""
         self.enter(command, command.phase, kind, **facts)
 
@@ -194,7 +194,7 @@ class DecisionContext:
         command: Command,
         phase: Phase,
         kind: NoteKind = NoteKind.PHASE,
-        **facts: Unpack[Facts],
+        **facts: Unpack[NoteFacts],
     ) -> None:
         """Change the phase and write a note."""
         state, notes = self.state, command.notes

@@ -409,7 +409,7 @@ class LinkState(StrEnum):
     LOST = "lost"
 
 
-class Subsystem(msgspec.Struct, kw_only=True):
+class SubsystemState(msgspec.Struct, kw_only=True):
     """One subsystem that has connected in this run."""
 
     pid: int
@@ -549,7 +549,7 @@ class State(msgspec.Struct, kw_only=True):
     """Failed command -> its arms until the operator has done it, at most one for each arm."""
     answers: dict[str, OperatorAnswer] = {}
     """Command of a DONE, CANNOT or TAKE -> its answer, until that is settled."""
-    subsystems: dict[str, Subsystem] = {}
+    subsystems: dict[str, SubsystemState] = {}
     """By name, lost ones included."""
     tested: dict[str, Tested] = {}
     """Digest -> test, the latest last."""

@@ -14,7 +14,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendHalt
 from broker.decisions.events import BrokerRestarted, Stimulus, SubsystemConnected, SubsystemGone
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
-from broker.decisions.state import NIL, LinkState, State, Subsystem
+from broker.decisions.state import NIL, LinkState, State, SubsystemState
 from rtc.protocol.messages import HaltOrder, Phase, SubsystemHello
 from rtc.protocol.primitive_id import command_of, number_of
 from rtc.protocol.versions import PAUSES, RIGID
@@ -97,7 +97,7 @@ def await_hello(context: DecisionContext, name: str, event: BrokerRestarted) -> 
 def _connect(context: DecisionContext, hello: SubsystemHello) -> None:
     """Store the link, and halt what moves there without a command that waits for it."""
     state, name = context.state, hello.name
-    state.subsystems[name] = Subsystem(
+    state.subsystems[name] = SubsystemState(
         pid=hello.pid,
         performers=hello.performers,
         queues=hello.queues,

@@ -19,7 +19,7 @@ LOST_KEPT = 64  # maximum number of lost workers per record
 WORDS = 160  # characters of a refusal
 
 
-class Connection(NamedTuple):
+class OpenConnection(NamedTuple):
     """One connection of a peer. `worker`: its state if the peer is a worker."""
 
     key: str
@@ -80,10 +80,14 @@ class PeerRecords:
         return record
 
     def rows(
-        self, known: Mapping[str, KnownKey], revoked: Mapping[str, KnownKey], open_: Iterable[Connection], now: float
+        self,
+        known: Mapping[str, KnownKey],
+        revoked: Mapping[str, KnownKey],
+        open_: Iterable[OpenConnection],
+        now: float,
     ) -> list[PeerRow]:
         """One row per key and host, and one for each known key that was not used. `known`, `revoked`: keys by name."""
-        connections: dict[tuple[str, str], list[Connection]] = {}
+        connections: dict[tuple[str, str], list[OpenConnection]] = {}
         for one in open_:
             connections.setdefault((one.key, one.host), []).append(one)
         self._forget(connections, now)
@@ -96,7 +100,7 @@ class PeerRecords:
         peer: tuple[str, str],
         known: Mapping[str, KnownKey],
         revoked: Mapping[str, KnownKey],
-        connections: Collection[Connection],
+        connections: Collection[OpenConnection],
     ) -> PeerRow:
         (name, host), record = peer, self._records.get(peer, Record())
         key = known.get(name) or revoked.get(name)

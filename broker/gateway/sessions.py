@@ -13,7 +13,7 @@ import msgspec
 import zmq
 
 from broker.gateway.endpoints import Peer, ServerSockets, close, push
-from broker.gateway.peers import Connection
+from broker.gateway.peers import OpenConnection
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import RefusalReason
@@ -202,7 +202,7 @@ class Sessions:
     def _of_key(self, endpoint: str, key: KnownKey) -> list[PeerConnection]:
         return [link for link in self._links.values() if link.endpoint == endpoint and link.key.public == key.public]
 
-    def connections(self) -> Iterator[Connection]:
+    def connections(self) -> Iterator[OpenConnection]:
         """The connected peers that have introduced themselves."""
         for link in self._named.values():
             worker = None
@@ -213,7 +213,7 @@ class Sessions:
                     round_trip_s=link.round_trip_s,
                     round_trip_at_s=link.round_trip_at_s,
                 )
-            yield Connection(link.key.name, link.host, worker)
+            yield OpenConnection(link.key.name, link.host, worker)
 
     def remove(self, link: PeerConnection, linger_ms: int = 0, in_order: bool = False) -> None:
         if link.endpoint == "workers" and not in_order:

@@ -18,7 +18,7 @@ from broker.router.core import Core, name_of
 from broker.router.egress import Egress
 from broker.router.health import Health
 from broker.router.queries import status, trace
-from broker.router.shutdown import Shutdown
+from broker.router.shutdown import ClusterShutdown
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.advice import by_person
@@ -37,7 +37,7 @@ read_ended = wire.decoder(m.CommandEnded)
 
 
 class ClientMessages:
-    def __init__(self, core: Core, egress: Egress, health: Health, shutdown: Shutdown) -> None:
+    def __init__(self, core: Core, egress: Egress, health: Health, shutdown: ClusterShutdown) -> None:
         self._core, self._egress, self._health, self._shutdown = core, egress, health, shutdown
         self._queries = Allowance(QUERIES_PER_S)  # of each client
         self._greeted: OrderedDict[bytes, None] = OrderedDict()  # clients with a hello to this broker

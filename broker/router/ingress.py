@@ -13,7 +13,7 @@ from broker.router.core import Core
 from broker.router.egress import Egress
 from broker.router.halt_intake import HaltIntake
 from broker.router.health import Health
-from broker.router.shutdown import Shutdown
+from broker.router.shutdown import ClusterShutdown
 from broker.router.subsystem_messages import SubsystemMessages
 from broker.router.supervisor_messages import SupervisorMessages
 from broker.router.worker_messages import WorkerMessages
@@ -47,7 +47,9 @@ class Source(NamedTuple):
 
 
 class Ingress:
-    def __init__(self, core: Core, egress: Egress, halts: HaltIntake, health: Health, shutdown: Shutdown) -> None:
+    def __init__(
+        self, core: Core, egress: Egress, halts: HaltIntake, health: Health, shutdown: ClusterShutdown
+    ) -> None:
         self._core, self._egress = core, egress
         self._sources = {
             "halt": Source(_read_halt, halts.receive),

@@ -20,7 +20,7 @@ from broker.router.egress import Egress
 from broker.router.halt_intake import HaltIntake
 from broker.router.health import Health
 from broker.router.ingress import Ingress
-from broker.router.shutdown import Shutdown
+from broker.router.shutdown import ClusterShutdown
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.runtime.memory_guard import MemoryGuard
@@ -39,7 +39,7 @@ class Router:
         self.egress = Egress(self.core)
         self.halts = HaltIntake(self.core)
         self._arms_in_motion = ArmsInMotion(self.core)
-        self._shutdown = Shutdown(self.core, self.egress, self.halts)
+        self._shutdown = ClusterShutdown(self.core, self.egress, self.halts)
         self._health = Health(self.core, self.egress, guard)
         self._ingress = Ingress(self.core, self.egress, self.halts, self._health, self._shutdown)
         self._iteration_s = self.core.began_s  # start of the latest iteration

@@ -8,7 +8,7 @@ from broker.router.halt_intake import HaltIntake
 from rtc.protocol import messages as m
 
 
-class Shutdown:
+class ClusterShutdown:
     def __init__(self, core: Core, egress: Egress, halts: HaltIntake) -> None:
         self._core, self._egress, self._halts = core, egress, halts
         self._commands: list[str] | None = None  # live when the end began

@@ -20,7 +20,7 @@ from broker.router.core import Core, name_of, peer_of
 from broker.router.egress import Egress
 from broker.router.halt_intake import HaltIntake
 from broker.router.health import Health
-from broker.router.shutdown import Shutdown
+from broker.router.shutdown import ClusterShutdown
 from broker.router.supervisor_messages import count_dropped
 from rtc.protocol import messages as m
 from rtc.protocol.advice import by_person
@@ -35,7 +35,9 @@ DROP_COUNTERS = ("estop", "bench")  # of the MCM's own sockets
 
 
 class SubsystemMessages:
-    def __init__(self, core: Core, egress: Egress, halts: HaltIntake, health: Health, shutdown: Shutdown) -> None:
+    def __init__(
+        self, core: Core, egress: Egress, halts: HaltIntake, health: Health, shutdown: ClusterShutdown
+    ) -> None:
         self._core, self._egress, self._halts, self._health, self._shutdown = core, egress, halts, health, shutdown
         self._of_cell = {core.given.identity(one.name): one.name for one in core.settings.subsystems}
         self._forwarded = Allowance(reporting.MAX_PER_S)  # periodic reports, to each client

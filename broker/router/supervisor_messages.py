@@ -7,7 +7,7 @@ from typing import Any
 
 from broker.decisions.events import SubsystemGone
 from broker.router.core import Core
-from broker.router.shutdown import Shutdown
+from broker.router.shutdown import ClusterShutdown
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import WireError
 from rtc.runtime.process_table import in_words
@@ -21,7 +21,7 @@ DROP_COUNTERS: dict[bytes, tuple[str, ...]] = {
 
 
 class SupervisorMessages:
-    def __init__(self, core: Core, shutdown: Shutdown) -> None:
+    def __init__(self, core: Core, shutdown: ClusterShutdown) -> None:
         self._core, self._shutdown = core, shutdown
 
     def receive(self, peer: bytes, message: Any, now: float) -> None:

@@ -27,7 +27,7 @@ GRACE_S = 20.0  # time limit of an orderly end; longer than the longest job (15 
 STEP_S = 0.5
 
 
-class Worker:
+class RayWorker:
     """One worker in an actor. Ray calls the methods in threads: `run` occupies one until the worker ends."""
 
     def __init__(self, key: KeyFile, kind: str, lost_after_s: float) -> None:
@@ -74,7 +74,7 @@ class Fleet:
     def __init__(self, ray: Any, key: KeyFile, kind: WorkerKind, count: int, lost_after_s: float = LIMIT_S) -> None:
         self._ray, self._kind, self._count = ray, kind, count
         # Only Ray's own failures are retried: an actor whose process died is restarted, and runs its worker again.
-        made = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1, max_concurrency=3)(Worker)
+        made = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1, max_concurrency=3)(RayWorker)
         self._start = lambda: Member(made.remote(key, kind.value, lost_after_s))
         self.members: list[Member] = []
         self._again = Every(AGAIN_S)

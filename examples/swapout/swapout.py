@@ -24,7 +24,7 @@ from examples.swapout.lines import Course, Line
 from examples.swapout.scripted_operator import DIALOGUES, Act, ScriptedOperator
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
-from rtc.apps.demos.pictures import Pictures
+from rtc.apps.demos.pictures import DemoPictures
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.model.cells.cell import Cell
@@ -132,7 +132,7 @@ def show(narrator: Narrator, name: str, part: Part, speed: str, out: Path, test:
     every, cell = planner.read(LINES.read_text()), Cell.load(part.cell)
     narrator.chapter(part.about)
     with Renderer() as renderer, Film(out / f"{name}.gif", cell.name, part.frame_s) as film:
-        pictures = Pictures(out, renderer, cell.name)
+        pictures = DemoPictures(out, renderer, cell.name)
         with own_cluster(cell=cell.name, speed=speed) as run_dir, Client(run_dir) as rtc, film.shooting(run_dir):
             tried = every if part is WHOLE else [line for line in every if line.label in part.lines]
             predicted = on_paper(narrator, rtc, tried) if test else {}
@@ -151,7 +151,9 @@ def show(narrator: Narrator, name: str, part: Part, speed: str, out: Path, test:
         pictures.check(narrator)
 
 
-def perform(narrator: Narrator, scene: Scene, part: Part, every: list[Line], pictures: Pictures, film: Film) -> Course:
+def perform(
+    narrator: Narrator, scene: Scene, part: Part, every: list[Line], pictures: DemoPictures, film: Film
+) -> Course:
     """The lines of a part, with the operator's help; at one of them something goes wrong."""
     cell, event = Cell.load(part.cell), part.event
     operator = ScriptedOperator(scene.run_dir, cell)

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from rtc.sensing.detector import Mark
+from rtc.sensing.detector import DetectedTag
 from rtc.sensing.optics import CORNERS, CameraView
 from rtc.sensing.pose_fit import Fit, TagObservation, fit
 from rtc.spatial import geometry
@@ -39,7 +39,7 @@ class Seen(NamedTuple):
     """The tags in one picture."""
 
     view: CameraView
-    marks: Sequence[Mark]
+    marks: Sequence[DetectedTag]
 
 
 def corners(tag: TagOnBody) -> Array:

@@ -137,9 +137,9 @@ def test_a_trimmer_that_cannot_be_loaded_is_refused_with_its_program(install: In
 
 FINDS = """
 import numpy as np
-from rtc.sensing.detector import Mark
+from rtc.sensing.detector import DetectedTag
 def find(camera, image):
-    return [Mark(17, np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]]))] if camera == "CAMERA-1" else []
+    return [DetectedTag(17, np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]]))] if camera == "CAMERA-1" else []
 """
 
 
@@ -169,12 +169,16 @@ def test_a_trimmer_that_fails_is_named_and_the_next_one_is_asked(install: Instal
     assert any("trimmer EVIL" in one.message for one in done.assessments)  # wording: whose code has failed
 
 
-MARK = "from rtc.sensing.detector import Mark\nimport numpy as np\n"
+MARK = "from rtc.sensing.detector import DetectedTag\nimport numpy as np\n"
 
 
 @pytest.mark.parametrize(
     "code",
-    ["raise SystemExit(1)", "return [Mark(17, np.full((4, 2), np.nan))]", "return [Mark(1.5, np.ones((4, 2)))]"],
+    [
+        "raise SystemExit(1)",
+        "return [DetectedTag(17, np.full((4, 2), np.nan))]",
+        "return [DetectedTag(1.5, np.ones((4, 2)))]",
+    ],
 )
 def test_a_sensor_that_fails_is_named_in_the_look(install: Install, cell: Cell, code: str) -> None:
     install(registry.SENSORS, "EVIL", "find", f"{MARK}def find(camera, image):\n    {code}\n")

@@ -10,7 +10,7 @@ import pytest
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Camera, Frame, Tag
 from rtc.sensing import locate, optics, pose_fit
-from rtc.sensing.detector import Mark
+from rtc.sensing.detector import DetectedTag
 from rtc.spatial import geometry
 
 MODULE = "MACS-NEW"
@@ -32,7 +32,7 @@ def seen(
     marks = []
     for tag in tags:
         pixels = view.pixels(locate.corners(tag) @ matrix[:3, :3].T + matrix[:3, 3])
-        marks.append(Mark(tag.id, pixels + noise_px * random.standard_normal(pixels.shape)))
+        marks.append(DetectedTag(tag.id, pixels + noise_px * random.standard_normal(pixels.shape)))
     return locate.Seen(view, marks)
 
 
@@ -98,7 +98,7 @@ def test_the_covariance_is_that_of_the_errors(tags) -> None:
 
 def test_a_tag_that_has_come_off_is_left_out(tags) -> None:
     good = seen(ABOVE, [tags[n] for n in range(3)], TRUE, 0.1)
-    moved = Mark(3, seen(ABOVE, [tags[3]], TRUE).marks[0].corners + np.array((12.0, -5.0)))
+    moved = DetectedTag(3, seen(ABOVE, [tags[3]], TRUE).marks[0].corners + np.array((12.0, -5.0)))
     found = locate.locate(tags.values(), [good._replace(marks=[*good.marks, moved])])[MODULE]
     assert [sighting.tag for sighting in found.used] == [0, 1, 2]
     assert errors(found.pose, TRUE) < (0.003, math.radians(1.0))

@@ -18,14 +18,14 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import EndReport, Execute
 from rtc.protocol.primitive import Primitive
 from rtc.sensing import optics
-from rtc.sensing.detector import Mark
+from rtc.sensing.detector import DetectedTag
 from rtc.sensing.locate import corners
 from rtc.spatial import geometry
 from rtc.subsystems.base.subsystem import BROKER
 from rtc.subsystems.perception.look_task import Evaluated, Windows
 from rtc.subsystems.perception.subsystem import PerceptionSubsystem
 
-Seen = tuple[NDArray[np.uint8] | None, list[Mark]]  # (the whole picture, the tags in it or in its windows)
+Seen = tuple[NDArray[np.uint8] | None, list[DetectedTag]]  # (the whole picture, the tags in it or in its windows)
 NOTHING: Windows = {}
 GREY = np.full((480, 640, 3), 128, np.uint8)
 PERIOD_S = 0.1  # of a picture: those of several cameras come one after the other
@@ -74,13 +74,13 @@ class Ideal:
         marks = self._marks(view, scene)
         return (None, [mark for mark in marks if mark.tag in windows]) if windows else (GREY, marks)
 
-    def _marks(self, view: optics.CameraView, scene: SceneView) -> list[Mark]:
+    def _marks(self, view: optics.CameraView, scene: SceneView) -> list[DetectedTag]:
         marks = []
         for tag in self.cell.tags:
             matrix = geometry.to_matrix(_poses(self.cell, scene)[tag.body])
             world = corners(tag) @ matrix[:3, :3].T + matrix[:3, 3]
             if optics.visible(view, world, np.cross(world[1] - world[0], world[3] - world[0])):
-                marks.append(Mark(tag.id, view.pixels(world)))
+                marks.append(DetectedTag(tag.id, view.pixels(world)))
         return marks
 
 

@@ -14,7 +14,7 @@ from broker.decisions import deferred_analysis
 from broker.decisions.command.jobs import QUARANTINED, SUSPECT, dispatch_again, has_moved, retry_analysis
 from broker.decisions.command.limits import CLOSING_LIMIT_S
 from broker.decisions.command.termination import cancel, end
-from broker.decisions.context import DecisionContext, Facts
+from broker.decisions.context import DecisionContext, NoteFacts
 from broker.decisions.events import JobLost
 from broker.decisions.state import NIL, AssessmentHead, Command, PendingOutcome
 from rtc.protocol import wire
@@ -28,7 +28,7 @@ read_assessment = wire.decoder(AssessmentHead)
 
 
 def close(
-    context: DecisionContext, command: Command, report: EndReport, kind: NoteKind, **facts: Unpack[Facts]
+    context: DecisionContext, command: Command, report: EndReport, kind: NoteKind, **facts: Unpack[NoteFacts]
 ) -> None:
     """Start the last analysis, which only updates the world facts. `kind`, `facts`: of the note that it begins."""
     assert command.actions is not None

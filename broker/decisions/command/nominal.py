@@ -24,7 +24,7 @@ from broker.decisions.state import (
     LinkState,
     PendingOutcome,
     ScriptHead,
-    Subsystem,
+    SubsystemState,
     picture_times_of,
     queues_of,
 )
@@ -140,7 +140,7 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
 
 
 def _fault(
-    context: DecisionContext, command: Command, result: BoundHead, primitive: Primitive, subsystem: Subsystem
+    context: DecisionContext, command: Command, result: BoundHead, primitive: Primitive, subsystem: SubsystemState
 ) -> str:
     """Why the primitive that the binder made may not be sent; empty if it may."""
     held = context.state.resources.held.get(command.id, {})

@@ -24,7 +24,7 @@ from rtc.apps.cli.language import in_one_line
 from rtc.apps.cli.live_state import ASK_S, LiveState, in_words
 from rtc.apps.cli.output import console, errors
 from rtc.apps.cli.progress import Board, print_result
-from rtc.apps.cli.sentence_files import LABEL, Labels, Line, line_of, unknown_label
+from rtc.apps.cli.sentence_files import LABEL, Labels, SentenceLine, line_of, unknown_label
 from rtc.apps.cli.sentences import HALTED, LeftRunning, Signalled, asked_on_interrupt, gone_away, show_silence
 from rtc.apps.cli.status import show_status
 from rtc.apps.cli.teach import with_taught
@@ -171,7 +171,7 @@ class Shell:
     def labels(self) -> list[str]:
         return list(self._labels.numbers)
 
-    def _sentence(self, line: Line) -> None:
+    def _sentence(self, line: SentenceLine) -> None:
         """Raises ValueError for a label that no earlier line has, in a program with labels."""
         if problem := line.place and unknown_label(line.text, self.labels(), strict=bool(self.labels())):
             raise ValueError(problem)

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from rtc.apps.cli import sentence_files
 from rtc.apps.cli.output import AsJson, RunDir, With, cli_error, console, emit_json, exit_code, exits_with
-from rtc.apps.cli.sentence_files import Line
+from rtc.apps.cli.sentence_files import SentenceLine
 from rtc.client.client import Client
 from rtc.client.rehearsing import digest_of, rehearse
 from rtc.client.session import as_text
@@ -67,15 +67,15 @@ def test(
     raise typer.Exit(code)
 
 
-def _lines(argument: str) -> list[Line]:
+def _lines(argument: str) -> list[SentenceLine]:
     """A sentence, or those of a file."""
     path = Path(argument)
     if argument == "-" or (" " not in argument.strip() and path.is_file()):
         return sentence_files.read(path)
-    return [Line("", as_text(argument))] if argument.strip() else []
+    return [SentenceLine("", as_text(argument))] if argument.strip() else []
 
 
-def _report(lines: Sequence[Line], ended: Sequence[m.CommandEnded], code: int) -> dict[str, Any]:
+def _report(lines: Sequence[SentenceLine], ended: Sequence[m.CommandEnded], code: int) -> dict[str, Any]:
     results = [_result(line, one) for line, one in zip(lines, ended, strict=False)]
     results += [{"label": line.label, "text": line.text, "kind": "not_tested"} for line in lines[len(ended) :]]
     rehearsals = [one.outcome.rehearsal for one in ended if one.outcome.rehearsal is not None]
@@ -89,7 +89,7 @@ def _report(lines: Sequence[Line], ended: Sequence[m.CommandEnded], code: int) -
     }
 
 
-def _result(line: Line, ended: m.CommandEnded) -> dict[str, Any]:
+def _result(line: SentenceLine, ended: m.CommandEnded) -> dict[str, Any]:
     outcome: dict[str, Any] = msgspec.to_builtins(ended.outcome)
     feasible = ended.outcome.kind is OutcomeKind.SUCCEEDED
     return {"label": line.label, "text": line.text, "command": ended.command, "feasible": feasible, **outcome}
@@ -98,7 +98,7 @@ def _result(line: Line, ended: m.CommandEnded) -> dict[str, Any]:
 # --- for people --------------------------------------------------------------------------------------------
 
 
-def _show(line: Line, ended: m.CommandEnded, full: bool) -> None:
+def _show(line: SentenceLine, ended: m.CommandEnded, full: bool) -> None:
     outcome, rehearsal = ended.outcome, ended.outcome.rehearsal or Rehearsal()
     feasible = outcome.kind is OutcomeKind.SUCCEEDED
     head = Text(f"{line.label:<5}" if line.label else "")
@@ -115,7 +115,7 @@ def _show(line: Line, ended: m.CommandEnded, full: bool) -> None:
         console.print(Text(f"       {words_of}"))
 
 
-def _show_all(report: dict[str, Any], lines: Sequence[Line], ended: Sequence[m.CommandEnded]) -> None:
+def _show_all(report: dict[str, Any], lines: Sequence[SentenceLine], ended: Sequence[m.CommandEnded]) -> None:
     feasible = sum(one.outcome.kind is OutcomeKind.SUCCEEDED for one in ended)
     left = len(lines) - len(ended)
     words = f"{feasible} of {len(lines)} feasible" + (f", {left} not tested (-k goes on)" if left else "")

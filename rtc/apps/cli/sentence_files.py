@@ -26,7 +26,7 @@ _REFERENCE = re.compile(
 _COMMAND = re.compile(r"C[-_]?\d+", re.IGNORECASE | re.ASCII)
 
 
-class Line(NamedTuple):
+class SentenceLine(NamedTuple):
     """A sentence. `label`: C-12 of `C12:`; empty without one. `place`: its file and line, such as plan.txt:3."""
 
     label: str
@@ -43,7 +43,7 @@ class Reference(NamedTuple):
     sure: bool
 
 
-def read(file: Path) -> list[Line]:
+def read(file: Path) -> list[SentenceLine]:
     """The sentences of a file; - is stdin. Raises typer.Exit, with the reason printed."""
     try:
         text = sys.stdin.read() if str(file) == "-" else file.read_text()
@@ -55,20 +55,21 @@ def read(file: Path) -> list[Line]:
     return checked([line for line in lines if line is not None])
 
 
-def checked(lines: list[Line]) -> list[Line]:
+def checked(lines: list[SentenceLine]) -> list[SentenceLine]:
     """The lines. Raises typer.Exit, with the reason printed, for a label that is unknown, doubled or empty."""
     if problem := next(_problems(lines), ""):
         raise cli_error(problem, 2)
     return lines
 
 
-def line_of(written: str, place: str = "") -> Line | None:
+def line_of(written: str, place: str = "") -> SentenceLine | None:
     """One line of a program, without its comment; None if nothing is left."""
     text = _COMMENT.sub(lambda found: found[1] or "", written).strip()
     if not text or text.startswith("--"):
         return None
     found = LABEL.match(text)
-    return Line(spelt(found[0].rstrip(" \t:")), text[found.end() :], place) if found else Line("", text, place)
+    label, sentence = (spelt(found[0].rstrip(" \t:")), text[found.end() :]) if found else ("", text)
+    return SentenceLine(label, sentence, place)
 
 
 def references(text: str) -> Iterator[Reference]:
@@ -96,7 +97,7 @@ def unknown_label(text: str, above: Iterable[str], strict: bool) -> str:
     return ""
 
 
-def _problems(lines: list[Line]) -> Iterator[str]:
+def _problems(lines: list[SentenceLine]) -> Iterator[str]:
     strict = any(line.label for line in lines)
     above: dict[str, str] = {}
     for line in lines:
@@ -113,7 +114,7 @@ def _problems(lines: list[Line]) -> Iterator[str]:
 class Labels:
     """The commands that labelled sentences have become. `lines`: a program that is read as a whole."""
 
-    def __init__(self, lines: Iterable[Line] = ()) -> None:
+    def __init__(self, lines: Iterable[SentenceLine] = ()) -> None:
         self._expected = {line.label for line in lines if line.label}
         self.numbers: dict[str, str] = {}  # label -> C-n; empty if its sentence did not become a command
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from functools import partial
 
 from rtc.apps.cli.progress import Board
-from rtc.apps.cli.sentence_files import Labels, Line
+from rtc.apps.cli.sentence_files import Labels, SentenceLine
 from rtc.client.client import Client
 from rtc.client.core import ANSWER_S
 from rtc.client.rehearsing import AboutTest, is_test
@@ -18,7 +18,7 @@ from rtc.protocol.outcomes import TimedOut
 class SentenceProgram:
     """The sentences of one `rtc do`, sent with the numbers of commands in place of labels."""
 
-    def __init__(self, rtc: Client, board: Board, lines: list[Line], if_tested: str) -> None:
+    def __init__(self, rtc: Client, board: Board, lines: list[SentenceLine], if_tested: str) -> None:
         self.board, self.lines = board, lines
         self._rtc = rtc
         self._if_tested = if_tested

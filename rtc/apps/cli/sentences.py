@@ -29,7 +29,7 @@ from rtc.apps.cli.output import (
     exits_with,
 )
 from rtc.apps.cli.progress import Board
-from rtc.apps.cli.sentence_files import Labels, Line
+from rtc.apps.cli.sentence_files import Labels, SentenceLine
 from rtc.apps.cli.sentence_program import SentenceProgram
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.apps.cli.trace import recall
@@ -138,7 +138,7 @@ def advised(record: m.CommandRecord, n: int) -> list[str]:
 
 
 def _see_through(
-    rtc: Client, lines: list[Line], parallel: bool, keep_going: bool, json: bool, if_tested: str
+    rtc: Client, lines: list[SentenceLine], parallel: bool, keep_going: bool, json: bool, if_tested: str
 ) -> tuple[int, list[dict[str, Any]]]:
     """Run all sentences; the exit status and a result for each."""
     kinds: list[OutcomeKind] = []
@@ -168,7 +168,7 @@ def _see_through(
     return exit_code(kinds), results
 
 
-def _leave_out(lines: list[Line], results: list[dict[str, Any]], why: str, *, quiet: bool) -> None:
+def _leave_out(lines: list[SentenceLine], results: list[dict[str, Any]], why: str, *, quiet: bool) -> None:
     """Show the sentences that are not sent, and add them to the results."""
     for line in lines:
         results.append({"text": line.text, **_label(line), "kind": "not_sent"})
@@ -204,7 +204,7 @@ def _one(rtc: Client, program: SentenceProgram, n: int) -> tuple[OutcomeKind, di
     return ended.outcome.kind, _result(ended, line, board)
 
 
-def hand_in(rtc: Client, lines: list[Line], json: bool, if_tested: str) -> tuple[int, list[dict[str, Any]]]:
+def hand_in(rtc: Client, lines: list[SentenceLine], json: bool, if_tested: str) -> tuple[int, list[dict[str, Any]]]:
     """Submit without waiting for outcomes."""
     results: list[dict[str, Any]] = []
     out, labels = console, Labels(lines)
@@ -304,18 +304,18 @@ def _ask() -> str:
         signal.signal(signal.SIGINT, before)
 
 
-def _program(sentences: list[str], file: Path | None) -> list[Line]:
+def _program(sentences: list[str], file: Path | None) -> list[SentenceLine]:
     """The sentences of the arguments, then those of the file. Raises typer.Exit, with the reason printed."""
-    given = [sentence_files.line_of(text) or Line("", text) for text in map(as_text, sentences)]
+    given = [sentence_files.line_of(text) or SentenceLine("", text) for text in map(as_text, sentences)]
     read = sentence_files.read(file) if file else []
     return [*sentence_files.checked(given), *(line._replace(text=as_text(line.text)) for line in read)]
 
 
-def _label(line: Line) -> dict[str, str]:
+def _label(line: SentenceLine) -> dict[str, str]:
     return {"label": line.label} if line.label else {}
 
 
-def _result(ended: m.CommandEnded, line: Line, board: Board) -> dict[str, Any]:
+def _result(ended: m.CommandEnded, line: SentenceLine, board: Board) -> dict[str, Any]:
     """One result of --json. `reports`: those of EVERY and WHEN, the latest if they are many."""
     outcome = msgspec.to_builtins(ended.outcome)
     text = ended.text or line.text

@@ -27,7 +27,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.server import ServerState
 
 from rtc.apps.console.access import Access, body, objects
-from rtc.apps.console.admission import Admission
+from rtc.apps.console.access_check import AccessCheck
 from rtc.apps.console.halt_lines import HaltLines, OnNews
 from rtc.apps.console.paced import PacedHaltSocket, configured, taker
 from rtc.protocol import messages as m
@@ -123,7 +123,7 @@ def app(access: Access, halts: HaltLines) -> Starlette:
             orders.add(task)
             task.add_done_callback(orders.discard)
 
-    admission = Middleware(Admission, port=access.port, token=access.token, cookie=access.cookie)
+    admission = Middleware(AccessCheck, port=access.port, token=access.token, cookie=access.cookie)
     return Starlette(
         middleware=[admission], routes=[Route("/halt", post, methods=["POST"]), WebSocketRoute("/halt", serve)]
     )

@@ -12,7 +12,7 @@ import msgspec
 
 from rtc.apps.console.pages import FrameSlot, Mailbox
 from rtc.apps.console.pose_frame import pack
-from rtc.apps.console.scene import Bodies
+from rtc.apps.console.scene import SceneBodies
 from rtc.apps.console.story import Story
 from rtc.apps.observers.feed import Received
 from rtc.drawing.scene import believed, request_camera, true_scene
@@ -53,7 +53,7 @@ class Hub:
     """Takes what arrives, and hands it to the pages. `now`: CLOCK_MONOTONIC (s). `life`: names this gateway's run."""
 
     def __init__(self, cell: Cell, now: Callable[[], float], hello: Mapping[str, Any]) -> None:
-        self.cell, self.bodies, self._units, self._now = cell, Bodies(cell), units_in(cell), now
+        self.cell, self.bodies, self._units, self._now = cell, SceneBodies(cell), units_in(cell), now
         self.hello = hello
         self.story = Story([arm.name for arm in cell.arms], {arm.end_effector: arm.name for arm in cell.arms})
         self.facts: dict[str, m.Fact] = {}

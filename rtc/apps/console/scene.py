@@ -1,7 +1,7 @@
 """All bodies of a cell for a page: names, shapes and colours once, then their poses. Pure.
 
 A body is a link of an arm, a seat or an object. Poses are [x y z qx qy qz qw] (m, world frame), in the order of
-`Bodies.rows`. Shapes are primitives or triangles, so that a page needs no URDF.
+`SceneBodies.rows`. Shapes are primitives or triangles, so that a page needs no URDF.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Body(msgspec.Struct, frozen=True, kw_only=True):
     shapes: list[dict[str, Any]]
 
 
-class Bodies:
+class SceneBodies:
     """The bodies of one cell."""
 
     def __init__(self, cell: Cell) -> None:

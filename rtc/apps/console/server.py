@@ -32,7 +32,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rtc.apps.console.access import Access, body, objects
-from rtc.apps.console.admission import Admission, same
+from rtc.apps.console.access_check import AccessCheck, same
 from rtc.apps.console.camera_pictures import CameraPictures
 from rtc.apps.console.halt_lines import HaltLines
 from rtc.apps.console.hub import Hub
@@ -76,7 +76,9 @@ class Console:
         self._names = hub.names()
 
     def app(self) -> Starlette:
-        admission = Middleware(Admission, port=self._access.port, token=self._access.token, cookie=self._access.cookie)
+        admission = Middleware(
+            AccessCheck, port=self._access.port, token=self._access.token, cookie=self._access.cookie
+        )
         return Starlette(
             middleware=[admission],
             routes=[

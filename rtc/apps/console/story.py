@@ -61,7 +61,7 @@ class Row(msgspec.Struct, kw_only=True):
     last_seq: int = 0
 
 
-class Line(msgspec.Struct, frozen=True, kw_only=True):
+class LogLine(msgspec.Struct, frozen=True, kw_only=True):
     """An event that is not about the phases of a command."""
 
     at_s: float
@@ -77,7 +77,7 @@ class Change(msgspec.Struct, frozen=True, kw_only=True):
 
     n: int
     rows: list[Row] = []
-    lines: list[Line] = []
+    lines: list[LogLine] = []
 
 
 class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
@@ -85,7 +85,7 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
 
     n: int
     rows: list[Row]
-    lines: list[Line]
+    lines: list[LogLine]
 
 
 class Story:
@@ -94,9 +94,9 @@ class Story:
     def __init__(self, arms: Sequence[str], hands: dict[str, str]) -> None:
         self._words = {**{arm: arm for arm in arms}, **hands}  # arm or end effector -> arm
         self.rows: dict[str, Row] = {}
-        self.lines: deque[Line] = deque(maxlen=MAX_LOG)
+        self.lines: deque[LogLine] = deque(maxlen=MAX_LOG)
         self._changed: set[str] = set()
-        self._new_lines: list[Line] = []
+        self._new_lines: list[LogLine] = []
         self._changes: deque[bytes] = deque(maxlen=MAX_CHANGES)
         self.n = 0
 
@@ -105,9 +105,8 @@ class Story:
     def take(self, event: m.Event) -> None:
         match event:
             case m.ProgressNote() if event.seq == 0:
-                self._add(
-                    Line(at_s=event.at_s, kind="report", words=in_words(event) or event.step, measured=event.measured)
-                )
+                words = in_words(event) or event.step
+                self._add(LogLine(at_s=event.at_s, kind="report", words=words, measured=event.measured))
             case m.ProgressNote() if event.command:
                 self._note(self._row(event.command, event), event)
             case m.CommandEnded() if event.command:
@@ -119,10 +118,10 @@ class Story:
                 self._touch(row)
             case m.RequestRefused():
                 words = event.refusal.message
-                self._add(Line(at_s=event.at_s, kind="refusal", words=words, text=event.text, refusal=event.refusal))
+                self._add(LogLine(at_s=event.at_s, kind="refusal", words=words, text=event.text, refusal=event.refusal))
             case m.HaltRequested():
                 words = f"HALT {event.scope}" + (f": {event.refused}" if event.refused else "")
-                self._add(Line(at_s=event.at_s, kind="halt", words=words))
+                self._add(LogLine(at_s=event.at_s, kind="halt", words=words))
 
     def take_record(self, record: m.CommandRecord) -> None:
         """The whole record of a command replaces what is known of it."""
@@ -148,7 +147,7 @@ class Story:
                 self._touch(row)
 
     def take_lost(self, count: int, now_s: float) -> None:
-        self._add(Line(at_s=now_s, kind="lost", words=f"{count} events did not arrive; the records are read again"))
+        self._add(LogLine(at_s=now_s, kind="lost", words=f"{count} events did not arrive; the records are read again"))
 
     # --- what leaves ----------------------------------------------------------------------------------
 
@@ -215,7 +214,7 @@ class Story:
     def _touch(self, row: Row) -> None:
         self._changed.add(row.command)
 
-    def _add(self, line: Line) -> None:
+    def _add(self, line: LogLine) -> None:
         self.lines.append(line)
         self._new_lines.append(line)
 

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from rtc.apps.demos.narrator import Narrator
 from rtc.apps.demos.own_cluster import own_cluster
-from rtc.apps.demos.pictures import Pictures
+from rtc.apps.demos.pictures import DemoPictures
 from rtc.client.client import Client
 from rtc.drawing.renderer import Renderer
 from rtc.model.cells.cell import Cell
@@ -65,7 +65,7 @@ def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
     narrator = Narrator(console)
     narrator.chapter("A cluster: broker, world database, four workers, and two arms in a physics simulator")
     with Renderer() as renderer:
-        pictures = Pictures(out, renderer, CELL)
+        pictures = DemoPictures(out, renderer, CELL)
         with own_cluster(cell=CELL, speed=speed) as run_dir, Client(run_dir) as rtc:
             narrator.line(f"ready; {len(rtc.status().workers)} workers, run directory {run_dir}")
             _run(narrator, rtc, pictures)
@@ -74,7 +74,7 @@ def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
     return narrator.passed()
 
 
-def _run(narrator: Narrator, rtc: Client, pictures: Pictures) -> None:
+def _run(narrator: Narrator, rtc: Client, pictures: DemoPictures) -> None:
     narrator.chapter("Two grasps at once; the cluster detects that they need different arms")
     if not _all(narrator, rtc, GRASPS, together=True):
         return

@@ -12,7 +12,7 @@ from rtc.protocol import messages as m
 RENDER_S = 600.0  # limit for a machine with many busy processes
 
 
-class Pictures:
+class DemoPictures:
     """Pictures of the true scene in a cell."""
 
     def __init__(self, out: Path, renderer: Renderer, cell: str) -> None:

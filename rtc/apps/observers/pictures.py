@@ -31,7 +31,7 @@ class PictureFile(Protocol):
     def add_picture(self, at_s: float, published_s: float, data: bytes, kind: str) -> None: ...
 
 
-class Pictures:
+class RecordedPictures:
     """A sink of the recorder: draws what it receives, and adds the pictures to `to`. `name`: of the cell."""
 
     def __init__(self, name: str, cell: Cell, to: PictureFile, period_s: float) -> None:

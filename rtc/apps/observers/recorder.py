@@ -83,7 +83,7 @@ def open_recording(
 
     Raises FileExistsError, OSError.
     """
-    from rtc.apps.observers.pictures import Pictures
+    from rtc.apps.observers.pictures import RecordedPictures
     from rtc.apps.observers.recording import Recording
 
     here = endpoints if isinstance(endpoints, Settings) else None
@@ -96,7 +96,7 @@ def open_recording(
     recording = Recording(path, cell, about, rate_hz=rate_hz, shares_clock=not endpoints.far)
     if not pictures_hz:
         return [recording]
-    return [recording, Pictures(name, cell, recording, 1.0 / pictures_hz)]  # the first one is closed last
+    return [recording, RecordedPictures(name, cell, recording, 1.0 / pictures_hz)]  # the first one is closed last
 
 
 def record(me: Process, feed: Feed, sinks: list[Sink], for_s: float = float("inf")) -> Recorded:

@@ -12,7 +12,7 @@ for this. A halt from a caller is forwarded to the broker with a call number, an
 fence: nothing in its scope starts until the broker has sent that number back. So a broker that was down during the halt
 cannot start what was halted.
 
-A subclass defines what a performer does: the methods at the end of `Subsystem`.
+A subclass defines what a performer does: the methods at the end of `BaseSubsystem`.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Halt(msgspec.Struct):
 Performer = TypeVar("Performer")
 
 
-class Subsystem(ABC, Generic[Performer]):
+class BaseSubsystem(ABC, Generic[Performer]):
     """`queues`: a performer takes several primitives at once and serves them in turn."""
 
     def __init__(self, performers: Mapping[str, Performer], name: str, pid: int = 0, *, queues: bool = False) -> None:

@@ -17,7 +17,7 @@ from rtc.protocol.primitive import Primitive, StartAfter
 from rtc.protocol.subsystems import ARMS
 from rtc.protocol.versions import ARRAYS, PAUSES, RIGID
 from rtc.subsystems.base.report_items import Measure, measured
-from rtc.subsystems.base.subsystem import BROKER, Outgoing, Report, Reports, Subsystem, in_scope
+from rtc.subsystems.base.subsystem import BROKER, BaseSubsystem, Outgoing, Report, Reports, in_scope
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface
 from rtc.subsystems.motion.executor import Executor
 from rtc.subsystems.motion.pairs import Pairs
@@ -39,7 +39,7 @@ class Following(msgspec.Struct):
     stage: dict[str, int] = {}  # primitive of a condition -> how many of those on the way are met
 
 
-class McmSubsystem(Subsystem[Executor]):
+class McmSubsystem(BaseSubsystem[Executor]):
     """`measure`: the values of report items of packages."""
 
     def __init__(

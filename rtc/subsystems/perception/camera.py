@@ -20,7 +20,7 @@ MAX_LOOKS = 16  # maximum number of looks of one camera at a time
 RETRY_S = 0.2  # pause after a camera that gave no picture
 
 
-class Camera:
+class CameraPerformer:
     """Accepts looks, states when it wants a picture, and takes it. `clock`: of all cameras that share it."""
 
     def __init__(self, name: str, clock: LookClock | None = None) -> None:
@@ -57,7 +57,7 @@ class Camera:
         self._looks[primitive.id] = LookTask(primitive, now_s, self._clock)
         return [m.Started(primitive=primitive.id, at_s=now_s)]
 
-    def share(self, primitive: str, other: Camera) -> None:
+    def share(self, primitive: str, other: CameraPerformer) -> None:
         """Let another camera take pictures for this look too, if it was accepted."""
         if (task := self._looks.get(primitive)) is not None:
             other._looks[primitive] = task

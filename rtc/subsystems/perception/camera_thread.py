@@ -26,7 +26,7 @@ from rtc.sensing.optics import Window
 from rtc.subsystems.perception.look_task import Evaluated
 
 if TYPE_CHECKING:
-    from rtc.sensing.detector import Mark, TagDetector
+    from rtc.sensing.detector import DetectedTag, TagDetector
 
 MOST_MARKS = 1000  # of one sensor of a package, in one picture
 
@@ -130,15 +130,15 @@ class CameraThread:
         return Evaluated(taken.at_s, own_s, view, None, marks)
 
 
-def _added_marks(camera: str, image: NDArray[np.uint8]) -> list[Mark]:
+def _added_marks(camera: str, image: NDArray[np.uint8]) -> list[DetectedTag]:
     """What the sensors of installed packages find. Raises PluginError."""
-    from rtc.sensing.detector import Mark
+    from rtc.sensing.detector import DetectedTag
 
-    marks: list[Mark] = []
+    marks: list[DetectedTag] = []
     for name, find in registry.installed(registry.SENSORS).items():
         with registry.guarded(registry.SENSORS, name):
             found = [*itertools.islice(find(camera, image.copy()), MOST_MARKS)]
-            marks += [Mark(operator.index(mark.tag), _corners(mark.corners, image.shape)) for mark in found]
+            marks += [DetectedTag(operator.index(mark.tag), _corners(mark.corners, image.shape)) for mark in found]
     return marks
 
 

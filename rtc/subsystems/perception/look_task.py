@@ -17,7 +17,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Measured, Sighting
 from rtc.sensing import absence, rest
-from rtc.sensing.detector import Mark
+from rtc.sensing.detector import DetectedTag
 from rtc.sensing.locate import Seen, locate
 from rtc.sensing.optics import CameraView, Window
 from rtc.sensing.pose_fit import Fit
@@ -42,7 +42,7 @@ class Evaluated(NamedTuple):
     own_s: float  # the same by the clock of what is seen
     view: CameraView
     image: NDArray[np.uint8] | None  # None: only windows of it were taken
-    marks: Sequence[Mark]
+    marks: Sequence[DetectedTag]
 
 
 class _Side:

@@ -7,19 +7,19 @@ from collections.abc import Iterable
 
 from rtc.protocol.primitive import Primitive
 from rtc.protocol.subsystems import CAMERAS
-from rtc.subsystems.base.subsystem import Outgoing, Reports, Subsystem, in_scope
-from rtc.subsystems.perception.camera import MAX_LOOKS, Camera
+from rtc.subsystems.base.subsystem import BaseSubsystem, Outgoing, Reports, in_scope
+from rtc.subsystems.perception.camera import MAX_LOOKS, CameraPerformer
 from rtc.subsystems.perception.look_clock import LookClock
 
 
-class PerceptionSubsystem(Subsystem[Camera]):
+class PerceptionSubsystem(BaseSubsystem[CameraPerformer]):
     """`scale`: our seconds per second of the simulation."""
 
     def __init__(self, cameras: Iterable[str], name: str = CAMERAS.name, pid: int = 0, scale: float = 1.0) -> None:
         self.clock = LookClock(scale)
-        super().__init__({camera: Camera(camera, self.clock) for camera in cameras}, name, pid, queues=True)
+        super().__init__({camera: CameraPerformer(camera, self.clock) for camera in cameras}, name, pid, queues=True)
 
-    def next_camera(self, now_s: float) -> Camera | None:
+    def next_camera(self, now_s: float) -> CameraPerformer | None:
         """The camera whose next picture has been due for longest; None: none is due."""
         due = [(camera.due_s, camera) for camera in self.performers.values()]
         waiting = [(due_s, camera) for due_s, camera in due if due_s is not None and due_s <= now_s]
@@ -29,7 +29,7 @@ class PerceptionSubsystem(Subsystem[Camera]):
         """When the next picture is due; infinite: none is wanted."""
         return min((due_s for one in self.performers.values() if (due_s := one.due_s) is not None), default=math.inf)
 
-    def _primitives(self, performer: Camera) -> list[str]:
+    def _primitives(self, performer: CameraPerformer) -> list[str]:
         return performer.primitives
 
     def _busy(self, primitive: Primitive) -> str:
@@ -41,17 +41,17 @@ class PerceptionSubsystem(Subsystem[Camera]):
             return f"{self.name} has no {', '.join(unknown)}; it has {', '.join(self.performers)}"
         return f"{', '.join(full)}: {MAX_LOOKS} looks already" if full else ""
 
-    def _accept(self, performer: Camera, primitive: Primitive, now_s: float) -> Reports:
+    def _accept(self, performer: CameraPerformer, primitive: Primitive, now_s: float) -> Reports:
         reports = performer.accept(primitive, now_s)
         for name in primitive.performers[1:]:
             performer.share(primitive.id, self.performers[name])
         return reports
 
-    def _tick(self, performer: Camera, now_s: float) -> Outgoing:
+    def _tick(self, performer: CameraPerformer, now_s: float) -> Outgoing:
         return self._sent(performer.tick(now_s), now_s)
 
-    def _stop(self, performer: Camera, scope: str) -> bool:
+    def _stop(self, performer: CameraPerformer, scope: str) -> bool:
         return performer.halt(scope)
 
-    def _rests(self, performer: Camera, scope: str) -> bool:
+    def _rests(self, performer: CameraPerformer, scope: str) -> bool:
         return not any(in_scope(scope, performer.name, primitive) for primitive in performer.primitives)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from rtc.apps.cli.sentence_files import Labels, Line, line_of, read
+from rtc.apps.cli.sentence_files import Labels, SentenceLine, line_of, read
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.sentence import ParsedCommand
 
@@ -113,7 +113,7 @@ def test_labels_are_sent_as_the_numbers_of_their_commands() -> None:
 
 
 def test_a_label_without_a_command_never_becomes_a_number_of_the_cluster() -> None:
-    labels = Labels([Line("C-3", "HALT")])
+    labels = Labels([SentenceLine("C-3", "HALT")])
     assert not labels.known("STOW LEFT-ARM AFTER C-3")
     assert labels.known("HALT C-7")  # a number of the cluster: a halt must not wait
     labels.numbers["C-3"] = ""

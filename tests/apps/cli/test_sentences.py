@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import typer
 
-from rtc.apps.cli.sentence_files import Line
+from rtc.apps.cli.sentence_files import SentenceLine
 from rtc.apps.cli.sentences import advised, hand_in, quotes_forgotten
 from rtc.protocol.advice import Alternative, by_sentence
 from rtc.protocol.messages import CommandRecord, Phase
@@ -72,7 +72,7 @@ class FullCluster:
 
 def test_what_is_handed_in_to_a_full_cluster_says_what_was_not_sent(capsys: pytest.CaptureFixture[str]) -> None:
     texts = ["STOW LEFT-ARM", "STOW RIGHT-ARM", "LOCATE MACS-NEW"]
-    code, results = hand_in(FullCluster(), [Line("", text) for text in texts], json=False, if_tested="")
+    code, results = hand_in(FullCluster(), [SentenceLine("", text) for text in texts], json=False, if_tested="")
     assert code == 2
     assert [one["kind"] for one in results] == ["accepted", "refused", "not_sent"]
     assert "NOT SENT  LOCATE MACS-NEW" in capsys.readouterr().out

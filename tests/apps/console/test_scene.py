@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtc.apps.console.pose_frame import HEADER, TRUE, pack
-from rtc.apps.console.scene import Bodies
+from rtc.apps.console.scene import SceneBodies
 from rtc.drawing.scene import SceneView
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.kinematics import ArmModel
@@ -18,7 +18,7 @@ from rtc.spatial import geometry
 @pytest.mark.parametrize("name", ["swapout", "panda", "gantry"])
 def test_the_links_are_where_the_kinematics_has_them(name):
     cell = Cell.load(name)
-    bodies = Bodies(cell)
+    bodies = SceneBodies(cell)
     rng = np.random.default_rng(3)
     for arm in cell.arms:
         model = ArmModel.of(cell, arm.name)
@@ -31,7 +31,7 @@ def test_the_links_are_where_the_kinematics_has_them(name):
 
 @pytest.mark.parametrize("name", ["swapout", "panda", "gantry"])
 def test_every_arm_has_something_to_draw_without_a_mesh_from_elsewhere(name):
-    bodies = Bodies(Cell.load(name))
+    bodies = SceneBodies(Cell.load(name))
     for arm in bodies.cell.arms:
         shapes = [shape for row in bodies.rows if row.owner == arm.name for shape in row.shapes]
         assert len(shapes) >= len(arm.joints)
@@ -40,7 +40,7 @@ def test_every_arm_has_something_to_draw_without_a_mesh_from_elsewhere(name):
 
 
 def test_fingers_objects_and_seats_follow_the_scene(cell):
-    bodies = Bodies(cell)
+    bodies = SceneBodies(cell)
     arm, thing, seat = cell.arms[0], cell.objects[0].name, cell.seats[0].name
     moved, aside = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0], [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]
     scene = SceneView(poses={thing: moved}, seats={seat: aside}, fingers={arm.name: [0.01, 0.03]})
@@ -52,7 +52,7 @@ def test_fingers_objects_and_seats_follow_the_scene(cell):
 
 
 def test_a_prediction_has_poses_of_what_it_changes_only(cell):
-    bodies = Bodies(cell)
+    bodies = SceneBodies(cell)
     arm = cell.arms[0].name
     poses = np.array(bodies.poses(SceneView(), only={arm})).reshape(-1, 7)
     known = {row.owner for row, pose in zip(bodies.rows, poses, strict=True) if not np.isnan(pose).any()}

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from PIL import Image
 
 from rtc.apps.observers import pictures
-from rtc.apps.observers.pictures import STILL_S, Pictures
+from rtc.apps.observers.pictures import STILL_S, RecordedPictures
 from rtc.apps.observers.recording import Recording
 from rtc.drawing import renderer
 from tests.apps.observers.conftest import until
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.physics
 @pytest.fixture
 def made(tmp_path, cell):
     recording = Recording(tmp_path / "run.mcap", cell, {"cell": "swapout"}, rate_hz=20, shares_clock=True)
-    drawn = Pictures("swapout", cell, recording, period_s=1.0)
+    drawn = RecordedPictures("swapout", cell, recording, period_s=1.0)
     yield drawn, recording
     drawn.close()
 
@@ -34,7 +34,7 @@ def images(path) -> list[CompressedImage]:
         return [CompressedImage.FromString(message.data) for _, _, message in found]
 
 
-def draw(drawn: Pictures, at_s: float, number: int) -> None:
+def draw(drawn: RecordedPictures, at_s: float, number: int) -> None:
     until(lambda: drawn.flush_if_due(at_s) or drawn.count == number)
 
 
@@ -66,7 +66,7 @@ def test_a_scene_that_does_not_change_is_drawn_seldom(made):
 def test_a_renderer_that_fails_ends_the_pictures_alone(cell, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(renderer, "COMMAND", [sys.executable, "-c", ""])
     recording = Recording(tmp_path / "run.mcap", cell, {"cell": "swapout"}, rate_hz=20, shares_clock=True)
-    drawn = Pictures("swapout", cell, recording, period_s=1.0)
+    drawn = RecordedPictures("swapout", cell, recording, period_s=1.0)
     sample = received(telemetry(1.0, 0.5))
     drawn.take(sample)
     until(lambda: drawn.flush_if_due(T0 + 1) or caplog.records)

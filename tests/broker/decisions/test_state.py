@@ -9,12 +9,12 @@ import textwrap
 
 import pytest
 
-from broker.decisions.state import Command, DeferredAnalysis, HaltSentence, PendingJob, Rollout, State, Subsystem
+from broker.decisions.state import Command, DeferredAnalysis, HaltSentence, PendingJob, Rollout, State, SubsystemState
 from rtc.programs.action_stack import ActionStack
 
 
 @pytest.mark.parametrize(
-    "kind", [State, Command, PendingJob, ActionStack, DeferredAnalysis, HaltSentence, Subsystem, Rollout]
+    "kind", [State, Command, PendingJob, ActionStack, DeferredAnalysis, HaltSentence, SubsystemState, Rollout]
 )
 def test_every_attribute_has_a_docstring(kind):
     (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(kind))).body)

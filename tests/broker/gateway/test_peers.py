@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from broker.gateway.peers import KEPT_S, LOST_KEPT, RECORDS, Connection, PeerRecords
+from broker.gateway.peers import KEPT_S, LOST_KEPT, RECORDS, OpenConnection, PeerRecords
 from rtc.protocol.messages import PeerRow, RemoteWorker
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import KnownKey
@@ -13,7 +13,7 @@ KNOWN = {"w1": W1, "eyes": EYES}
 BINDER = RemoteWorker(name="binder@18", last_message_at_s=10.0)
 
 
-def rows(records: PeerRecords, *connected: Connection, now: float = 10.0) -> dict[tuple[str, str], PeerRow]:
+def rows(records: PeerRecords, *connected: OpenConnection, now: float = 10.0) -> dict[tuple[str, str], PeerRow]:
     return {(row.key, row.host): row for row in records.rows(KNOWN, {}, connected, now)}
 
 
@@ -29,7 +29,7 @@ def test_each_host_of_a_key_has_its_row() -> None:
     records = PeerRecords()
     records.received("w1", "10.0.0.1", 9.0)
     records.received("w1", "10.0.0.2", 8.0)
-    found = rows(records, Connection("w1", "10.0.0.1", BINDER))
+    found = rows(records, OpenConnection("w1", "10.0.0.1", BINDER))
 
     assert found["w1", "10.0.0.1"].workers == [BINDER]
     assert found["w1", "10.0.0.2"].last_message_at_s == 8.0
@@ -69,7 +69,7 @@ def test_a_record_is_kept_for_some_time_and_longer_while_it_is_connected() -> No
     records = PeerRecords()
     records.refuse("", "10.0.0.9", "the key is not known here", 5.0)
     records.received("w1", "10.0.0.1", 5.0)
-    alive = Connection("w1", "10.0.0.1", BINDER)
+    alive = OpenConnection("w1", "10.0.0.1", BINDER)
 
     assert ("", "10.0.0.9") in rows(records, alive, now=5.0 + 0.9 * KEPT_S)
     found = rows(records, alive, now=5.0 + 1.1 * KEPT_S)

@@ -15,7 +15,7 @@ from rtc.protocol.outcomes import StopReason
 from rtc.sensing import absence, rest
 from rtc.spatial import geometry
 from rtc.subsystems.base.subsystem import BROKER, REPEAT_S
-from rtc.subsystems.perception.camera import MAX_LOOKS, Camera
+from rtc.subsystems.perception.camera import MAX_LOOKS, CameraPerformer
 from rtc.subsystems.perception.look_clock import LookClock
 from rtc.subsystems.perception.look_task import SETTLES_S
 from rtc.subsystems.perception.motion import RESTS_S
@@ -92,7 +92,7 @@ def test_what_is_out_of_view_is_not_seen_and_the_report_states_why(cell, eyes, l
 
 
 def test_a_camera_without_pictures_does_not_claim_that_it_sees_nothing(look) -> None:
-    camera = Camera("CAMERA-1")
+    camera = CameraPerformer("CAMERA-1")
     camera.accept(look(), 10.0)
     camera.fail("its cable is out", 10.1)
     assert camera.tick(10.0 + 5 * UNSEEN_S) == []
@@ -102,14 +102,14 @@ def test_a_camera_without_pictures_does_not_claim_that_it_sees_nothing(look) -> 
 
 
 def test_a_picture_from_before_the_look_is_not_used(cell, eyes, look) -> None:
-    camera = Camera("CAMERA-1")
+    camera = CameraPerformer("CAMERA-1")
     camera.accept(look(), eyes.now_s + 1.0)
     camera.take(eyes.picture("CAMERA-1", SceneView()))
     assert camera.tick(eyes.now_s + 1.0) == []
 
 
 def test_one_camera_serves_several_looks_in_turn_and_a_halt_ends_its_command_only(cell, eyes, look) -> None:
-    camera = Camera("CAMERA-1")
+    camera = CameraPerformer("CAMERA-1")
     camera.accept(look(id="C-1.1", duration_s=60.0), eyes.now_s)
     camera.accept(look(id="C-2.1", duration_s=60.0), eyes.now_s)
     eyes.now_s += PERIOD_S
@@ -130,7 +130,7 @@ def test_one_camera_serves_several_looks_in_turn_and_a_halt_ends_its_command_onl
 
 def test_a_slowly_turning_body_is_followed_ten_times_a_second(cell, eyes, look) -> None:
     """A degree per second about the axis of the bay, and 2 mm/s to the left."""
-    camera, rate, speed = Camera("CAMERA-3"), math.radians(1.0), 0.002
+    camera, rate, speed = CameraPerformer("CAMERA-3"), math.radians(1.0), 0.002
     camera.accept(look(FACE, camera="CAMERA-3", duration_s=3.0, report_s=0.1), eyes.now_s)
     begun_s, messages = eyes.now_s, []
     while not messages or not isinstance(messages[-1], m.EndReport):
@@ -153,7 +153,7 @@ def test_a_slowly_turning_body_is_followed_ten_times_a_second(cell, eyes, look) 
 
 
 def test_a_look_for_a_body_at_rest_measures_that_it_moves(cell, eyes, look) -> None:
-    camera, speed = Camera("CAMERA-1"), 0.003
+    camera, speed = CameraPerformer("CAMERA-1"), 0.003
     camera.accept(look(pictures=2, every_s=0.3), eyes.now_s)
     begun_s, messages = eyes.now_s, []
     while not messages:
@@ -179,7 +179,7 @@ def drifts(speed_m_s: float, until_s: float):
 
 def looked(cell, eyes, made: p.Primitive, scene) -> m.EndReport:
     """The end of a look at a body that moves."""
-    camera, began_s = Camera("CAMERA-1"), eyes.now_s
+    camera, began_s = CameraPerformer("CAMERA-1"), eyes.now_s
     camera.accept(made, began_s)
     while True:
         if ended := [one for one in camera.tick(eyes.now_s) if isinstance(one, m.EndReport)]:
@@ -236,7 +236,7 @@ def test_rest_is_not_judged_by_a_picture_from_before_it(cell, eyes, look, rate) 
 
 
 def test_two_pictures_of_one_moment_show_no_rest(cell, eyes, look) -> None:
-    camera, eyes.rate = Camera("CAMERA-1"), 0.0
+    camera, eyes.rate = CameraPerformer("CAMERA-1"), 0.0
     camera.accept(look(pictures=2, every_s=0.3), eyes.now_s)
     for _ in range(10):
         eyes.now_s += 0.3
@@ -245,7 +245,7 @@ def test_two_pictures_of_one_moment_show_no_rest(cell, eyes, look) -> None:
 
 
 def test_a_body_is_followed_for_the_time_of_the_simulation(cell, eyes, look) -> None:
-    camera, eyes.rate, begun_s = Camera("CAMERA-1"), 3.0, eyes.now_s
+    camera, eyes.rate, begun_s = CameraPerformer("CAMERA-1"), 3.0, eyes.now_s
     camera.accept(look(duration_s=6.0), eyes.now_s)
     while not (reports := camera.tick(eyes.now_s)):
         eyes.now_s += PERIOD_S
@@ -272,7 +272,7 @@ def test_pictures_that_take_long_end_no_look(cell, eyes, look) -> None:
 
 
 def test_a_camera_without_pictures_ends_its_look_in_time(cell, eyes, look) -> None:
-    camera = Camera("CAMERA-1")
+    camera = CameraPerformer("CAMERA-1")
     camera.accept(look(), eyes.now_s)
     eyes.now_s += 10.0
     camera.fail("no picture", eyes.now_s)
@@ -283,7 +283,7 @@ def test_a_camera_without_pictures_ends_its_look_in_time(cell, eyes, look) -> No
 
 
 def test_a_body_that_goes_out_of_sight_ends_the_following(cell, eyes, look) -> None:
-    camera = Camera("CAMERA-1")
+    camera = CameraPerformer("CAMERA-1")
     camera.accept(look(duration_s=60.0), eyes.now_s)
     sent = []
     for n in range(40):
@@ -298,7 +298,7 @@ def test_a_body_that_goes_out_of_sight_ends_the_following(cell, eyes, look) -> N
 
 def test_a_further_picture_of_a_body_at_rest_is_of_its_tags_alone(cell, eyes, look) -> None:
     """By each camera that has seen them: another one, which is blind, goes on with whole pictures."""
-    one, other = Camera("CAMERA-1"), Camera("CAMERA-2")
+    one, other = CameraPerformer("CAMERA-1"), CameraPerformer("CAMERA-2")
     one.accept(look(pictures=2, every_s=0.3, cameras=["CAMERA-2"]), eyes.now_s)
     one.share("C-1.1", other)
     one.take(eyes.picture("CAMERA-1", SceneView()))
@@ -320,7 +320,7 @@ def test_times_of_pictures_are_of_the_latest_ones(cell) -> None:
 
 def test_a_body_that_is_followed_is_looked_for_where_it_is_expected(cell, eyes, look) -> None:
     """Windows of a tenth of the picture; the whole picture again when it is not there, and for another look."""
-    camera = Camera("CAMERA-3")
+    camera = CameraPerformer("CAMERA-3")
     camera.accept(look(FACE, camera="CAMERA-3", duration_s=60.0), eyes.now_s)
     assert camera.windows(eyes.now_s) == {}
     for n in range(5):
@@ -348,7 +348,7 @@ def test_a_body_that_is_followed_is_looked_for_where_it_is_expected(cell, eyes, 
     assert camera.windows(eyes.now_s) == {}
 
 
-def refused(camera: Camera, made: p.Primitive) -> str:
+def refused(camera: CameraPerformer, made: p.Primitive) -> str:
     (answer,) = camera.accept(made, 0.0)
     assert answer.reason is StopReason.REFUSED
     assert camera.primitives == [] or len(camera.primitives) == MAX_LOOKS
@@ -356,7 +356,7 @@ def refused(camera: Camera, made: p.Primitive) -> str:
 
 
 def test_what_a_camera_cannot_do_is_refused(look) -> None:
-    camera, good = Camera("CAMERA-1"), look()
+    camera, good = CameraPerformer("CAMERA-1"), look()
     complete = good.stop_functions
 
     def changed(**fields: object) -> p.Primitive:

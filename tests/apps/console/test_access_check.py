@@ -10,7 +10,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from rtc.apps.console.admission import NO_TOKEN, WRONG_ORIGIN, Admission
+from rtc.apps.console.access_check import NO_TOKEN, WRONG_ORIGIN, AccessCheck
 
 BASE = "http://127.0.0.1:8400"
 HERE = {"host": "127.0.0.1:8400"}
@@ -36,7 +36,7 @@ def page():
             Route("/session", answer, methods=["POST"]),
             WebSocketRoute("/halt", echo),
         ],
-        middleware=[Middleware(Admission, port=8400, token="secret", cookie="c")],
+        middleware=[Middleware(AccessCheck, port=8400, token="secret", cookie="c")],
     )
     return TestClient(app, base_url=BASE)
 

@@ -33,7 +33,7 @@ def hosts(port: int, added: Collection[str] = ()) -> list[str]:
     return [*(f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")), *added]
 
 
-class Admission:
+class AccessCheck:
     """ASGI middleware. `added`: further values of Host, NAME:PORT, of a proxy or a tunnel."""
 
     def __init__(self, app: ASGIApp, *, port: int, token: str, cookie: str, added: Collection[str] = ()) -> None:
