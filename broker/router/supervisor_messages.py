@@ -26,6 +26,8 @@ class SupervisorMessages:
 
     def receive(self, peer: bytes, message: Any, now: float) -> None:
         """Raises WireError for a peer that is not the supervisor."""
+        if isinstance(message, m.ProcessHello) and peer in DROP_COUNTERS:
+            return  # it states its version, which was read
         if isinstance(message, m.UnreadableMessages) and peer in DROP_COUNTERS:
             count_dropped(self._core, message, DROP_COUNTERS[peer])
             return

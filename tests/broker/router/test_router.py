@@ -50,6 +50,7 @@ def test_unreadable_messages_are_counted_by_endpoint(bench: Bench) -> None:
     for endpoint in ("front", "halt", "workers", "subsystems", "supervisor"):
         bench.sockets[endpoint].put([b"x", b"RTC0", b""])
     bench.turn()
+    bench.send("supervisor", b"world", m.ProcessHello(name="world", protocol=VERSION))  # as it does at its start
     bench.send("supervisor", b"world", m.UnreadableMessages(counts={"world": 7, "front": 9}))
     counters = bench.send("front", b"ann", m.StatusQuery(request="1"))[0].status.counters
     dropped = {name: n for name, n in counters.items() if name.startswith("dropped_")}
@@ -161,6 +162,7 @@ def test_an_answer_counts_only_from_whom_the_job_was_given_to(working: Bench) ->
         ("subsystems", m.HaltAtRest(halt="H-1", subsystem="MCM", at_s=1.0, at_rest=True, performers=["LEFT-ARM"])),
         ("supervisor", m.ProcessExited(name="parser@0", pid=7, status=-9)),
         ("supervisor", m.ProcessTable(processes=[])),
+        ("supervisor", m.ProcessHello(name="supervisor", protocol=VERSION)),
         ("supervisor", m.UnreadableMessages(counts={"world": 1})),
     ],
 )
