@@ -1,6 +1,8 @@
 """How long from the operator's halt to the first decelerating tick of a moving arm?
 
-    python -m benchmarks.halt [--halts 200] [--mcm bullet] [--only saturated]
+    python -m benchmarks.halt [--halts 200] [--enter 50] [--mcm bullet] [--only saturated]
+    python -m benchmarks.halt --after-do [--halts 1000]        # is each halt obeyed right after a sentence was sent?
+    python -m benchmarks.halt --bring-up [--starts 20]         # and while the cluster and its arms come up?
 
 The right arm moves to and fro and is halted at a random moment of each motion, `--halts` times in each condition:
 
@@ -16,11 +18,15 @@ carrying        both arms under impedance carry one module, every core has a bus
                 without a cluster: one socket stands for the broker, and sentences play no part
 
 The condition is checked before and after each halt. A halt without it is repeated, and the table shows how many were.
-Latency is `decelerating_at_s - called_at_s`, both CLOCK_MONOTONIC of one machine. The former is read when the MCM has
-handled the halt, right before the tick in which the arm brakes; until 0.1.0 it was the begin of that tick, 0.3 ms less.
-Of the slowest halts it prints when they were called, and the time until the MCM received them. Before the receipt
-threads waited for a core; after it the MCM waited for its tick. Compare these times with a trace of the scheduler:
-`perf sched record -k CLOCK_MONOTONIC`.
+In each condition it is timed twice: `--halts` times from the client's call, of a client whose sockets are connected,
+and `--enter` times from Enter. Then each halt is a whole process `rtc halt`, from its start to the receipt of the order
+by the MCM, to the first decelerating tick, and to its end, when it has printed that rest is confirmed.
+
+Latency from the call is `decelerating_at_s - called_at_s`, both CLOCK_MONOTONIC of one machine. The former is read when
+the MCM has handled the halt, right before the tick in which the arm brakes; until 0.1.0 it was the begin of that tick,
+0.3 ms less. Of the slowest halts it prints when they were called, and the time until the MCM received them. Before the
+receipt threads waited for a core; after it the MCM waited for its tick. Compare these times with a trace of the
+scheduler: `perf sched record -k CLOCK_MONOTONIC`.
 """
 
 from __future__ import annotations
@@ -30,18 +36,25 @@ import multiprocessing
 import os
 import random
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import msgspec
 
 from benchmarks.carrying import carrying
+from benchmarks.grasp import wilson
+from benchmarks.load import early_halts
 from benchmarks.mcm import busy_cores
 from benchmarks.report import finish, percentile, question, spread
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.client.client import Client
+from rtc.client.halt import HaltResult
 from rtc.client.hand_controller import PERIOD_S
 from rtc.client.handle import CommandHandle
 from rtc.model.cells.cell import Cell
@@ -69,8 +82,18 @@ LOOK_S = 0.02  # period of checking the job of a worker
 SLOWEST = 5  # halts of each condition whose parts are printed
 BUSY_S = 0.5  # limit until the stopped worker has a job; otherwise another worker has it
 
+RTC = str(Path(sys.executable).with_name("rtc"))
+
 Holds = Callable[[], bool]  # whether the condition holds
 Disturbance = Callable[[Client], AbstractContextManager[Holds]]
+
+
+class FromEnter(NamedTuple):
+    """Times of one process `rtc halt` from its start (s)."""
+
+    received_s: float  # the MCM has the order
+    decelerating_s: float
+    confirmed_s: float  # rest is confirmed, and the process has ended
 
 
 class Bench:
@@ -84,9 +107,12 @@ class Bench:
         self.missed = 0  # halts without a latency, or without confirmed rest
         self.undisturbed = 0  # halts that did not count, because the condition did not hold
         self.slowest: list[tuple[float, float, float]] = []  # latency, time until receipt, time of the call; s
+        self.by_process = False  # whether each halt is a process `rtc halt`
+        self.from_enter: list[FromEnter] = []
 
     def latencies_s(self, name: str, halts: int, disturbance: Disturbance, *, each: bool) -> list[float]:
-        """`each`: the disturbance lasts from the start of each motion to its halt; otherwise all the time."""
+        """Latencies from the call. `each`: the disturbance lasts from the start of each motion to its halt; otherwise
+        all the time."""
         found: list[float] = []
         began_s = time.monotonic()
         with nullcontext() if each else disturbance(self._rtc) as holds:
@@ -114,8 +140,9 @@ class Bench:
         with disturbance(self._rtc) as holds:
             time.sleep(self._rng.uniform(0.0, LATER_S))
             held = holds()
-            called_at_s = time.monotonic()
-            result = self._rtc.halt("RIGHT-ARM")
+            entered_s = time.monotonic()
+            result = self._halt_process() if self.by_process else self._rtc.halt("RIGHT-ARM")
+            ended_s = time.monotonic()
             held = held and holds()
         command.wait(timeout_s=60.0)
         if result.latency_s is None or not result.confirmed:
@@ -124,8 +151,19 @@ class Bench:
             return []
         self.undisturbed += not held
         receipt_s = max((sub.receipt_s or 0.0 for sub in result.subsystems), default=0.0)
-        self.slowest = sorted([*self.slowest, (result.latency_s, receipt_s, called_at_s)], reverse=True)[:SLOWEST]
-        return [result.latency_s] if result.moving and held else []
+        if not (result.moving and held):
+            return []
+        if self.by_process:
+            called_s = result.called_at_s - entered_s
+            self.from_enter.append(FromEnter(called_s + receipt_s, called_s + result.latency_s, ended_s - entered_s))
+        else:
+            self.slowest = sorted([*self.slowest, (result.latency_s, receipt_s, result.called_at_s)])[-SLOWEST:]
+        return [result.latency_s]
+
+    def _halt_process(self) -> HaltResult:
+        command = [RTC, "halt", "RIGHT-ARM", "--json", "--run-dir", str(self._rtc.run_dir)]
+        done = subprocess.run(command, capture_output=True, check=False, timeout=MOTION_S)
+        return msgspec.json.decode(done.stdout, type=HaltResult)
 
     def _wait_for_motion(self, samples: Iterator[m.Telemetry], command: CommandHandle) -> bool:
         """False: no motion was seen, because the goal was near or the command failed."""
@@ -311,13 +349,11 @@ CONDITIONS: dict[str, tuple[Disturbance, bool]] = {  # name -> (disturbance, whe
 }
 
 
-def main() -> None:
-    arguments = argparse.ArgumentParser(prog="python -m benchmarks.halt", description=__doc__)
-    arguments.add_argument("--halts", type=int, default=200, help="in each condition")
-    arguments.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
-    arguments.add_argument("--only", choices=(*CONDITIONS, CARRYING), help="one condition; results in halt_NAME")
-    given = arguments.parse_args()
-    question("halt", "How long from the halt to the first decelerating tick of a moving arm?", seed=SEED)
+Figures = tuple[dict[str, float | None], list[tuple[str, str]]]  # metrics, rows
+
+
+def latency(mcm: str, halts: int, enter: int, only: str | None) -> Figures:
+    """How fast halts are in each condition, from the client's call and from Enter."""
     metrics: dict[str, float | None] = {}
     rows: list[tuple[str, str]] = []
 
@@ -325,26 +361,75 @@ def main() -> None:
         metrics[f"{name}_p50_ms"] = percentile(found, 50) * 1e3
         metrics[f"{name}_p99_ms"] = percentile(found, 99) * 1e3
         metrics[f"{name}_worst_ms"] = max(found) * 1e3
-        for latency_s, receipt_s, at_s in slowest:
+        for latency_s, receipt_s, at_s in reversed(slowest):
             print(f"  {name}: {latency_s * 1e3:.2f} ms, {receipt_s * 1e3:.2f} of them until receipt, at {at_s:.6f} s")
-        rows.append((name, spread(found, 1e3, "ms")))
+        rows.append((f"{name}: from the client's call", spread(found, 1e3, "ms")))
 
-    if given.only != CARRYING:
-        with own_cluster(mcm=given.mcm) as run_dir, Client(run_dir) as rtc:
+    def measured_from_enter(name: str, found: list[FromEnter]) -> None:
+        words = {"received": "order with the MCM", "decelerating": "decelerating", "confirmed": "confirmed"}
+        for (what, shown), times in zip(words.items(), zip(*found, strict=True), strict=True):
+            metrics[f"{name}_enter_{what}_p50_ms"] = percentile(times, 50) * 1e3
+            metrics[f"{name}_enter_{what}_p99_ms"] = percentile(times, 99) * 1e3
+            rows.append((f"{name}: from Enter, {shown}", spread(times, 1e3, "ms")))
+
+    if only != CARRYING:
+        with own_cluster(mcm=mcm) as run_dir, Client(run_dir) as rtc:
             assert rtc.halt_ready()
             bench = Bench(rtc, random.Random(SEED))
             for name, (disturbance, each) in CONDITIONS.items():
-                if given.only not in (None, name):
+                if only not in (None, name):
                     continue
-                bench.slowest, bench.condition = [], name
-                measured(name, bench.latencies_s(name, given.halts, disturbance, each=each), bench.slowest)
+                bench.slowest, bench.from_enter, bench.condition, bench.by_process = [], [], name, False
+                measured(name, bench.latencies_s(name, halts, disturbance, each=each), bench.slowest)
+                bench.by_process = True
+                if enter:
+                    bench.latencies_s(f"{name}, from Enter", enter, disturbance, each=each)
+                    measured_from_enter(name, bench.from_enter)
             metrics["missed"] = bench.missed
             rows.append(("missed", str(bench.missed)))
             rows.append(("repeated: the condition did not hold", str(bench.undisturbed)))
-    if given.only in (None, CARRYING) and given.mcm == "bullet":  # exact arms cannot comply
-        halts = carried(given.halts, random.Random(SEED))
-        measured(CARRYING, _latencies(halts), sorted(halts, reverse=True)[:SLOWEST])
-    finish("halt" if given.only is None else f"halt_{given.only}", metrics, rows)
+    if only in (None, CARRYING) and mcm == "bullet":  # exact arms cannot comply
+        carrying_halts = sorted(carried(halts, random.Random(SEED)))
+        measured(CARRYING, _latencies(carrying_halts), carrying_halts[-SLOWEST:])
+    return metrics, rows
+
+
+def early(found: list[early_halts.Early], good: str) -> Figures:
+    """How many early halts were as they must be, and what came of each."""
+    right = sum(not one.wrong for one in found)
+    low, high = wilson(right, len(found))
+    metrics: dict[str, float | None] = {"halts": len(found), "right": right, "low": low, "high": high}
+    rows = [(good, f"{right} of {len(found)} (Wilson {100 * low:.1f} to {100 * high:.1f} %)")]
+    return metrics, [*rows, ("what came of them", early_halts.counted(found))]
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(prog="python -m benchmarks.halt", description=__doc__)
+    arguments.add_argument("--halts", type=int, help="in each condition; default 200, and 1000 with --after-do")
+    arguments.add_argument("--enter", type=int, default=50, help="halts from Enter in each condition")
+    arguments.add_argument("--starts", type=int, default=20, help="of a cluster, with --bring-up")
+    arguments.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
+    which = arguments.add_mutually_exclusive_group()
+    which.add_argument("--only", choices=(*CONDITIONS, CARRYING), help="one condition; results in halt_NAME")
+    which.add_argument("--after-do", action="store_true", help="halts right after a sentence was sent")
+    which.add_argument("--bring-up", action="store_true", help="halts while a cluster comes up")
+    given = arguments.parse_args()
+    rng = random.Random(SEED)
+    if given.after_do:
+        question(
+            "halt", f"Is each halt obeyed in the first {early_halts.AFTER_S} s after a sentence was sent?", seed=SEED
+        )
+        with own_cluster(mcm=given.mcm) as run_dir:
+            found = early_halts.after_do(run_dir, given.halts or 1000, rng)
+        finish("halt_after_do", *early(found, "obeyed"))
+    elif given.bring_up:
+        question("halt", "Is each halt obeyed, or refused with a true reason, while a cluster comes up?", seed=SEED)
+        found = early_halts.bring_up(given.mcm, given.starts, rng)
+        finish("halt_bring_up", *early(found, "obeyed, or refused with a true reason"))
+    else:
+        question("halt", "How long from the halt to the first decelerating tick of a moving arm?", seed=SEED)
+        figures = latency(given.mcm, given.halts or 200, given.enter, given.only)
+        finish("halt" if given.only is None else f"halt_{given.only}", *figures)
 
 
 if __name__ == "__main__":

@@ -71,6 +71,7 @@ class HaltResult(msgspec.Struct, kw_only=True):
     subsystems: list[SubsystemHalt]
     message: str = ""  # why it is not confirmed
     declined: bool = False  # the scope is unknown: nothing was stopped
+    called_at_s: float = 0.0  # CLOCK_MONOTONIC of the caller's machine; the times of `subsystems` begin with it
 
     @property
     def reached(self) -> bool:
@@ -375,4 +376,5 @@ def _result(
         subsystems=sorted(subsystems, key=lambda sub: sub.name),
         message=message,
         declined=nothing,
+        called_at_s=order.called_at_s,
     )
