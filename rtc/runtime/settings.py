@@ -96,8 +96,12 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         """Does nothing: the mode of the run directory (0700) protects its sockets."""
 
     def save(self) -> None:
-        """Write `settings.json`. Raises OSError."""
-        (self.path / SETTINGS).write_bytes(msgspec.json.format(msgspec.json.encode(self)))
+        """Write `settings.json` in one step: a client of a cluster that comes up sees all of it, or nothing.
+
+        Raises OSError."""
+        aside = self.path / f"{SETTINGS}.new"
+        aside.write_bytes(msgspec.json.format(msgspec.json.encode(self)))
+        os.replace(aside, self.path / SETTINGS)
 
     @staticmethod
     def load(run_dir: str | Path) -> Settings:

@@ -173,7 +173,7 @@ def test_a_bad_cell_is_reported_in_the_first_line_that_matters(run_dir):
 
 def test_a_directory_that_takes_no_files_is_reported_in_one_line(run_dir):
     (run_dir / "supervisor.lock").touch()  # it was a run directory before
-    (run_dir / "settings.json").symlink_to("/dev/full")
+    (run_dir / "settings.json.new").symlink_to("/dev/full")
     failed = up(run_dir)
     assert failed.returncode == 1
     assert "Traceback" not in failed.stdout + failed.stderr
