@@ -38,7 +38,7 @@ from tests.workers.conftest import MODEL, Bench, Reporter
 from workers.planning.robot_models import CellModel
 
 SEED = 41
-ATTEMPTS = 20  # sentences that are refused, or end before the halt, are drawn anew
+ATTEMPTS = 60  # sentences that are refused, or end before the halt, are drawn anew
 OFF_M, OFF_RAD = 0.002, math.radians(1.0)
 DISPLACED_M, DISPLACED_RAD = 0.010, math.radians(1.0)  # of the satellite with its door
 SHARES = (0.1, 0.15, 0.4, 0.2, 0.07, 0.08)  # of the starts
