@@ -260,12 +260,19 @@ def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, 
 
 
 def _other_sentence(program: ElaboratorProgram, verb: str, thing: parts.Object, fits: list[str]) -> str:
-    """What can be submitted instead: the verb of another object, another verb of this one, or neither."""
+    """What can be given instead: the verb with another object, or another verb with this one."""
     if fits:
-        return f"{verb} one of {', '.join(fits)}"
-    verbs = sorted(one for one, rows in program.table_rows.items() if any(_is_about(row, thing) for row in rows))
-    row = f"for {verb} of a {thing.kind} load a row of command_object_table (rtc docs scripts)"
-    return f"{' or '.join(verbs)} is possible with {thing.name}; {row}" if verbs else f"another object; {row}"
+        return f"{verb} is possible with {' or '.join(fits)}"
+    verbs = {one for one, rows in program.table_rows.items() if any(_is_about(row, thing) for row in rows)}
+    about = {one.script for one in program.scripts if "object" in one.uses}
+    for branch in program.decision_tree:  # verbs without figures of an object are possible with every one
+        if (
+            branch.enabled
+            and branch.script in about
+            and not any(map(_of_object, program.table_rows.get(branch.verb, [])))
+        ):
+            verbs.add(branch.verb)
+    return f"nothing here is for {verb}; with {thing.name} is possible: {', '.join(sorted(verbs))}"
 
 
 def _table(
@@ -279,6 +286,10 @@ def _table(
     values = {name: value for row in rows for name, value in row.values.items()}
     object_attributes.refuse_unstated(program, query, thing, attributes.of_values(values.values()))
     return {name: expressions.number(value, given) for name, value in values.items()}
+
+
+def _of_object(row: TableRow) -> bool:
+    return bool(row.kind or row.name)
 
 
 def _is_about(row: TableRow, thing: parts.Object | None) -> bool:
