@@ -169,7 +169,7 @@ def begin(context: DecisionContext, command: Command, result: BoundHead, primiti
         command.step_text += f" ({result.remark})"
     command.starts_after = ", ".join(dict.fromkeys(command_of(one.primitive) for one in primitive.start_after))
     send(context, command)
-    expected_s = result.predicted_s * context.state.timeout_scale
+    expected_s = 0.0 if command.operated else result.predicted_s * context.state.timeout_scale  # of a person: unknown
     context.enter(
         command,
         Phase.EXECUTING,

@@ -11,7 +11,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendAnswer
 from broker.decisions.events import AnswerWasRefused
 from broker.decisions.state import Command, LinkState, ParsedHead
-from rtc.protocol.advice import by_person, by_sentence
+from rtc.protocol.advice import again_after, by_person, by_sentence
 from rtc.protocol.messages import EndReport, NoteKind, OperatorAnswer, Phase
 from rtc.protocol.outcomes import OF_OPERATOR, Refusal, RefusalReason
 from rtc.protocol.primitive_id import command_of
@@ -26,7 +26,8 @@ def answer(context: DecisionContext, command: Command, head: ParsedHead) -> None
     if head.verb == TAKE:
         asked = [c for c in asked if head.hand in c.performers]
     if len(asked) != 1:
-        refuse(context, command, _not_one(head, asked))
+        coming = None if asked or head.verb != TAKE else _coming(context, head.hand)
+        refuse(context, command, _not_yet(head, coming) if coming else _not_one(head, asked))
         return
     (target,) = asked
     given_back = head.verb == TAKE and target.head is not None and target.head.verb == GIVE
@@ -42,6 +43,24 @@ def send(context: DecisionContext, target: Command, message: OperatorAnswer) -> 
     """Send an answer; an awaited subsystem gets it when it connects."""
     if context.state.subsystems[target.subsystem].link is LinkState.CONNECTED:
         context.effects.append(SendAnswer(subsystem=target.subsystem, answer=message))
+
+
+def _coming(context: DecisionContext, arm: str | None) -> Command | None:
+    """The command that will hand this arm to the operator, but has not done so yet."""
+    for command in context.state.commands.values():
+        if command.head is not None and (command.head.verb, command.head.hand) == (GIVE, arm):
+            return command
+    return None
+
+
+def _not_yet(head: ParsedHead, coming: Command) -> Refusal:
+    """A GIVE that still waits, or is being bound: TAKE would end it before the operator has had the arm."""
+    clears = [
+        *by_sentence(f"ABORT {coming.id}", instead=True),
+        *again_after(f"once {coming.id} has handed {head.hand} over"),
+    ]
+    message = f"{coming.id} has not handed {head.hand} to the operator yet"
+    return Refusal(reason=RefusalReason.STATE, message=message, where=head.verb, clears=clears)
 
 
 def _not_one(head: ParsedHead, asked: list[Command]) -> Refusal:

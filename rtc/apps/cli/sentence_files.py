@@ -111,6 +111,25 @@ def _problems(lines: list[SentenceLine]) -> Iterator[str]:
             above[line.label] = line.place
 
 
+def never_sent(lines: list[SentenceLine]) -> str:
+    """Why a line of a program, sent one after the other, would wait for itself; empty if none would.
+
+    A GIVE goes on until TAKE, DONE or CANNOT. In the same program these come after its end."""
+    given: SentenceLine | None = None
+    for line in lines:
+        verb = next(iter(line.text.upper().split()), "")
+        if verb == "GIVE":
+            given = line
+        elif given is not None and verb in ("TAKE", "DONE", "CANNOT"):
+            own, other = (": ".join(filter(None, (one.place, one.text))) for one in (line, given))
+            return (
+                f"{own} is sent after the end of a sentence that waits for it: {other}\n"
+                f"leave {verb} out: the program goes on when the operator has given DONE, with rtc operator --done or "
+                'on the page, or when another terminal has given it, such as rtc do "TAKE RIGHT-ARM FROM OPERATOR"'
+            )
+    return ""
+
+
 class Labels:
     """The commands that labelled sentences have become. `lines`: a program that is read as a whole."""
 

@@ -102,6 +102,8 @@ def do(
         raise cli_error("no sentence; give one in quotes; rtc dictionary VERB shows examples", 2)
     if source not in ("operator", "aip"):
         raise cli_error(f"--as is operator or aip, not {source}", 2)
+    if not (parallel or no_wait) and (problem := sentence_files.never_sent(lines)):
+        raise cli_error(problem, 2)
     halts = [halt_scope(text) for text in texts]
     need_broker = not all(halts)
     with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=show_silence, key=key) as rtc:

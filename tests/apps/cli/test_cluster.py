@@ -332,6 +332,28 @@ def test_a_program_names_its_commands_by_labels(rtc: Run, tmp_path: Path, mode: 
     assert rtc("do", f"STOW RIGHT-ARM AFTER {third['command']}").returncode == 0  # the last one has succeeded
 
 
+def test_a_program_goes_on_when_the_operator_has_done_what_it_gave_away(
+    rtc: Run, run_dir: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "plan.txt"
+    file.write_text("GIVE RIGHT-ARM TO OPERATOR\nHOLD RIGHT-ARM FOR 0.1 SEC\n")
+    program = [*RTC, "do", "--file", str(file), "--json", "--run-dir", str(run_dir)]
+    with Client(run_dir) as client, subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as running:
+        limit_s = time.monotonic() + LIMIT_S
+        while "OPERATOR" not in str(client.status().commands):  # the step in which the operator has the arm
+            assert time.monotonic() < limit_s
+        assert rtc("do", "TAKE RIGHT-ARM FROM OPERATOR").returncode == 0
+        shown, _ = running.communicate(timeout=LIMIT_S)
+    assert [one["kind"] for one in json.loads(shown)["results"]] == ["succeeded", "succeeded"]
+
+
+def test_a_program_that_would_wait_for_itself_is_not_begun(rtc: Run) -> None:
+    before = last_json(rtc("log", "-n", "1", "--json"))["commands"]
+    lines = ["STOW RIGHT-ARM", "GIVE RIGHT-ARM TO OPERATOR", "TAKE RIGHT-ARM FROM OPERATOR"]
+    assert rtc("do", *lines).returncode == 2
+    assert last_json(rtc("log", "-n", "1", "--json"))["commands"] == before
+
+
 def test_a_label_whose_sentence_became_no_command_is_refused_by_the_cluster(rtc: Run, tmp_path: Path) -> None:
     plan = tmp_path / "plan.txt"
     plan.write_text("C3: HALT\nSTOW LEFT-ARM AFTER C-3\nABORT C-3\n")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from rtc.apps.cli.sentence_files import Labels, SentenceLine, line_of, read
+from rtc.apps.cli.sentence_files import Labels, SentenceLine, line_of, never_sent, read
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.sentence import ParsedCommand
 
@@ -125,3 +125,21 @@ def test_a_label_without_a_command_never_becomes_a_number_of_the_cluster() -> No
 @pytest.mark.parametrize("text", ["", "   ", "# C3: STOW LEFT-ARM", "-- a comment"])
 def test_lines_without_a_sentence(text: str) -> None:
     assert line_of(text) is None
+
+
+GIVE = "GIVE RIGHT-ARM TO OPERATOR"
+
+
+@pytest.mark.parametrize(
+    ("texts", "named"),
+    [
+        ([GIVE, "STOW RIGHT-ARM"], []),
+        ([GIVE, "STOW LEFT-ARM", "take RIGHT-ARM FROM OPERATOR"], ["take RIGHT-ARM FROM OPERATOR", GIVE]),
+        ([GIVE, "DONE"], ["DONE", GIVE]),
+        (["DONE", GIVE], []),
+    ],
+)
+def test_a_line_that_another_one_waits_for_is_found_before_anything_is_sent(texts: list[str], named: list[str]) -> None:
+    problem = never_sent([SentenceLine("", text) for text in texts])
+    assert bool(problem) == bool(named)
+    assert all(text in problem for text in named)  # wording: it names both lines

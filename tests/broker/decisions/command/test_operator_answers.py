@@ -65,6 +65,26 @@ def test_take_ends_what_the_operator_does_with_that_arm(given: str, sent: str) -
     assert answer(s, "TAKE", hand="RIGHT-ARM")[1] == f"{sent} {asked}.1 to MCM"
 
 
+def test_a_take_before_the_arm_is_handed_over_names_the_give_that_will() -> None:
+    s = Harness()
+    holding = by_hand(s)  # it has the arm, so that the GIVE waits
+    s.says("GIVE RIGHT-ARM TO OPERATOR")
+    waiting = f"C-{s.state.accepted}"
+    s.answers(waiting, record("task", "GIVE", hand="RIGHT-ARM"))
+    s.reports(holding, StopReason.OPERATOR_DONE)
+    refused, sent = answer(s, "TAKE", hand="RIGHT-ARM")
+    assert (s.outcome(refused).kind, sent) == (OutcomeKind.REFUSED, "")
+    why = s.outcome(refused).refusal
+    assert [one.sentences for one in why.clears] == [[f"ABORT {waiting}"], []]
+    assert why.clears[1].again
+
+
+def test_no_duration_is_foretold_of_what_a_person_does() -> None:
+    s = Harness()
+    asked = by_hand(s)
+    assert s.state.commands[asked].notes[-1].expected_s == 0.0
+
+
 def test_an_answer_without_a_request_is_refused_and_one_of_two_too() -> None:
     s = Harness()
     none, _ = answer(s, "DONE")
