@@ -61,7 +61,12 @@ def explained(analyzer_program: bytes, rows: list[OutcomeRow]) -> dict[str, str]
     """The message of each failure class in the rows: late -> "not done within LIMIT s"."""
     classes = decode(analyzer_program, AnalyzerProgram).classes
     used = sorted({row.response.rpartition("fail: ")[2] for row in rows if "fail: " in row.response})
-    return {name: re.sub(r"\{(\w+)\}", lambda found: found[1].upper(), classes[name].message) for name in used}
+    return {name: classes[name].message.format_map(_Capitals()) for name in used}
+
+
+class _Capitals(dict[str, str]):
+    def __missing__(self, name: str) -> str:
+        return name.upper()
 
 
 def rows_of(

@@ -9,6 +9,7 @@ from collections.abc import Collection
 
 import msgspec
 
+from rtc.protocol.causes import UnknownName
 from rtc.protocol.messages import Paper, Script
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
@@ -30,6 +31,7 @@ def refuse_unknown(parsed: ParsedCommand, before: Paper, live: Collection[str]) 
             where=name,
             expected=before.begun,
             clears=f"test it in one list with the sentence {name}",
+            cause=UnknownName(what="sentence", name=name),
         )
 
 

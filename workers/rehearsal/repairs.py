@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from rtc.language.hands import ARM_OF_WORD, OWN_WORDS, hand_in_words
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.advice import sentences_of
-from rtc.protocol.causes import Collides, OutOfReach, TooUncertain
+from rtc.protocol.causes import Collides, OutOfReach, TooUncertain, UnknownName
 from rtc.protocol.messages import Fact
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.rehearsal import Repair
@@ -129,8 +129,8 @@ def _other_hands(sentence: Infeasible, word: str) -> Iterable[str]:
 
 def _same_goal(sentence: Infeasible, word: str) -> Iterable[str]:
     """Other grasp points in the place of this word, and known names in that of an unknown one."""
-    cell = sentence.query.cell
-    if sentence.refusal.reason is RefusalReason.NAME and word in sentence.refusal.message.split():
+    cell, cause = sentence.query.cell, sentence.refusal.cause
+    if isinstance(cause, UnknownName) and word == cause.name:
         return sentence.refusal.nearest or sentence.refusal.expected
     things = [thing for thing in cell.objects if thing.name == sentence.parsed.object]
     points = [point.name for thing in things for point in thing.grasp_points]
@@ -152,12 +152,11 @@ def _one_sentence_before(sentence: Infeasible, program: ElaboratorProgram) -> It
 
 
 def _listed(sentence: Infeasible, program: ElaboratorProgram) -> Iterator[str]:
-    """The lines of the program, with the names of this sentence and of its refusal."""
+    """The lines of the program, with the names of this sentence and of the cause of its refusal."""
     query, parsed = sentence.query, sentence.parsed
     own = [arm.name for arm in query.cell.arms if parsed.hand in (arm.name, None)]
-    refusal = sentence.refusal
-    about = " ".join((refusal.message, refusal.where, *map(str, refusal.figures().values())))
-    mentioned = {word.partition(".")[0] for word in re.split(r"[\s,;:()]+", about)}
+    figures = sentence.refusal.figures().values()
+    mentioned = {re.split("[ .]", str(one))[0] for one in figures}  # "DOOR-2 panel", "MACS-NEW.frame"
     bodies = [part.name for group in (query.cell.objects, query.cell.seats) for part in group]
     names = {
         "other": [hand_in_words(arm.name) for arm in query.cell.arms if arm.name != parsed.hand],

@@ -79,8 +79,9 @@ def test_after_a_look_that_changes_nothing_the_sentence_is_not_rehearsed_again(m
     for sentence in ("GRASP LEFT-END-EFF DOOR-2 LATCH-PULL", "OPEN DOOR-2 BY 90 DEG", "RELEASE DOOR-2"):
         assert paper.test(sentence).refusal is None
     found = performed(monkeypatch, paper, "GRASP LEFT-END-EFF MACS-OLD HANDLE-B")
-    look = found.index("LOCATE MACS-OLD")
-    assert found[look + 1] == "LOCATE DOOR-2"
+    look = found.index("LOCATE DOOR-2")
+    grasps = ["GRASP MACS-OLD"] * 2  # the next repair, and the sentence after it; none after the look
+    assert found[look + 1 : look + 4] == [*grasps, "RETRACT LEFT-ARM"]
 
 
 def test_a_look_at_what_is_in_doubt_is_offered():
