@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import ast
+import functools
+import re
+from pathlib import Path
+
 import pytest
 
 from rtc.language.quantities import AMOUNTS, STEP
 from rtc.programs import extension_names, loader
+from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram
+from rtc.protocol import advice as advice_texts
 from rtc.protocol.messages import AnalyzerInput
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.units import SUFFIXES
+from tests.source_files import ROOT, source
 from workers.analyzer import analyze, world_changes
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_words import fill_in
@@ -17,6 +25,8 @@ from workers.conditions import stop_conditions
 from workers.elaborator import anchors, preconditions
 from workers.planning import axes, segments
 from workers.planning.world_query import WorldQuery
+
+WORKERS = ROOT / "workers"
 
 
 @pytest.mark.parametrize(
@@ -49,6 +59,33 @@ def test_every_placeholder_of_a_label_is_filled_in(bench):
     bench.load("elaborator", f"script: stow\ncase: 1\nuses: [hand]\nsteps: [{step}]")
 
     assert "{" not in bench.elaborate("STOW LEFT-ARM").steps[0].label
+
+
+#: modules whose texts are given to all rows, or that compute the name of a row
+OF_ALL_ROWS = ("elaborator/task_candidate.py", "elaborator/preconditions.py", "planning/trust.py")
+
+
+@pytest.mark.parametrize(
+    "program", [("elaborator", ElaboratorProgram), ("binder", BinderProgram), ("analyzer", AnalyzerProgram)]
+)
+def test_every_placeholder_of_advice_is_filled_in(program):
+    """Each row of `clears` and `needs` is rendered with the names for which the modules that use it have texts."""
+    kind, schema = program
+    document = loader.decode(loader.default(kind), schema)
+    for row, advice in {**document.clears, **getattr(document, "needs", {})}.items():
+        users = [path for path in WORKERS.rglob("*.py") if row in source(path).texts]
+        names = {name for path in (*users, *(WORKERS / one for one in OF_ALL_ROWS)) for name in keys_in(path)}
+        rendered = advice_texts.fill_in(advice, dict.fromkeys(names, "NAME"))
+        assert not re.findall(r"\{\w+\}", str(rendered)), row
+
+
+@functools.cache
+def keys_in(module: Path) -> set[str]:
+    """The keys of the dictionaries in a module, and the names of keyword arguments."""
+    nodes = [*ast.walk(ast.parse(module.read_text()))]
+    keys = [key for node in nodes if isinstance(node, ast.Dict) for key in node.keys]
+    keywords = {node.arg for node in nodes if isinstance(node, ast.keyword) and node.arg}
+    return keywords | {key.value for key in keys if isinstance(key, ast.Constant)}
 
 
 def test_every_placeholder_of_a_failure_is_filled_in(bench):
