@@ -56,6 +56,7 @@ class NoteFacts(TypedDict, total=False):
     drift: str
     owner: str
     about: str
+    program: str
     arm: str
     clears: list[str]
     value: float

@@ -66,14 +66,12 @@ def repeat_with_another(context: DecisionContext, command: Command, job: Pending
     in use or has worked: then the failure is of the job."""
     if job.kind is JobKind.REHEARSAL:
         return False  # it uses several programs, and says nothing about one of them
-    state, kind = context.state, job.worker.value
+    state, kind, failed = context.state, job.worker.value, job.program
     last_words = (why.strip().splitlines() or ["without an error message"])[-1]
     if is_on_trial(state, job):
         back_to = state.rollouts[kind].fallback
-        words = f"the new {kind} program {job.program} failed its first job ({last_words}); back to {back_to}"
-        ROLLOUT.run(context, kind, RolloutStimulus.JOB_FAILED, f"{words}. The job was of {command.id}")
-    else:
-        words = f"the {kind} program {job.program}, which is no longer in use, failed ({last_words}); job again"
+        words = f"the new {kind} program {failed} failed in {command.id} ({last_words}); back to {back_to}"
+        ROLLOUT.run(context, kind, RolloutStimulus.JOB_FAILED, words)
     following = command.programs.get(kind, job.program)  # it differs if the job's program was rolled back
     if following == job.program and not _is_proven(state, job):
         following = state.programs.get(kind, job.program)
@@ -81,7 +79,7 @@ def repeat_with_another(context: DecisionContext, command: Command, job: Pending
         return False
     command.programs[kind] = job.program = following
     job.attempt += 1
-    context.note(command, NoteKind.PROGRAM_FAILED, about=kind, message=words, warning=True)
+    context.note(command, NoteKind.PROGRAM_FAILED, about=kind, program=failed, message=last_words, warning=True)
     context.dispatch(job, command.client)
     return True
 

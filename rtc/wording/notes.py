@@ -67,7 +67,7 @@ TEXTS = {
     NoteKind.REPORT: "",
     NoteKind.WORKER_LOST: "{0.about} lost ({0.message}); job again",
     NoteKind.ANALYSIS_AGAIN: "{0.message}; the analysis is repeated",
-    NoteKind.PROGRAM_FAILED: "{0.message}",
+    NoteKind.PROGRAM_FAILED: "the {0.about} program {0.program} failed ({0.message}); the job is done with another",
     NoteKind.HALT: "halt {0.about}",
     NoteKind.STOPPING: "{0.message}",
     NoteKind.NOT_AT_REST: "{0.message}",

@@ -66,7 +66,7 @@ class NoteKind(StrEnum):
     # What was done again.
     WORKER_LOST = "worker_lost"  # `about`, with its last words [message]; its job is done again
     ANALYSIS_AGAIN = "analysis_again"  # the world database is unavailable [message]
-    PROGRAM_FAILED = "program_failed"  # of the kind of worker `about`; its job is done again with another [message]
+    PROGRAM_FAILED = "program_failed"  # `program`, of workers `about`; its job is done again with another [message]
     # How it ends.
     HALT = "halt"  # a HALT sentence, of the scope `about`
     STOPPING = "stopping"  # its motion is halted; `about`: the scope, if it was a halt [reason, message]
@@ -96,6 +96,7 @@ class ProgressNote(Message, frozen=True, kw_only=True):
     drift: str = ""  # what has left its band although the step ended as expected, for people
     owner: str = ""  # the command that it waits for: "C-3"; of BOUND there may be several: "C-3, C-4"
     about: str = ""  # name of a resource, a scope, a worker, a breakpoint
+    program: str = ""  # digest of one that has failed
     arm: str = ""
     clears: list[str] = []  # sentences, each of which ends the wait
     value: float | None = None  # in `unit`, which is SI

@@ -90,10 +90,8 @@ def test_a_warning_is_a_line_although_the_phase_passes() -> None:
     note = {"seq": 1, "at_s": 0.0, "command": "C-7", "phase": m.Phase.ELABORATING}
     with Board(["LIFT X"], out=out) as board:
         board.accepted(0, "C-7")
-        board.progress(
-            m.ProgressNote(**note, kind=m.NoteKind.PROGRAM_FAILED, message="the new program failed", warning=True)
-        )
-    assert text.getvalue().splitlines()[1:] == ["C-7  warning: the new program failed"]
+        board.progress(m.ProgressNote(**note, kind=m.NoteKind.PLANNED, message="it is late", warning=True))
+    assert text.getvalue().splitlines()[1:] == ["C-7  warning: it is late"]
 
 
 def test_what_was_measured_stands_below_the_result() -> None:

@@ -25,7 +25,7 @@ def test_a_new_program_whose_first_job_fails_is_rolled_back():
     assert s.state.programs["parser"] == "old"
     stated = s.state.commands["C-1"].notes[-1]
     assert (stated.kind, stated.about, stated.warning) == (NoteKind.PROGRAM_FAILED, "parser", True)
-    assert s.state.rollouts["parser"].why == f"{stated.message}. The job was of C-1"  # wording: for a person
+    assert (stated.program, stated.message in s.state.rollouts["parser"].why) == ("new", True)  # wording: last words
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="newer")
     assert not s.state.rollouts["parser"].why
 
