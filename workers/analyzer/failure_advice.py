@@ -12,6 +12,7 @@ from rtc.protocol.advice import NOTHING, Advice, Alternative, Texts, by_person, 
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
+from rtc.spatial.geometry import Floats
 from workers.analyzer import failure_words, what_is_left
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
@@ -29,13 +30,13 @@ FAR = [0.0, 0.0, -1000.0, 0.0, 0.0, 0.0, 1.0]  # pose of what is before nothing
 AWAY_CM = 5.0  # by how much an arm is to move away from what it has pressed on
 
 
-BACK = "leave_back"  # row of `clears`
+BACK, SLOT, LET_GO = "leave_back", "leave_slot", "leave_held"  # rows of `clears`
 
 
 DOUBTFUL = (Validity.SUSPECT, Validity.INVALID)
 
 
-IN_SLOT_M = 0.010  # a shorter way back into a slot frees nothing
+IN_SLOT_M = 0.010  # a shorter way in a slot frees nothing, and one that ends nearer to the bottom may press on it
 
 
 BACKWARDS = 0.7  # cosine of the angle between the way of a hand and its tool axis from which on it went back
@@ -51,8 +52,14 @@ def what_clears(
     # A seat needs a better known pose in the hand than VERIFY leaves after that, and a free motion more room.
     misplaced = failure.misplaced or askew or (pressed and bool(target))
     cures = _ways_to_clear(task, changes, moved=pressed or misplaced, misplaced=misplaced)
-    pressing, doubtful = _leaving(task, task.program.clears.get("asked", []) if asked else failure.pressing)
-    held = [cure for key, cure in cures.items() if doubtful and key.rpartition(".")[0] == task.evaluation.held]
+    row = task.program.clears.get("asked", []) if asked else failure.pressing
+    way, back = _way_to_leave(task) if row and pressing_n(task) else ("", "")
+    pressing = _leaving(task, row, way, back) if way else []
+    # RETRACT works despite doubts about what is in the hand, and a hand may let go of it; other ways do not.
+    by_way = any("{leave}" in one.sentences for one in row)
+    doubtful = bool(pressing) and not (by_way and way in (BACK, LET_GO))
+    of_held = [key for key in cures if key.rpartition(".")[0] == task.evaluation.held]
+    held = [cures[key] for key in of_held if doubtful]
     own = [*held, pressing]
     again: Advice = []
     rest = [Alternative(sentences=[left], instead=True)] if (left := what_is_left.sentence(task)) else []
@@ -62,12 +69,22 @@ def what_clears(
         again = [_the_rest(one, rest) if rest and one.again else one for one in again]
     if asked or reason is StopReason.HALT:
         again = again or ([] if pressing else rest)
+    if by_way and way == SLOT and float(back) > 0.0:  # what was pressed down is not pressed down again
+        again = []
+    if by_way and way == LET_GO:  # the hand is empty then
+        again = []
+        cures |= dict.fromkeys(of_held, _seen(task, str(task.evaluation.held)))
     if any("{target_cure}" in one.sentences for one in again):
         again = fill_in(again, {"target_cure": cures.pop(f"{target}.frame", [NOTHING])})
     out_first = [Alternative(sentences=failure_words.out_first(task))]
     todo = in_order(*own, *cures.values(), again)
     own_texts: Texts = {"out_first": out_first, "found_at": failure_words.found_at(task)}
     return fill_in(todo, {**failure_words.texts(task, reason), **own_texts})
+
+
+def _seen(task: AnalyzeTask, body: str) -> Advice:
+    """The look at a body that no hand holds any more; empty if no camera would see it."""
+    return fill_in(task.program.clears.get("seen", []), {"location": body}) if task.query.cameras(body) else []
 
 
 def _the_rest(one: Alternative, rest: Advice) -> Alternative:
@@ -148,31 +165,39 @@ def _ways_to_clear(task: AnalyzeTask, changes: Changes, *, moved: bool, misplace
     return first
 
 
-def _leaving(task: AnalyzeTask, row: Advice) -> tuple[Advice, bool]:
-    """The advice for an arm that pressed on something, and whether it moves no object in the hand that is in doubt."""
-    if not row or not pressing_n(task):
-        return [], False
-    way, back = _way_to_leave(task)
-    leaves = any("{leave}" in one.sentences for one in row)
+def _leaving(task: AnalyzeTask, row: Advice, way: str, back: str) -> Advice:
+    """The advice for an arm that pressed on something. `way`, `back`: of `_way_to_leave`."""
     advice = fill_in(row, {"leave": task.program.clears.get(way, [])})
-    return fill_in(advice, {"back": back, "away": _away(task)}), way != BACK or not leaves
+    return fill_in(advice, {"back": back, "away": _away(task)})
 
 
 def _way_to_leave(task: AnalyzeTask) -> tuple[str, str]:
     """How an arm leaves what it presses on where it may touch something: the row of `clears`, and the way (cm).
 
-    Back along its tool. Where it came to a stop on that way: back into the slot that an object was leaving, or along
-    another line."""
+    Back along its tool. Where it came to a stop on that way: along the slot that an object was leaving, or along
+    another line. Near the bottom of the slot the hand lets go."""
     evaluation, report = task.evaluation, task.report
     if evaluation.start_joints is None:
         return BACK, ""
     came = task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(report.tcp_pose[:3])
     came_m, held = float(np.linalg.norm(came)), evaluation.held
     frame = task.query.in_hand(held, report.tcp_pose) if held and evaluation.step.words.leaves == "seat" else None
-    if frame is not None and task.query.slot_at(frame) and came_m >= IN_SLOT_M:
-        return "leave_slot", f"{min(AWAY_CM, 100.0 * came_m):.2g}"
+    if frame is not None and (seat := task.query.slot_at(frame)) and came_m >= IN_SLOT_M:
+        back_m = _along_slot_m(task, seat, frame, came)
+        return (SLOT, f"{100.0 * back_m:.2g}") if abs(back_m) >= IN_SLOT_M else (LET_GO, "")
     backwards = float(came @ geometry.rotate(report.tcp_pose, [0.0, 0.0, 1.0])) > BACKWARDS * came_m
     return "leave_line" if came_m > SHORT_M and backwards else BACK, ""
+
+
+def _along_slot_m(task: AnalyzeTask, seat: str, frame: Floats, came: Floats) -> float:
+    """The way back along a slot (m), out of it or, less than 0, into it. Downwards it ends before the bottom, which
+    carries the object: its place in the hand is in doubt. `came`: from here to where the hand began."""
+    query = task.query
+    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
+    along_m, above_m = float(np.asarray(came) @ out), float((frame[:3] - query.seated_pose(seat)[:3]) @ out)
+    if along_m > 0.0:
+        return min(AWAY_CM / 100.0, along_m)
+    return -min(AWAY_CM / 100.0, -along_m, max(0.0, above_m - IN_SLOT_M))
 
 
 def _away(task: AnalyzeTask) -> str:

@@ -643,9 +643,9 @@ def test_an_arm_that_pressed_above_the_slot_is_sent_back_along_its_tool(bench, r
 
 
 @pytest.mark.parametrize("reason", WHILE_LIFTING)
-@pytest.mark.parametrize(("lifted", "back"), [("8 CM", "-5 CM"), ("1.2 CM", "-1.2 CM")])
+@pytest.mark.parametrize(("lifted", "back"), [("8 CM", "-5 CM"), ("2.6 CM", "-1.6 CM")])
 def test_an_arm_that_pressed_in_a_slot_is_sent_back_into_it(bench, reason, lifted, back):
-    """Back along the tool would be the same way, or against the slot; and below its start is the bottom of the seat."""
+    """Back along the tool would be the same way, or against the slot. It ends before the bottom of the seat."""
     bench.without_cameras()
     assert bench.do(GRASP).succeeded
     bound, report = bound_and_done(bench, f"LIFT MACS-NEW BY {lifted}", n=1)
@@ -658,6 +658,34 @@ def test_an_arm_that_pressed_in_a_slot_is_sent_back_into_it(bench, reason, lifte
     for sentence in (first, then):
         assert bench.do(sentence).succeeded, sentence
     assert bench.world.value("MACS-NEW.frame")[2] == pytest.approx(height_m + 0.01 * float(back.split()[0]), abs=1e-3)
+
+
+@pytest.mark.parametrize("reason", WHILE_LIFTING)
+def test_a_hand_lets_go_of_what_is_near_the_bottom_of_its_slot(bench, reason):
+    """Down, the bottom would stop it, and up it was stopped."""
+    assert bench.do(GRASP).succeeded
+    bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 1.2 CM", n=1)
+    made = judged(bench, bound, pressed_down(report, reason))
+    assert made.clears[0].sentences == ["RELEASE MACS-NEW WITH RIGHT-ARM", "LOCATE MACS-NEW"]
+    assert (made.clears[0].instead, made.clears[0].again) == (True, False)
+    assert not any(" BY -" in sentence for sentence in sentences_of(made.clears))
+    bench.world = bench.world.overlay(made.changes)
+    for sentence in (*made.clears[0].sentences, "STOW RIGHT-ARM"):
+        assert bench.do(sentence).succeeded, sentence
+
+
+@pytest.mark.parametrize("reason", [StopReason.HALT, StopReason.FORCE_LIMIT, StopReason.CONTACT])
+def test_what_was_pressed_down_in_its_slot_is_lifted_and_not_pressed_again(bench, reason):
+    assert bench.do(GRASP).succeeded
+    assert bench.do("LIFT MACS-NEW BY 6 CM").succeeded
+    bound, report = bound_and_done(bench, "LIFT MACS-NEW BY -4 CM", n=1)
+    ways = bound.primitive.trajectory.positions
+    halfway = list(ways[len(ways) // 2])
+    there = bench.model.arms["RIGHT-ARM"].fk(halfway).tolist()
+    stopped = msgspec.structs.replace(report, joints=halfway, tcp_pose=there)
+    made = judged(bench, bound, pressed_down(stopped, reason))
+    assert "LIFT MACS-NEW BY 2 CM WITH RIGHT-ARM" in sentences_of(made.clears)
+    assert not any(" BY -" in sentence for sentence in sentences_of(made.clears))
 
 
 def test_a_hand_is_sent_back_no_further_than_it_came(bench):
