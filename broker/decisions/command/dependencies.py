@@ -27,7 +27,7 @@ def wait_for_another(context: DecisionContext, command: Command, head: ParsedHea
         if head.after and done:
             return False
         if head.after and other in state.surrenders:
-            surrender.join(context, command, other)
+            surrender.hold(context, command, other)
             return True
         message = (
             f"{command.id} cannot come after itself"
@@ -68,7 +68,7 @@ def on_resumed(context: DecisionContext, command: Command, _: Any) -> None:
     """Withdraw a pause; go on without the operator if the command waits for one."""
     command.pause_wanted = command.single_step = False
     if surrender.is_held(context, command.id):
-        surrender.let_go(context, command.id)
+        surrender.release(context, command.id)
         claim_and_elaborate(context, command)
 
 

@@ -29,17 +29,17 @@ def surrender(context: DecisionContext, command: Command, ending: PendingOutcome
     held = [name for name in held if name in state.commands]
     state.surrenders[command.id] = Surrender(arms=arms, cause=ending.message, sentence=sentence)
     for name in held:
-        join(context, state.commands[name], command.id)
+        hold(context, state.commands[name], command.id)
     return [name for name in granted if name not in in_line]
 
 
-def join(context: DecisionContext, command: Command, failed: str) -> None:
+def hold(context: DecisionContext, command: Command, failed: str) -> None:
     """Hold a command until the operator has done what another one has failed to do."""
     context.state.surrenders[failed].waiting.append(command.id)
     context.enter(command, Phase.HELD, NoteKind.SURRENDERED, owner=failed, clears=[f"RESUME {command.id}"])
 
 
-def taken_up(context: DecisionContext, command: Command) -> None:
+def resume_held(context: DecisionContext, command: Command) -> None:
     """A command has succeeded: what waits for its arms goes on if the operator has performed it."""
     for name in _of_arms(context, _arms(context, command)):
         waiting = context.state.surrenders[name].waiting
@@ -56,7 +56,7 @@ def is_held(context: DecisionContext, name: str) -> bool:
     return held and found is not None and found.phase is Phase.HELD
 
 
-def let_go(context: DecisionContext, name: str) -> None:
+def release(context: DecisionContext, name: str) -> None:
     """A command no longer waits for the operator."""
     for one in context.state.surrenders.values():
         if name in one.waiting:

@@ -60,8 +60,8 @@ def end(
     surrendered = surrender.surrender(context, command, ending) if ending.refusal is not None else []
     if state.surrenders:
         if succeeded:
-            surrender.taken_up(context, command)
-        surrender.let_go(context, command.id)
+            surrender.resume_held(context, command)
+        surrender.release(context, command.id)
     context.enter(command, Phase.ENDED, NoteKind.OUTCOME, outcome=kind, message=ending.message, compared=compared)
     doubt = kind in UNCONFIRMED and not command.at_rest
     in_doubt = Quarantine(command.subsystem, command.primitive) if doubt else None

@@ -20,7 +20,7 @@ from rtc.apps.authoring import pads, self_collisions
 from rtc.apps.authoring.adapt import ARM_JOINTS, TCP, AdaptedArm, adapt, outline
 from rtc.apps.authoring.review import of_urdf
 from rtc.apps.authoring.robot_file import RobotFile
-from rtc.apps.authoring.words_and_keys import misnamed
+from rtc.apps.authoring.words_and_keys import name_problem
 from rtc.model.cells import two_readers
 from rtc.model.cells.cell import Cell
 from rtc.model.cells.parts import Arm, Box, Frame, Gripper, Object
@@ -62,7 +62,7 @@ class Draft:
 
 def draft(urdf: Path, name: str = "", tip: str = "") -> Draft:
     """The first cell for the arm of a URDF file. `name`: of the arm in sentences. Raises ProgramError."""
-    if name and (problem := misnamed(name)):
+    if name and (problem := name_problem(name)):
         raise ProgramError(f"--name {name}: {problem}")
     stem = _plain(name or RobotFile(urdf).name)
     adapted = adapt(urdf, f"{stem}-hulls", tip)
@@ -152,7 +152,7 @@ def _title(text: str) -> str:
     """A name for sentences: capital letters, digits and hyphens."""
     plain = _plain(text).upper()
     plain = plain if plain[0].isalpha() else f"ARM-{plain}"
-    return f"{plain}-1" if misnamed(plain) else plain
+    return f"{plain}-1" if name_problem(plain) else plain
 
 
 def _arm(adapted: AdaptedArm, stem: str, name: str) -> Arm:

@@ -93,7 +93,7 @@ def _cell(path: Path) -> tuple[list[Finding], Cell | None]:
     found = [_at(path, text, where, problem) for where, problem in _fields(plain)]
     found += [
         Finding(file=str(path), where=f"$.{where}", problem=problem, expected="one of them", line=line)
-        for where, problem, line in words_and_keys.keys_given_twice(path.read_bytes())
+        for where, problem, line in words_and_keys.duplicate_keys(path.read_bytes())
     ]
     found += [_at(path, text, *row) for row in words_and_keys.faults(plain)]
     found += _models(path, plain, text, folders)
@@ -171,7 +171,7 @@ def _converted_one(where: str, value: Any, kind: Any) -> tuple[Any, list[tuple[s
         given = _at_path(value, inside)
         if "got `str`" in message and isinstance(given, str):
             message = f"{given!r} is a text: {message[:1].lower()}{message[1:]}"
-        wrong = [(f"{where}{inside}", words_and_keys.plain_words(message[:1].lower() + message[1:]))]
+        wrong = [(f"{where}{inside}", words_and_keys.readable(message[:1].lower() + message[1:]))]
         return None, wrong + _unknown_fields(where, value, kind, message)
 
 

@@ -23,12 +23,12 @@ PATTERNS = {
 Row = tuple[str, str, str, str]  # place, problem, severity, expected
 
 
-def misnamed(arm: str) -> str:
+def name_problem(arm: str) -> str:
     """Why sentences cannot use this name of an arm; empty if they can."""
     pattern = next(iter(PATTERNS))
     if not re.match(pattern, arm):
         return PATTERNS[pattern]
-    return "" if arm in ARM_OF_WORD or not _is_taken(arm) else no_name(arm)
+    return "" if arm in ARM_OF_WORD or not _is_taken(arm) else reserved_name_problem(arm)
 
 
 def _is_taken(name: str) -> bool:
@@ -36,11 +36,11 @@ def _is_taken(name: str) -> bool:
     return name in default_grammar().vocabulary.reserved or stands_for_something(name)
 
 
-def no_name(word: str) -> str:
+def reserved_name_problem(word: str) -> str:
     return f"{word} is a word of the command language: no sentence can use it as a name"
 
 
-def plain_words(message: str) -> str:
+def readable(message: str) -> str:
     """A message of the decoder, with words instead of a pattern."""
     return next((words for pattern, words in PATTERNS.items() if pattern in message), message)
 
@@ -51,13 +51,13 @@ def faults(plain: Any) -> Iterator[Row]:
         return
     for where, name in _names(plain):
         if isinstance(name, str) and _is_taken(name) and not (where.startswith("arms") and name in ARM_OF_WORD):
-            yield where, no_name(name), "error", "another name"
+            yield where, reserved_name_problem(name), "error", "another name"
     gravity = plain.get("gravity_m_s2")
     if isinstance(gravity, list) and len(gravity) == 3 and isinstance(gravity[2], int | float) and gravity[2] > 0.0:
         yield "gravity_m_s2", "it points upwards, as z does", "warning", "[0, 0, -9.81] on earth, [0, 0, 0] in orbit"
 
 
-def keys_given_twice(text: bytes) -> Iterator[tuple[str, str, int]]:
+def duplicate_keys(text: bytes) -> Iterator[tuple[str, str, int]]:
     """(place, problem, line) of every key that a map has more than once; the reader takes the last without a word."""
     yield from _repeated(nodes(text), "", set())
 
