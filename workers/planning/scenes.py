@@ -43,7 +43,7 @@ def scene_of(
     as poses are uncertain.
     """
     held: dict[str, Held] = {}
-    hung: dict[str, AttachedBody] = {}
+    attached: dict[str, AttachedBody] = {}
     ignore: list[tuple[str, str]] = []
     moved_seats = [seat.name for seat in query.cell.seats if query.world.get(f"{seat.name}.frame") is not None]
     poses: dict[str, Array] = {name: query.seat_frame(name) for name in moved_seats}
@@ -58,7 +58,7 @@ def scene_of(
                 grip = geometry.inverse(grasp)[:3]
                 if thing.mounted_on is not None:  # its stops say how far it turns there
                     ignore.append((thing.name, thing.mounted_on))
-                hung[thing.name] = AttachedBody(
+                attached[thing.name] = AttachedBody(
                     holder, query.hinge_home(thing.name), thing.hinge.axis, thing.hinge.range_rad, grip
                 )
             poses[thing.name] = query.frame(thing.name)
@@ -80,11 +80,11 @@ def scene_of(
     return Scene(
         poses=poses,
         held=held,
-        hung=hung,
+        attached=attached,
         openings_m=openings,
         ignore=ignore,
         clearance_m=clearance_of(limits),
-        near=[*close, *(seat for seat in map(query.seat, filter(None, (*close, carried))) if seat), *hung],
+        near=[*close, *(seat for seat in map(query.seat, filter(None, (*close, carried))) if seat), *attached],
         close=beside_bolt(query, arm, touching),
         pose_tolerance_m=trust.unsure_m(query, poses, held) if unsure else {},
         keep_out=limits.keep_out,

@@ -49,7 +49,7 @@ class Approach(NamedTuple):
 
 NOTHING: Part = (0, 1, [])  # the part before a path
 
-TURNING_STEPS = 4  # interpolation steps between configurations while a hung object turns
+TURNING_STEPS = 4  # interpolation steps between configurations while an attached object turns
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
 GROUP = 3  # steps of a path that one check of coal may prove free
 HALVED = 1e-3  # share of a step: how exactly the place is found where a pair begins to be too near
@@ -73,8 +73,8 @@ class CollisionWorld:
     def check(self, joints: Mapping[str, Floats], scene: Scene = AS_BUILT) -> Collision | None:
         """The first pair found that is too near, or None. `joints`: rad, of all arms. Raises ValueError."""
         self._state.update(joints, scene)
-        if scene.hung:
-            self._state.turn_hung(scene)
+        if scene.attached:
+            self._state.turn_attached(scene)
         return self._state.ask()
 
     def check_path(
@@ -98,7 +98,7 @@ class CollisionWorld:
         """
         if not len(configurations):
             return None
-        if scene.hung:
+        if scene.attached:
             return self._first_while_turning(arm, configurations, others, scene, off)
         self._state.update({**others, arm: configurations[0]}, scene)
         slots, rows = self._state.bodies.arms[arm].joints, np.asarray(configurations, dtype=float)
@@ -138,7 +138,7 @@ class CollisionWorld:
 
     def proves(self, arm: str, path: Array, others: Mapping[str, Floats], scene: Scene, off: Array) -> bool:
         """Whether boxes alone prove that `check_path` finds no collision, which is quick."""
-        if self._state.boxes is None or scene.hung or len(path) < 2:
+        if self._state.boxes is None or scene.attached or len(path) < 2:
             return False
         self._state.update({**others, arm: path[0]}, scene)
         return not self._state.boxes.way(self._state.q, self._state.bodies.arms[arm].joints, path, 0, off)[1]
@@ -147,7 +147,7 @@ class CollisionWorld:
         self, arm: str, path: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT
     ) -> PathCollision | None:
         """A collision, only if `check_path` would find one. A few configurations are checked, spread over the path."""
-        if scene.hung:
+        if scene.attached:
             return None
         self._state.update({**others, arm: path[0]}, scene)
         slots = self._state.bodies.arms[arm].joints
@@ -168,7 +168,7 @@ class CollisionWorld:
         As `check_path`, but a contact at the start counts, and the bodies are not determined: for a search that makes
         thousands of checks. Of a contact in the first step the index may be 0 or 1.
         """
-        if scene.hung:
+        if scene.attached:
             hit = self._first_while_turning(arm, configurations, others, scene)
             return len(configurations) if hit is None else hit.index
         self._state.update({**others, arm: configurations[0]}, scene)
@@ -188,11 +188,11 @@ class CollisionWorld:
         """`free_until` of a line in joint space in equal steps. Of a collision at the configuration `first` this is the
         result, which costs least; there may be another one before it."""
         slots = self._state.bodies.arms[arm].joints
-        if not scene.hung:
+        if not scene.attached:
             self._state.update({**others, arm: start + (first / steps) * (end - start)}, scene)
             if self._state.touches_any():
                 return first
-        if self._state.boxes is None or scene.hung:
+        if self._state.boxes is None or scene.attached:
             return self.free_until(arm, line(start, end, steps), others, scene)
         free, near = self._state.boxes.line(self._state.q, slots, start, end, steps)
         if not near:
@@ -227,7 +227,7 @@ class CollisionWorld:
 
         Only what boxes prove is free to them. None: without the kernel, or if it does not prove an end free.
         `limits`, `weights`, `growth`: as for `Boxes.trees`. `attitude`: of the tcp (world), which all postures keep."""
-        if self._state.boxes is None or scene.hung:
+        if self._state.boxes is None or scene.attached:
             return None
         self._state.update(joints, scene)
         projection, slots = arm.projection(attitude), self._state.bodies.arms[arm.name].joints
@@ -327,8 +327,8 @@ class CollisionWorld:
             for n in rows:
                 if n not in found:
                     self._state.q[slots] = configurations[n]
-                    if scene.hung:
-                        self._state.turn_hung(scene)
+                    if scene.attached:
+                        self._state.turn_attached(scene)
                     self._state.place()
                     found[n] = min(map(self._state.describe, pairs), key=lambda one: one.distance_m)
             return min(found, key=lambda n: found[n].distance_m)
@@ -352,7 +352,7 @@ class CollisionWorld:
         slots, rows = self._state.bodies.arms[arm].joints, np.asarray(configurations, dtype=float)
         for index in range(len(rows)):
             self._state.q[slots] = rows[index]
-            self._state.turn_hung(scene)
+            self._state.turn_attached(scene)
             if hit := self._state.ask():
                 return PathCollision(index, hit)
             if found := self._too_near_while_turning(slots, rows[index : index + 2], off[index : index + 1], scene):
@@ -365,8 +365,8 @@ class CollisionWorld:
         if len(step) < 2:
             return None
         _, _, near = self._parts(slots, step, 1, off)(1)
-        hung = self._state.table.touches(scene.hung)
-        found = self._first_too_near(slots, step, [pair for pair in near if not hung[pair]], off)
+        attached = self._state.table.touches(scene.attached)
+        found = self._first_too_near(slots, step, [pair for pair in near if not attached[pair]], off)
         if found is not None:
             self._put(slots, step, found[0])
             return self._state.describe(found[1])
@@ -459,8 +459,8 @@ class CollisionWorld:
         """Moves all pieces to a place on the way along these configurations."""
         n = min(int(place), len(rows) - 2)
         self._state.q[slots] = rows[n] + (place - n) * (rows[n + 1] - rows[n])
-        if self._state.scene is not None and self._state.scene.hung:
-            self._state.turn_hung(self._state.scene)
+        if self._state.scene is not None and self._state.scene.attached:
+            self._state.turn_attached(self._state.scene)
         self._state.place()
 
     def _let_leave(self) -> dict[int, float]:

@@ -34,7 +34,7 @@ class Scene(msgspec.Struct, frozen=True, eq=False):
 
     poses: Mapping[str, Floats] = {}  # of seats and objects, world; others as in the cell
     held: Mapping[str, Held] = {}  # by object
-    hung: Mapping[str, AttachedBody] = {}  # by object
+    attached: Mapping[str, AttachedBody] = {}  # by object
     openings_m: Mapping[str, float] = {}  # of the hands, by arm; default: fully open
     ignore: Iterable[tuple[str, str]] = ()  # pairs that may touch
     clearance_m: float = 0.0  # minimum distance of arms and held objects from others; of a held object from its arm too
@@ -53,11 +53,11 @@ def in_hands(scene: Scene) -> tuple[tuple[str, str], ...]:
     """(object, arm) of all objects that move with a hand."""
     return (
         *((name, held.arm) for name, held in scene.held.items()),
-        *((n, hung.arm) for n, hung in scene.hung.items()),
+        *((n, one.arm) for n, one in scene.attached.items()),
     )
 
 
 def same_places(before: Scene, scene: Scene) -> bool:
     """Whether all bodies are where they were, so that none has to be placed again."""
     same = scene.poses is before.poses and scene.held is before.held and scene.openings_m is before.openings_m
-    return same and not before.hung
+    return same and not before.attached

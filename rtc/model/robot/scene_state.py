@@ -124,14 +124,14 @@ class SceneState:
         self._switch(scene)
         self.scene = scene
 
-    def turn_hung(self, scene: Scene) -> None:
-        """Turns the hung objects of a scene to the hands that hold them at the present configuration."""
+    def turn_attached(self, scene: Scene) -> None:
+        """Turns the attached objects of a scene to the hands that hold them at the present configuration."""
         pin.forwardKinematics(self.bodies.model, self.data, self.q)
-        for name, hung in scene.hung.items():
-            hand = self.bodies.arms[hung.arm]
+        for name, body in scene.attached.items():
+            hand = self.bodies.arms[body.arm]
             tcp = (self.data.oMi[hand.hand_joint] * hand.tcp).translation
             self._placed.pop(name, None)  # elsewhere than in the scene
-            self._place_body(name, "", hinges.at_hand(hung.home, hung.axis, hung.range_rad, hung.point, tcp))
+            self._place_body(name, "", hinges.at_hand(body.home, body.axis, body.range_rad, body.point, tcp))
 
     def touches_any(self) -> bool:
         """Whether a pair is too near at the present configuration; it is `hit` then."""

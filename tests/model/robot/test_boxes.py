@@ -125,10 +125,10 @@ def test_a_door_in_the_hand_is_where_the_hand_has_turned_it() -> None:
     assert door.hinge is not None
     arm, home = cell.arms[1].name, cell.object_pose(door.name)
     hung = AttachedBody(arm, home, (0.0, 0.0, 1.0), (0.0, 2.0), (0.0, 0.4, 0.0))
-    scene = Scene(moving=arm, hung={door.name: hung})
+    scene = Scene(moving=arm, attached={door.name: hung})
     for _ in range(200):
         world._state.update(postures(world, rng), scene)
-        world._state.turn_hung(scene)
+        world._state.turn_attached(scene)
         assert world._state.boxes.undecided(world._state.q, world._state.varying) or not coal_finds(world)
 
 

@@ -92,7 +92,7 @@ def test_a_way_with_a_door_in_the_hand_is_free_between_its_configurations(boxes)
     arm, home = cell.arms[1].name, cell.object_pose(door.name)
     joints = {one.name: np.asarray(one.home_rad, dtype=float) for one in cell.arms}
     hung = AttachedBody(arm, home, (0.0, 0.0, -1.0), (0.0, math.radians(110.0)), door.grasp_points[0].frame.xyz)
-    scene = Scene(moving=arm, hung={door.name: hung}, clearance_m=0.01, ignore=((door.name, "BAY-2"),))
+    scene = Scene(moving=arm, attached={door.name: hung}, clearance_m=0.01, ignore=((door.name, "BAY-2"),))
     others = {piece.owner for piece in world._state.bodies.pieces} - {door.name}
     free = hits = 0
     for _ in range(30):
