@@ -39,7 +39,7 @@ from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTraje
 from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial import geometry
 from rtc.subsystems.motion.executor import Executor
-from rtc.subsystems.motion.pairs import Pairs
+from rtc.subsystems.motion.two_arms import Pairs
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.period import period

@@ -17,7 +17,7 @@ from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport,
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.protocol.spelling import unknown
 from rtc.world.model import World
-from workers.analyzer import comparison, nearby, reported_facts, sighting, trimmers, turning, what_is_left
+from workers.analyzer import bolts, comparison, nearby, reported_facts, sighting, trimmers, what_is_left
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
@@ -256,5 +256,5 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass, *, retried: bool)
 def _about_bolt(task: AnalyzeTask, *, retried: bool) -> Changes:
     """What a failure says about a bolt: a head that was touched is known, a turn that failed is in doubt."""
     if task.step.words.effect != "head_felt":
-        return turning.after_failure(task, retried=retried)
-    return turning.head_felt(task, Validity.VALID) if task.report.reason in task.step.expect else []
+        return bolts.after_failure(task, retried=retried)
+    return bolts.head_felt(task, Validity.VALID) if task.report.reason in task.step.expect else []

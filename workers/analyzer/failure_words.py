@@ -10,7 +10,7 @@ from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import ReflexItem
 from rtc.protocol.units import figure
-from workers.analyzer import sighting, turning
+from workers.analyzer import bolts, sighting
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.post_conditions import distance_off_m, pressing_n, seen_as_believed, squeezed, turned_rad
 from workers.conditions import reflexes
@@ -72,7 +72,7 @@ def texts(task: AnalyzeTask, reason: StopReason) -> dict[str, str]:
         "excess": _excess(task),
         "grip": figure(task.context.limits.grip_force_n or 0.0),
         "short": _short(task),
-        "progress": turning.in_words(task),
+        "progress": bolts.in_words(task),
         "until": task.context.until.sentence if task.context.until else "the condition",
     }
 

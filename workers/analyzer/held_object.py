@@ -11,7 +11,7 @@ from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.world.facts import TRUSTED
 from rtc.world.spread import even, widened
-from workers.analyzer import flat_grip, turning
+from workers.analyzer import bolts, flat_grip
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.world_changes import EFFECTS, Changes, perhaps_taken
 from workers.planning import pose_spread, shared_hold
@@ -96,8 +96,8 @@ def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
         wider_m = max(map(abs, _widened_m(task).values()))
         if wider_m <= task.values["opened_m"]:  # else they have let go of it
             spread = pose_spread.askew_spread(spread, fact.value, wider_m, task.values["pad_m"])
-            if turning.is_proved(task):
-                spread = turning.on_its_bolt(task, spread)
+            if bolts.is_proved(task):
+                spread = bolts.on_its_bolt(task, spread)
             return _between_pads(task, changes, spread)
     return _stated(changes, thing, spread)
 

@@ -8,7 +8,7 @@ from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import Condition
 from rtc.sensing import rest
 from rtc.spatial import geometry
-from workers.analyzer import sighting, turning, what_is_left
+from workers.analyzer import bolts, sighting, what_is_left
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.conditions import reflexes
 
@@ -79,12 +79,12 @@ def _wrong_turn(task: AnalyzeTask) -> str:
     """What is wrong with the turn of a bolt, or with the place of its head; empty: nothing."""
     effect = task.step.words.effect
     if effect == "head_felt":
-        return "" if turning.is_loose(task) else "not_loose"
+        return "" if bolts.is_loose(task) else "not_loose"
     if effect == "free":
         return ""
-    if turning.is_unproved(task) or (task.report.reason is StopReason.SLIP and not turning.has_come_free(task)):
+    if bolts.is_unproved(task) or (task.report.reason is StopReason.SLIP and not bolts.has_come_free(task)):
         return "not_turned"
-    return "not_seated" if effect == "tightened" and turning.is_before_seat(task) else ""
+    return "not_seated" if effect == "tightened" and bolts.is_before_seat(task) else ""
 
 
 def unmoved_joint(task: AnalyzeTask) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rtc.protocol.units import figure
 from rtc.spatial import geometry, hinges
-from workers.analyzer import turning
+from workers.analyzer import bolts
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.planning.step_target import TURN
 
@@ -32,8 +32,8 @@ def _in_words(task: AnalyzeTask) -> str | None:
     """The amount; empty if it is smaller than the tolerance of a goal. None: not known."""
     figures, evaluation, report, values = task.step.figures, task.evaluation, task.report, task.values
     if figures.to_turns is not None:
-        turns = abs(figures.to_turns - task.query.turns(task.context.object) - turning.moved_turns(task))
-        return f"{figure(turns)} TURNS" if turns > turning.LEAST_TURNS else ""
+        turns = abs(figures.to_turns - task.query.turns(task.context.object) - bolts.moved_turns(task))
+        return f"{figure(turns)} TURNS" if turns > bolts.LEAST_TURNS else ""
     if figures.width_m is not None:
         return _length(abs(figures.width_m - report.hand_width_m), values["position_m"])
     if (turn := wanted_rad(task)) is not None:

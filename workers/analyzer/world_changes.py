@@ -13,7 +13,7 @@ import msgspec
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.spatial import geometry, hinges
 from rtc.world.spread import widened
-from workers.analyzer import touch, turning
+from workers.analyzer import bolts, touch
 from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.sighting import sighted
 from workers.planning import shared_hold
@@ -214,10 +214,10 @@ EFFECTS: dict[str, Callable[[AnalyzeTask, Validity], Changes]] = {
     "landed": landed,
     "sighted": sighted,
     "unseen": unseen,
-    "turned": turning.turned,
-    "tightened": turning.tightened,
-    "free": turning.free,
-    "head_felt": turning.head_felt,
+    "turned": bolts.turned,
+    "tightened": bolts.tightened,
+    "free": bolts.free,
+    "head_felt": bolts.head_felt,
     "handed": handed,
     "pointed": pointed,
 }

@@ -27,9 +27,9 @@ from rtc.protocol.units import in_words
 from rtc.world.model import World
 from workers.binder import assemble, look, replan, targets
 from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
+from workers.binder.bolts import bind_spindle
 from workers.binder.motion import bind_motion
 from workers.binder.operated import bind_operated
-from workers.binder.spindle import bind_spindle
 from workers.conditions import installed_phases, prediction, sharing
 from workers.conditions.prediction import Expected
 from workers.planning import step_target, suggestions

@@ -23,7 +23,7 @@ from workers.planning.segments import Target
 
 LINE = "move_task"
 TURN = 2.0 * math.pi
-LEAST_TURNS = 0.01  # a smaller turn cannot be proved; what is left after a slip may be less
+PROVABLE_TURNS = 0.01  # a smaller turn cannot be proved; what is left after a slip may be less
 
 
 def bind_spindle(task: BindTask) -> BoundStep:
@@ -67,7 +67,7 @@ def _turns(task: BindTask, bolt: str) -> float:
     if figures.to_turns is None:
         raise refused_program("a turn needs by_turns or to_turns", "one of them in `args` of the step")
     left = figures.to_turns - task.query.turns(bolt)
-    return math.copysign(max(abs(left), LEAST_TURNS), left)
+    return math.copysign(max(abs(left), PROVABLE_TURNS), left)
 
 
 def _axis(grasp: Array | None, driver: parts.Object) -> Array:

@@ -13,7 +13,7 @@ from rtc.protocol.messages import BoundStep, EvaluationContext, Limits
 from rtc.protocol.outcomes import Refused, StopReason, refuse_if
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.units import in_words
-from workers.binder import assemble, impact, targets, together
+from workers.binder import assemble, impact, targets, two_arms
 from workers.binder.bind_task import BindTask, RuledTask, unknown_in_program
 from workers.binder.impact import Keeping
 from workers.conditions import prediction, sharing
@@ -129,7 +129,7 @@ def _assembled(task: RuledTask, motion: Motion, keep: Keeping) -> BoundStep:
     )
     bound = assemble.of_arm(task, motion.timed.trajectory(), evaluation, expected, against, note)
     bound = msgspec.structs.replace(bound, remark="; ".join(remark.partition(": ")[0] for remark in remarks))
-    return bound if motion.partner is None else together.with_partner(task, bound, motion.partner)
+    return bound if motion.partner is None else two_arms.with_partner(task, bound, motion.partner)
 
 
 def _speed_not_kept(limits: Limits, values: Values) -> str:

@@ -17,7 +17,7 @@ from rtc.protocol.outcomes import Refusal, Refused
 from rtc.protocol.sentence import BOTH_ARMS, Destination, ParsedCommand
 from rtc.spatial import geometry
 from rtc.world.model import BOLT_STATES
-from workers.elaborator import two_hands
+from workers.elaborator import two_arms
 from workers.elaborator.script_options import fits_sentence
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import suggestions
@@ -36,11 +36,11 @@ def candidates(
     parsed = _with_place(program, scripts, parsed, query)
     target = None if parsed.target in (None, *BOLT_STATES) else _part(query.cell.seats, parsed.target, "seat")
     arms = _arms(program, scripts, parsed, query, thing)
-    points = two_hands.free_points(query, parsed, thing, _points(program, scripts, parsed, thing))
+    points = two_arms.free_points(query, parsed, thing, _points(program, scripts, parsed, thing))
     allowed = []
     for arm in arms:
         about = thing or _shared(program, scripts, parsed, query, arm)
-        for partner, meeting in two_hands.seconds(query, parsed, arm):
+        for partner, meeting in two_arms.seconds(query, parsed, arm):
             for point in points:
                 figures = figures_of(program, parsed, query, arm, about, point, target, partner)
                 figures["meets"] = float(meeting is not None)
@@ -93,7 +93,7 @@ def _shared(
     if parsed.object is not None or not query.sharers(arm.name):
         return None
     rows = program.branches[parsed.verb]
-    leaves = any(two_hands.lets_go_first(scripts[row.script], of_object=True) for row in rows)
+    leaves = any(two_arms.lets_go_first(scripts[row.script], of_object=True) for row in rows)
     return query.cell.object(query.holding(arm.name)) if leaves else None
 
 
@@ -127,7 +127,7 @@ def _arms(
     cell = query.cell
     if parsed.hand is not None:
         if parsed.hand == BOTH_ARMS:
-            return [two_hands.both_arms(program, scripts, parsed, query)]
+            return [two_arms.both_arms(program, scripts, parsed, query)]
         return [_part(cell.arms, parsed.hand, "arm")]
     drivers = [arm for arm in cell.arms if query.driver(arm.name)] if thing and thing.thread is not None else []
     if drivers:

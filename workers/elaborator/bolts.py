@@ -8,7 +8,7 @@ from rtc.protocol import causes
 from rtc.protocol.advice import by_sentence, fill_in, in_order
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, Refused
-from workers.elaborator import two_hands
+from workers.elaborator import two_arms
 from workers.elaborator.task_candidate import TaskCandidate
 
 LEAST_TURNS = 0.02  # a smaller turn is none
@@ -70,7 +70,7 @@ def _beyond(candidate: TaskCandidate, there: float, now: float, most: float) -> 
 
 def refuse_fastened(script: ScriptFile, candidate: TaskCandidate) -> None:
     """Refuse to move a held object that bolts fasten in its seat, or to bring it into a seat whose bolts are in."""
-    if candidate.hand is None or not any(step.to for step in script.steps) or two_hands.lets_go_first(script):
+    if candidate.hand is None or not any(step.to for step in script.steps) or two_arms.lets_go_first(script):
         return
     query = candidate.query
     held = query.holding(candidate.arm.name)

@@ -11,7 +11,7 @@ from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
 from workers.conditions import reflexes
-from workers.elaborator import anchors, command_fields, done_already, hinged, preconditions, threads, two_hands
+from workers.elaborator import anchors, bolts, command_fields, done_already, hinged, preconditions, two_arms
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.elaborator.task_candidate import TaskCandidate
@@ -135,10 +135,10 @@ CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
     hinged.refuse_other_motion,
     hinged.refuse_turn_of_hand,
     hinged.refuse_beyond_stops,
-    threads.refuse_beyond_thread,
-    threads.refuse_too_much_torque,
-    threads.refuse_fastened,
-    two_hands.refuse_moving_alone,
+    bolts.refuse_beyond_thread,
+    bolts.refuse_too_much_torque,
+    bolts.refuse_fastened,
+    two_arms.refuse_moving_alone,
     _refuse_unsure_grasp,
     _refuse_unsure_place,
 )

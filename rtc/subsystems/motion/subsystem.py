@@ -20,7 +20,7 @@ from rtc.subsystems.base.report_items import Measure, measured
 from rtc.subsystems.base.subsystem import BROKER, BaseSubsystem, Outgoing, Report, Reports, in_scope
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface
 from rtc.subsystems.motion.executor import Executor
-from rtc.subsystems.motion.pairs import Pairs
+from rtc.subsystems.motion.two_arms import Pairs
 
 
 class Pending(msgspec.Struct):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rtc.model.cells.cell import Cell
 from rtc.subsystems.motion.executor import Executor
-from rtc.subsystems.motion.pairs import Pairs
+from rtc.subsystems.motion.two_arms import Pairs
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.bullet_arm import BulletCell
 from tests.workers import conftest as workers
