@@ -18,7 +18,7 @@ from rtc.subsystems.base import report_items
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
 
-#: Fields of the record that scripts need not list: others act on them, or this module checks them.
+#: Fields of the record that a script need not list: other modules act on them, or this one checks them.
 EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "reflexes", "report", "after", "now"}) | {
     "together_with"
 }
