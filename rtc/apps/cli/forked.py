@@ -6,8 +6,8 @@ for the exit status, and forwards signals. Without a cluster, or if that process
 caller runs the command itself. The command reads its own words: which cluster's template forks it makes no difference.
 
 Protocol, on a Unix SEQPACKET socket: a `Call`; back the pid of the new process, which waits; `BEGIN` with the
-descriptors 0, 1 and 2, upon which the command begins; back its exit status, as one byte. Each side
-gives up when the other has closed its end: before `BEGIN` nothing was done, after it the command is killed.
+descriptors 0, 1, 2 and that of the working directory, upon which the command begins; back its exit status, as one byte.
+Each side gives up when the other has closed its end: before `BEGIN` nothing was done, after it the command is killed.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ COMMANDS = {
     *("parse", "programs", "status", "step", "teach", "test", "trace", "trust", "why", "world"),
 }
 FORWARDED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+OF_ONE_PROCESS = ("/dev/", "/proc/")  # a name below them may mean another file in another process: /dev/fd/63, /dev/tty
+CREDENTIALS = 12  # bytes of a `struct ucred`: pid, uid, gid
 
 TYPE_CHECKING = False  # see rtc/__init__.py
 if TYPE_CHECKING:
@@ -39,10 +41,9 @@ class Call:
     """What a process takes over from the one that was called: bytes without zeros, joined by zeros."""
 
     def __init__(self, words: list[str]) -> None:
-        """Of this process. Raises OSError if its working directory is gone."""
+        """Of this process."""
         self.code = code()
         self.words = words
-        self.directory = os.getcwd()
         self.umask = os.umask(0o077)
         os.umask(self.umask)
         self.niceness = os.getpriority(os.PRIO_PROCESS, 0)
@@ -52,7 +53,7 @@ class Call:
 
     def to_bytes(self) -> bytes:
         figures = [self.umask, self.niceness, len(self.words), len(self.ignored), *self.ignored]
-        texts = [*self.code, self.directory, *map(str, figures), *(text for two in self.streams for text in two)]
+        texts = [*self.code, *map(str, figures), *(text for two in self.streams for text in two)]
         variables = (name + b"=" + value for name, value in self.environment.items())
         return b"\0".join([*map(os.fsencode, [*texts, *self.words]), *variables])
 
@@ -67,7 +68,6 @@ class Call:
 
         try:
             made.code = texts(len(code()))
-            (made.directory,) = texts(1)
             made.umask, made.niceness, words, ignored = map(int, texts(4))
             made.ignored = [signal.Signals(int(text)) for text in texts(ignored)]
             made.streams = [(encoding, errors) for encoding, errors in [texts(2) for _ in range(3)]]
@@ -87,19 +87,24 @@ def run(words: list[str]) -> int | None:
     """Run the command in a forked process; its exit status. None: nothing was done, and the caller must run it."""
     if not words or words[0] not in COMMANDS or not _in_foreground():
         return None
+    if any(place in word for word in words for place in OF_ONE_PROCESS):
+        return None
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as line:
         line.settimeout(ANSWER_S)
         try:
             line.connect(os.path.join(_run_dir(words), SOCKET))
+            if not _is_of_this_user(line):
+                return None
             line.send(Call(words).to_bytes())
             if not (answer := line.recv(32)):
                 return None
+            directory = os.open(".", os.O_PATH)
         except OSError:
             return None
         forwarded = _forward_signals(int(answer))
         line.settimeout(None)
         try:
-            socket.send_fds(line, [BEGIN], [0, 1, 2])
+            socket.send_fds(line, [BEGIN], [0, 1, 2, directory])
             status = line.recv(1)
         except OSError:
             status = b""
@@ -120,6 +125,13 @@ def _run_dir(words: list[str]) -> str:
     return environment.run_dir()
 
 
+def _is_of_this_user(line: socket.socket) -> bool:
+    """Another user's process would have other rights, and must not see this environment: root may call any cluster."""
+    credentials = line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS)
+    mine = [os.geteuid(), os.getegid()]
+    return [int.from_bytes(credentials[start : start + 4], sys.byteorder) for start in (4, 8)] == mine
+
+
 def _in_foreground() -> bool:
     """Whether a terminal is stdin only if its shell lets this process read from it; all three streams are open.
 
@@ -137,17 +149,25 @@ def _forward_signals(process: int) -> list[int]:
     """From now on signals to this process go to that one; the numbers of those that end a process, as they come."""
     seen: list[int] = []
 
+    def send(number: int) -> None:
+        try:
+            os.kill(process, number)
+        except ProcessLookupError:  # it has just ended; contextlib would take a millisecond to import
+            return
+
     def forward(number: int, _: FrameType | None) -> None:
         seen.append(number)
-        os.kill(process, number)
+        send(number)
 
-    def stop(_: int, __: FrameType | None) -> None:
-        os.kill(process, signal.SIGSTOP)
-        os.kill(os.getpid(), signal.SIGSTOP)
-        os.kill(process, signal.SIGCONT)
+    def stop(number: int, _: FrameType | None) -> None:
+        """The kernel does not stop this process if no shell could continue it: `ssh -t HOST rtc do ...`."""
+        send(signal.SIGSTOP)
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+        signal.signal(number, stop)
+        send(signal.SIGCONT)
 
-    for number in FORWARDED:
+    for number, handler in [*((number, forward) for number in FORWARDED), (signal.SIGTSTP, stop)]:
         if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, forward)
-    signal.signal(signal.SIGTSTP, stop)
+            signal.signal(number, handler)
     return seen

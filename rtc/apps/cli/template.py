@@ -28,6 +28,7 @@ from rich.text import Text
 import rtc
 from rtc.apps.cli import forked
 from rtc.apps.cli.forked import BEGIN, SOCKET, Call
+from rtc.apps.cli.interrupts import leave
 from rtc.language.parse import default_grammar
 from rtc.runtime import environment, handover, process
 
@@ -106,8 +107,10 @@ def serve(listener: socket.socket, path: Path) -> None:
 
 
 def _files() -> list[str]:
+    """Of rtc: the modules that this process has loaded, and the grammar that it has compiled."""
     root = os.path.dirname(str(rtc.__file__))
-    return [file for module in list(sys.modules.values()) if (file := module.__dict__.get("__file__") or "") > root]
+    modules = [file for module in list(sys.modules.values()) if (file := module.__dict__.get("__file__") or "") > root]
+    return [*modules, os.path.join(root, "language", "command.lark")]
 
 
 def _times_of_files(files: list[str] | dict[str, int]) -> dict[str, int]:
@@ -127,7 +130,7 @@ def _become(call: Call, line: socket.socket) -> NoReturn:
     try:
         line.settimeout(None)
         line.send(str(os.getpid()).encode())
-        answer, fds, _, _ = socket.recv_fds(line, 1, 3)
+        answer, fds, _, _ = socket.recv_fds(line, 1, 4)
         if answer != BEGIN:
             os._exit(1)
         _take_over(call, fds, keep=line.fileno())
@@ -145,7 +148,7 @@ def _become(call: Call, line: socket.socket) -> NoReturn:
     with contextlib.suppress(OSError):
         sys.stdout.flush()
         sys.stderr.flush()
-        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGIO])  # the caller closes the line upon its answer
+        fcntl.fcntl(line, fcntl.F_SETFL, 0)  # the caller closes the line upon its answer
         line.send(bytes([status & 0xFF]))
     process.leave(status)
 
@@ -154,7 +157,9 @@ def _take_over(call: Call, fds: list[int], keep: int) -> None:
     """The place of the caller: streams, environment, working directory, priority and signals."""
     os.setsid()
     process.show_name(f"rtc {call.words[0]}")
-    for number, fd in enumerate(fds):
+    *streams, directory = fds
+    os.fchdir(directory)
+    for number, fd in enumerate(streams):
         os.dup2(fd, number)
     os.closerange(3, keep)  # these, and what a process of the cluster has inherited
     os.closerange(keep + 1, MAX_FD)
@@ -167,19 +172,21 @@ def _take_over(call: Call, fds: list[int], keep: int) -> None:
         setattr(sys, f"__{name}__", stream)
     environment.replace(call.environment)
     time.tzset()
-    os.chdir(call.directory)
     os.umask(call.umask)
     with contextlib.suppress(OSError):  # a lower one needs a right
         os.setpriority(os.PRIO_PROCESS, 0, call.niceness)
     sys.argv = ["rtc", *call.words]
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     for number in forked.FORWARDED:
-        usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+        usual = leave if number == signal.SIGINT else signal.SIG_DFL
         signal.signal(number, signal.SIG_IGN if number in call.ignored else usual)
 
 
 def _die_with_caller(line: socket.socket) -> None:
-    """Let the kernel end this process when the caller dies: it closes its end of the line, which sends no more."""
+    """Let the kernel end this process when the caller dies: it closes its end of the line, which sends no more.
+
+    By SIGKILL, which also ends a stopped process."""
+    fcntl.fcntl(line, fcntl.F_SETSIG, signal.SIGKILL)
     fcntl.fcntl(line, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(line, fcntl.F_SETFL, fcntl.fcntl(line, fcntl.F_GETFL) | os.O_ASYNC)
     line.setblocking(False)

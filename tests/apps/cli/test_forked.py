@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from rtc.apps.cli import forked
+from rtc.apps.cli import template as template_process
 from rtc.apps.cli.forked import SOCKET, Call
 from rtc.apps.demos.own_cluster import own_cluster
 from rtc.runtime.process_table import Table
@@ -32,6 +33,8 @@ try:
 finally:
     print(*sys.modules, file=sys.stderr)
 """
+OTHER_USER = 65534
+SHORT = "HOLD LEFT-ARM FOR 0.01 SEC"
 LONG = "HOLD RIGHT-ARM FOR 100 SEC"
 
 
@@ -84,6 +87,32 @@ def test_without_an_answer_the_caller_runs_the_command_and_no_other_does(tmp_pat
             assert line.recv(1) == b""  # not the byte upon which a forked process begins
     assert status == 4, errors  # there is no cluster
     assert "typer" in errors.splitlines()[-1].split()
+
+
+@pytest.mark.slow
+@pytest.mark.untimed
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can be another user")
+def test_the_environment_goes_to_no_other_user(tmp_path: Path) -> None:
+    for directory in (tmp_path, tmp_path.parent):
+        directory.chmod(0o711)
+    os.chown(tmp_path, OTHER_USER, OTHER_USER)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(str(tmp_path / SOCKET))
+        if (other := os.fork()) == 0:  # whose listener it is: the credentials are those at this moment
+            os.setuid(OTHER_USER)
+            listener.listen()
+            os._exit(0)
+        assert os.waitpid(other, 0)[1] == 0
+        status, _, errors = ended(started(tmp_path, "status"))
+        line, _ = listener.accept()
+        with line:
+            assert line.recv(1 << 20) == b""
+    assert status == 4, errors  # there is no cluster
+
+
+def test_a_change_of_the_grammar_is_one_of_the_code() -> None:
+    assert all(Path(file).is_file() for file in template_process._files())
+    assert "command.lark" in {Path(file).name for file in template_process._files()}
 
 
 # --- with a cluster ------------------------------------------------------------------------------------
@@ -167,8 +196,20 @@ def test_the_result_is_that_of_a_process_of_its_own(
 @pytest.mark.slow
 @pytest.mark.untimed
 def test_files_are_those_of_the_directory_in_which_it_is_called(run_dir: Path, tmp_path: Path) -> None:
-    (tmp_path / "one.txt").write_text("HOLD LEFT-ARM FOR 0.01 SEC\n")
+    (tmp_path / "one.txt").write_text(f"{SHORT}\n")
     status, output, errors = ended(started(run_dir, "do", "--file", "one.txt", cwd=tmp_path))
+    assert (status, "SUCCEEDED" in output) == (0, True), output + errors
+
+
+@pytest.mark.slow
+@pytest.mark.untimed
+def test_a_file_that_only_the_caller_has_open_is_read(run_dir: Path) -> None:
+    """As of `rtc do --file <(...)`."""
+    source, sink = os.pipe()
+    os.write(sink, f"{SHORT}\n".encode())
+    os.close(sink)
+    status, output, errors = ended(started(run_dir, "do", "--file", f"/dev/fd/{source}", pass_fds=[source]))
+    os.close(source)
     assert (status, "SUCCEEDED" in output) == (0, True), output + errors
 
 
@@ -190,6 +231,28 @@ def test_a_caller_that_is_killed_takes_the_command_with_it(run_dir: Path) -> Non
         process.kill()
         process.communicate(timeout=LIMIT_S)
     assert call("halt", "--run-dir", str(run_dir)).returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.untimed
+def test_a_stopped_command_ends_with_its_caller(run_dir: Path) -> None:
+    process, command = executing(run_dir)
+    with end_awaited(command):
+        os.kill(command, signal.SIGSTOP)
+        process.kill()
+        process.communicate(timeout=LIMIT_S)
+    assert call("halt", "--run-dir", str(run_dir)).returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.untimed
+def test_without_a_shell_that_could_continue_it_the_caller_is_not_stopped(run_dir: Path) -> None:
+    """Ctrl-Z in `ssh -t HOST rtc do ...`."""
+    process = started(run_dir, "do", "HOLD LEFT-ARM FOR 1 SEC", start_new_session=True)
+    assert process.stdout is not None
+    assert any("executing" in line for line in process.stdout)
+    process.send_signal(signal.SIGTSTP)
+    assert ended(process)[0] == 0
 
 
 @pytest.mark.slow
