@@ -223,8 +223,8 @@ class Bench:
         here = executor.arm.tcp_pose(executor.sample.joints)
         changed: dict[str, Any] = {"speed_m_s": float(drawn.choice([0.01, motion.speed_m_s]))}
         if kind == "shared":
-            axes = SHARES[drawn.integers(len(SHARES))]
-            changed |= {"along": self._path(executor.sample.joints), "operator_axes": axes}
+            changed["along"] = self._path(executor.sample.joints)  # it draws first: runs keep their numbers
+            changed["operator_axes"] = SHARES[drawn.integers(len(SHARES))]
         elif kind == "step":
             way = drawn.normal(size=3)
             away_m = drawn.choice([0.0, 0.02, 0.2])
