@@ -1,1 +1,1 @@
-"""Tests of what watches a cluster. They are a package: pytest ends what is shared by one at its end, else at the last."""
+"""Tests of what watches a cluster: a package, as else pytest ends what they share at the end of all tests."""
