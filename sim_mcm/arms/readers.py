@@ -325,10 +325,14 @@ def _without_shapes(urdf: str) -> str:
     return ElementTree.tostring(robot, encoding="unicode")
 
 
+def answer(line: bytes) -> Answer:
+    """The answer to a question, encoded."""
+    question = msgspec.json.decode(line, type=ReaderInput)
+    return Answer(differences(question.urdf, question.hulls, question.shapes))
+
+
 def main() -> None:
-    question = msgspec.json.decode(sys.stdin.buffer.readline(), type=ReaderInput)
-    answer = Answer(differences(question.urdf, question.hulls, question.shapes))
-    print(msgspec.json.encode(answer).decode(), flush=True)
+    print(msgspec.json.encode(answer(sys.stdin.buffer.readline())).decode(), flush=True)
 
 
 if __name__ == "__main__":

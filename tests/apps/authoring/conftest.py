@@ -10,7 +10,9 @@ import pybullet_data
 import pytest
 
 from rtc.apps.authoring.draft import Draft, draft
+from rtc.model.cells import two_readers
 from rtc.model.cells.cell import Cell
+from sim_mcm.arms import readers
 from tests.apps.authoring import small_arms
 
 DATA = Path(pybullet_data.getDataPath())
@@ -19,6 +21,15 @@ ARMS = {
     "IIWA": (DATA / "kuka_iiwa" / "model.urdf", ""),
     "XARM": (DATA / "xarm" / "xarm6_with_gripper.urdf", "link6"),
 }
+
+
+@pytest.fixture(autouse=True)
+def compared_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The two readers of a URDF are compared in this process, as its own takes 0.3 s to start; `test_page` has that."""
+    monkeypatch.setattr(two_readers, "_answer", answer)
+
+
+answer = cache(readers.answer)  # tests ask about the same arms
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ from rtc.apps.authoring import self_collisions
 from rtc.apps.authoring.adapt import adapt, words
 from rtc.apps.authoring.review import review
 from rtc.apps.cli import main
-from rtc.drawing.renderer import Renderer
+from rtc.drawing import renderer
 from rtc.model.cells import two_readers
 from rtc.protocol.outcomes import ProgramError
 from rtc.subsystems.motion.executor import Executor
@@ -378,7 +378,8 @@ def test_a_cell_whose_readers_differ_is_not_written(tmp_path, monkeypatch):
 
 def test_findings_are_printed_when_the_renderer_is_late(tmp_path, monkeypatch, capsys):
     """They were not: the error of the picture came first."""
-    monkeypatch.setattr(Renderer, "drawn", lambda *_: False)
+    monkeypatch.setattr(renderer, "LIMIT_S", 0.0)
+    monkeypatch.setattr(renderer, "END_S", 0.0)
     monkeypatch.setattr(sys, "argv", ["rtc", "cell", "check", "panda", "-o", str(tmp_path / "a.png")])
     with pytest.raises(SystemExit) as ended:
         main.main()

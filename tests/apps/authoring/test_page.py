@@ -20,6 +20,11 @@ PAGE = Path(__file__).parents[3] / "docs" / "own-arm.md"
 LINES = [line for block in re.findall(r"```\n(.*?)```", PAGE.read_text(), re.DOTALL) for line in block.splitlines()]
 
 
+@pytest.fixture
+def compared_here() -> None:
+    """In the process of the readers instead, as users have it."""
+
+
 def run(line: str, monkeypatch: pytest.MonkeyPatch) -> int:
     words = [word.replace("$DATA", str(DATA)) for word in shlex.split(line)]
     monkeypatch.setattr(sys, "argv", words)
