@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, settings
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.kinematics import ArmModel
-from rtc.runtime import time_limit
+from rtc.runtime import process, time_limit
 from rtc.runtime.environment import physics_seed
 from tests.plugins.toy_packages import install  # noqa: F401
 
@@ -39,7 +39,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """As the processes of a cluster do it: a collection of garbage looks at nothing that tests have not made."""
     gc.enable()
-    gc.freeze()
+    process.freeze_heap()
 
 
 @pytest.fixture(scope="session", autouse=True)
