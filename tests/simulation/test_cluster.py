@@ -29,7 +29,7 @@ from tests.simulation.__main__ import Result, run
 from tests.simulation.cluster import Cluster
 from tests.simulation.processes import Mcm
 
-SEEDS = 150
+SEEDS = 75  # the campaign `simulation` has thousands
 
 
 def first_problem(found_at: int, seeds: int = 600) -> Result:

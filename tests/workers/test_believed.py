@@ -8,7 +8,6 @@ import msgspec
 import pytest
 
 from benchmarks.grasp import GraspRun, perform, runs, wilson
-from rtc.model.cells.cell import Cell
 from rtc.protocol import faults as f
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason
@@ -16,8 +15,6 @@ from rtc.spatial import geometry
 from rtc.wording.advice import in_one_line
 from sim_mcm.faults import Injections
 from tests.campaigns.against_truth import judge
-from tests.workers.conftest import Bench, Physical
-from workers.planning.robot_models import CellModel
 
 RIGHT, MODULE = "RIGHT-ARM", "MACS-NEW"
 GRASP = f"GRASP {MODULE} HANDLE-A WITH {RIGHT}"
@@ -85,19 +82,6 @@ def test_after_a_drop_no_fact_of_hand_or_seat_is_wrong(physical) -> None:
         subsystem.tick()
     assert disagreements(physical) == []
     assert physical.world.get(f"{MODULE}.seat").validity is not Validity.VALID
-
-
-@pytest.mark.physics
-def test_a_closed_door_can_be_closed_again() -> None:
-    cell = Cell.load("servicing")
-    subsystem = Physical(cell)
-    bench = Bench(subsystem, CellModel(cell))
-    sentences = ["GRASP LEFT-END-EFF DOOR-2", "OPEN DOOR-2 BY 20 DEG", *["CLOSE DOOR-2"] * 3]
-    try:
-        for sentence in sentences:
-            assert bench.do(sentence).succeeded, sentence
-    finally:
-        subsystem.close()
 
 
 def test_the_advice_after_a_failure_in_a_seat_names_the_seat(bench) -> None:

@@ -225,7 +225,7 @@ def test_look_draws_the_scene_and_tells_what_is_not_where_it_is_believed(
         bench.displace("MACS-OLD", [0.03, 0.0, 0.0, 0.0, 0.0, 0.0])
         try:
             done = rtc("look", "-o", str(tmp_path / "a.png"), "--json")
-            watched = rtc("look", "-o", str(tmp_path / "b.png"), "--watch", "--every", "100ms", "--for", "1s")
+            watched = rtc("look", "-o", str(tmp_path / "b.png"), "--watch", "--every", "100ms", "--for", "200ms")
         finally:
             bench.displace("MACS-OLD", [-0.03, 0.0, 0.0, 0.0, 0.0, 0.0])
     module = next(row for row in last_json(done)["objects"] if row["name"] == "MACS-OLD")
