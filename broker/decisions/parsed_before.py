@@ -10,7 +10,7 @@ import msgspec
 from broker.decisions.state import Command, State
 from rtc.protocol.messages import WorkerKind
 
-KEPT = 512  # maximum number of records
+MAX_PARSED = 512  # maximum number of records
 CHARACTERS = 300  # maximum length of their sentences
 
 
@@ -23,7 +23,7 @@ def keep(state: State, program: str, text: str, product: msgspec.Raw) -> None:
     """Keep what a parser has made. Without the digest of its program it is not known whose record it is."""
     if not program or len(text) > CHARACTERS:
         return
-    if len(state.parsed) >= KEPT:
+    if len(state.parsed) >= MAX_PARSED:
         state.parsed.clear()  # as good as to delete the oldest for each new one, and cheaper
     state.parsed[_key(program, text)] = product.copy()  # the original keeps its whole message alive
 

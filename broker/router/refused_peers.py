@@ -10,7 +10,7 @@ from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.versions import misfit
 
-KEPT = 1_000  # maximum number of peers that stay refused without another hello
+MAX_REFUSED = 1_000  # maximum number of peers that stay refused without another hello
 SHOWN = 20  # the latest of them, in `rtc status`
 STOPS = (m.HaltOrder, m.Shutdown)  # obeyed in every version: they only stop
 
@@ -63,7 +63,7 @@ class RefusedPeers:
     def refuse(self, socket: str, peer: bytes, hello: m.Hello, refusal: Refusal, now: float) -> None:
         """Refuse all messages of this peer until its next hello, and show it in `rtc status`."""
         self._refused[socket, peer] = RefusedPeer(hello, refusal, now)
-        if len(self._refused) > KEPT:
+        if len(self._refused) > MAX_REFUSED:
             self._refused.popitem(last=False)
 
 

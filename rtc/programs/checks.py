@@ -158,7 +158,7 @@ def _step(placed: PlacedStep, figures: set[str]) -> Problems:
     if step.space or step.to:
         yield from known("space", step.space or "(none)", extension_names.SPACES, f"{place}.space")
     for name, source in step.keep.items():
-        yield from known("measured value", source, extension_names.KEPT, f"{place}.keep.{name}")
+        yield from known("measured value", source, extension_names.KEPT_VALUES, f"{place}.keep.{name}")
     for word in ("effect", "missed"):
         yield from known("effect", step.words.get(word, ""), ("", *extension_names.EFFECTS), f"{place}.words.{word}")
     if "{" not in (axis := step.words.get("axis", "X")):

@@ -110,4 +110,4 @@ EFFECTS = (
 )
 #: analyzer: figures of a failed step in the conditions of `rules`, besides `values`
 FAILURE_FIGURES = (*("measured", "limit", "tried", "force_n", "torque_nm", "took_s", "hand_width_m", "hand_force_n"),)
-KEPT = ("report.trip_pose", "report.pose", "report.hand_width")
+KEPT_VALUES = ("report.trip_pose", "report.pose", "report.hand_width")

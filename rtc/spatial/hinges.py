@@ -24,7 +24,7 @@ def angle_of(home: Floats, axis: Floats, pose: Floats) -> float:
     """The angle, from -pi to pi, at which the attitude of the object is nearest to that of `pose`."""
     x, y, z, w = geometry.relative(home, pose)[3:].tolist()
     found = 2.0 * math.atan2(x * axis[0] + y * axis[1] + z * axis[2], w)
-    return math.remainder(found, 2.0 * math.pi)
+    return math.remainder(found, math.tau)
 
 
 def angle_at(home: Floats, axis: Floats, point: Floats, where: Floats) -> float:

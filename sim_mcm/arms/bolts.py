@@ -20,7 +20,6 @@ from rtc.spatial import geometry
 from rtc.subsystems.motion.arm import TICK_S, SpindleCommand, SpindleState
 from sim_mcm.arms.bullet_world import PhysicsWorld
 
-TURN = 2.0 * math.pi
 NEAR_M, ASIDE_M, TILTED_RAD = 0.004, 0.003, 0.09  # of a tip that is on the head: along the bolt, beside it, attitude
 STIFF_NM_RAD = 8.0  # of a spindle against a bolt that does not turn
 STRIPPED_NM = 0.05
@@ -42,7 +41,7 @@ class Bolt:
 
     @property
     def free(self) -> bool:
-        return self.out_rad >= self.thread.turns * TURN - FREE_RAD
+        return self.out_rad >= self.thread.turns * math.tau - FREE_RAD
 
 
 @dataclass
@@ -109,7 +108,7 @@ class Bolts:
         return any(not self._bolts[name].free for name in self._world.cell.seat(seat).bolts)
 
     def out_turns(self, name: str) -> float:
-        return self._bolts[name].out_rad / TURN
+        return self._bolts[name].out_rad / math.tau
 
     def tight(self) -> dict[str, list[float]]:
         """Bolt -> one number, the torque (N.m) to which it was tightened; 0 if it is not tight."""
@@ -120,7 +119,7 @@ class Bolts:
         self._turning.clear()
         for bolt in self._bolts.values():
             out_m = self._world.out_m(bolt.name)
-            bolt.out_rad = TURN * out_m / bolt.thread.pitch_m
+            bolt.out_rad = math.tau * out_m / bolt.thread.pitch_m
             bolt.tight_nm = bolt.thread.breakaway_nm if bolt.out_rad < 1e-3 else 0.0
 
     # --- inside --------------------------------------------------------------------------------------------
@@ -158,7 +157,7 @@ class Bolts:
         if not (seated or bolt.tight_nm):
             turning.wound_rad = 0.0
             bolt.out_rad = max(0.0, bolt.out_rad - step)
-            self._world.move_out(bolt.name, bolt.thread.pitch_m * bolt.out_rad / TURN)
+            self._world.move_out(bolt.name, bolt.thread.pitch_m * bolt.out_rad / math.tau)
             return step, bolt.thread.running_nm
         wound = turning.wound_rad + abs(step)
         torque_nm = bolt.thread.running_nm + STIFF_NM_RAD * wound

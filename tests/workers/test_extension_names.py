@@ -40,7 +40,7 @@ WORKERS = ROOT / "workers"
         (extension_names.PROCEDURES, bind.PROCEDURES),
         (extension_names.PREDICATES, stop_conditions.MAKERS),
         (extension_names.EFFECTS, world_changes.EFFECTS),
-        (extension_names.KEPT, analyze.SOURCES),
+        (extension_names.KEPT_VALUES, analyze.SOURCES),
     ],
 )
 def test_every_registered_name_has_its_code(registered, there):

@@ -17,7 +17,6 @@ from rtc.spatial.geometry import Array, Floats
 from rtc.world.model import LOOSE, TIGHT, TURNED
 from workers.analyzer.analyze_task import AnalyzeTask
 
-TURN = 2.0 * math.pi
 SLACK_M, SLACK_SHARE = 0.0008, 0.05  # by which the way of the hand may differ from that of the thread
 TORQUES = (StopReason.TORQUE_LIMIT, StopReason.CONTACT)  # reasons of a turn that a torque has ended
 LEAST_TURNS = 0.02  # a smaller turn is none
@@ -29,7 +28,7 @@ FELT_TURNS = 0.1  # accuracy of a touch of the head
 
 def driven_turns(task: AnalyzeTask) -> float:
     """The turns of the spindle in this step, positive outwards."""
-    return -(task.report.turned_rad or 0.0) / TURN
+    return -(task.report.turned_rad or 0.0) / math.tau
 
 
 def moved_turns(task: AnalyzeTask) -> float:

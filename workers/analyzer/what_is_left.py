@@ -69,7 +69,7 @@ def gone_rad(task: AnalyzeTask) -> float:
         hinges.angle_of(home, hinge.axis, frame) for tcp in tcps if (frame := query.in_hand(held, tcp)) is not None
     )
     turn = math.copysign(1.0, task.step.figures.by_rad or 0.0) * (end - start)
-    return (turn + BACK_RAD) % (2.0 * math.pi) - BACK_RAD
+    return (turn + BACK_RAD) % math.tau - BACK_RAD
 
 
 def has_turned(task: AnalyzeTask) -> bool:

@@ -22,7 +22,6 @@ from workers.planning import segments
 from workers.planning.segments import Target
 
 LINE = "move_task"
-TURN = 2.0 * math.pi
 PROVABLE_TURNS = 0.01  # a smaller turn cannot be proved; what is left after a slip may be less
 
 
@@ -37,7 +36,7 @@ def bind_spindle(task: BindTask) -> BoundStep:
     values, turns = ruled.values, _turns(task, bolt)
     speed_rad_s = min(values["spindle_rad_s"], driver.spindle.most_rad_s)
     motion = SpindleMotion(
-        turn_rad=-TURN * turns, speed_rad_s=speed_rad_s, torque_nm=min(values["torque_nm"], driver.spindle.most_nm)
+        turn_rad=-math.tau * turns, speed_rad_s=speed_rad_s, torque_nm=min(values["torque_nm"], driver.spindle.most_nm)
     )
     here = query.tcp(task.arm)
     out = geometry.rotate(query.frame(bolt), (0.0, 0.0, thread.pitch_m))  # of the bolt, by one turn outwards
@@ -51,7 +50,7 @@ def bind_spindle(task: BindTask) -> BoundStep:
         start_joints=list(query.joints(task.arm)),
     )
     against = math.copysign(1.0, turns) * _axis(query.grasp(driver.name), driver)
-    turn_s = TURN * abs(turns) / speed_rad_s
+    turn_s = math.tau * abs(turns) / speed_rad_s
     expected = Expected(
         turn_s, 0.0 if task.data.step.expect == [StopReason.GOAL] else turn_s
     )  # a torque ends it before

@@ -23,7 +23,6 @@ from workers.conditions.prediction import Expected
 
 HAND, SPINDLE = "hand", "spindle"  # the word `operator_has` of a step
 PLACE = {0, 1, 2}  # axes of a twist that move the tcp
-TURN = 2.0 * math.pi
 PRESSES = 0.5  # share of the grip force that proves a grip
 
 
@@ -118,5 +117,5 @@ def _spindle(task: RuledTask) -> dict[str, Any]:
         "spindle": True,
         "spindle_rad_s": min(task.values["spindle_rad_s"], driver.spindle.most_rad_s),
         "spindle_nm": min(task.values["torque_nm"], driver.spindle.most_nm),
-        "turn_rad": -TURN * turns,
+        "turn_rad": -math.tau * turns,
     }

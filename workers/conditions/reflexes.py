@@ -131,7 +131,7 @@ EVENTS: dict[str, tuple[StopReason, Maker]] = {
 def _figure(condition: Condition) -> float:
     """The figure of a condition as predicates have it: turns in rad."""
     assert condition.quantity is not None
-    return condition.quantity.value * (2.0 * math.pi if condition.quantity.unit == "turn" else 1.0)
+    return condition.quantity.value * (math.tau if condition.quantity.unit == "turn" else 1.0)
 
 
 def _both_ways(condition: Condition, state: StepState) -> list[list[float] | None]:

@@ -20,7 +20,7 @@ from workers.elaborator import command_fields
 from workers.elaborator.script_options import fits_sentence
 from workers.elaborator.task_candidate import TaskCandidate
 
-KEPT = ("AVOID-TASK-REGION", "SAFE-WORK-RANGE")
+KEPT_LIMITS = ("AVOID-TASK-REGION", "SAFE-WORK-RANGE")
 
 
 def by_operator(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], candidate: TaskCandidate) -> str:
@@ -45,7 +45,7 @@ def _same_task(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], ca
     words = "" if row is None or not _is_used(asked, scripts[row.script]) else _words(candidate)
     if not words:
         return ""
-    regions = [f"{one.slot} {one.name}" for one in parsed.constraints if one.slot in KEPT and one.name]
+    regions = [f"{one.slot} {one.name}" for one in parsed.constraints if one.slot in KEPT_LIMITS and one.name]
     kept = f"MAINTAIN {' AND '.join(regions)}" if regions else ""
     return " ".join(filter(None, (words, kept, f"VIA {OPERATOR}-INTERVENTION")))
 

@@ -231,10 +231,9 @@ def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:
     """The figure of a quantity; of a turn both in rad and in turns."""
     if quantity is None:
         return {}
-    turn = 2.0 * math.pi
     if quantity.unit in ("rad", "turn"):
-        rad = quantity.value * (1.0 if quantity.unit == "rad" else turn)
-        return {f"{name}_rad": rad, f"{name}_turns": rad / turn}
+        rad = quantity.value * (1.0 if quantity.unit == "rad" else math.tau)
+        return {f"{name}_rad": rad, f"{name}_turns": rad / math.tau}
     return {f"{name}_{SUFFIXES[quantity.unit]}": quantity.value}
 
 

@@ -61,9 +61,9 @@ def _spiral(start: Array, about: Array, axis: str, figures: Figures) -> Array:
     """From the hand outwards to `radius_m`, with `pitch_m` between turns, and `by_m` along the normal in all."""
     radius, pitch = _pattern(figures)
     turns = radius / pitch
-    count = _count(2.0 * math.pi * turns / PATTERN_RAD)
-    angle = np.linspace(0.0, 2.0 * math.pi * turns, count + 1)
-    plane = np.stack((np.cos(angle), np.sin(angle)), axis=1) * (pitch * angle / (2.0 * math.pi))[:, None]
+    count = _count(math.tau * turns / PATTERN_RAD)
+    angle = np.linspace(0.0, math.tau * turns, count + 1)
+    plane = np.stack((np.cos(angle), np.sin(angle)), axis=1) * (pitch * angle / math.tau)[:, None]
     return _in_plane(start, axis, plane, figures.get("by_m", 0.0))
 
 

@@ -15,7 +15,7 @@ from rtc.model.cells.parts import Camera, Tag
 from rtc.sensing import absence, optics
 from rtc.spatial.geometry import Array, Floats
 
-KEPT = 10_000  # maximum number of kept pictures of one cell
+MAX_PICTURES = 10_000  # maximum number of kept pictures of one cell
 
 
 def tags(cell: Cell, body: str) -> list[Tag]:
@@ -49,7 +49,7 @@ class Sight:
         ]
         kept = self._widest_px
         new = [n for n, key in enumerate(keys) if key not in kept]
-        if len(kept) > KEPT:
+        if len(kept) > MAX_PICTURES:
             kept.clear()
             new = list(range(len(keys)))
         if new:

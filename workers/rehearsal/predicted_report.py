@@ -39,7 +39,6 @@ TURN_TIMES = 201  # of a path, at which its turn is evaluated
 HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
 CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
 NO_FORCE = [0.0] * 6
-TURN = 2.0 * math.pi
 # A torque above TWISTS_NM turns a driver between pads that press with 60 N. 3.4 N.m hold them 1.1 to 1.8 mm apart (11).
 TWISTS_NM, APART_M = 1.0, 0.0016
 BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
@@ -293,7 +292,7 @@ def _turned(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, r
     thread, out = query.thread(bolt), query.turns(bolt)
     ends = isinstance(_stop(made, reason), TorqueBelow)
     outwards = thread.turns - out if ends and thread is not None else 0.0
-    return min(1.0, (out if turn.turn_rad > 0.0 else outwards) * TURN / abs(turn.turn_rad))
+    return min(1.0, (out if turn.turn_rad > 0.0 else outwards) * math.tau / abs(turn.turn_rad))
 
 
 def _of_operator(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
@@ -317,7 +316,7 @@ def _of_operator(query: WorldQuery, made: Primitive, evaluation: EvaluationConte
 def _followed(query: WorldQuery, asked: Operated, evaluation: EvaluationContext, goal: list[float]) -> Array:
     """The pose of the tcp, which follows the head of a bolt that is turned along its thread."""
     thread = query.thread(evaluation.context.object) if asked.spindle else None
-    out_m = -asked.turn_rad / TURN * thread.pitch_m if thread is not None else 0.0
+    out_m = -asked.turn_rad / math.tau * thread.pitch_m if thread is not None else 0.0
     return geometry.compose(np.array(goal), np.array([0.0, 0.0, -out_m, 0.0, 0.0, 0.0, 1.0]))
 
 

@@ -43,7 +43,7 @@ LISTEN_S = 0.001  # minimum interval between two reads of the socket while jobs 
 FRESH_S = 0.002  # longest use of a world view, for jobs that had arrived before it was read
 PROGRAM_LIMIT_S = 5.0  # time limit to fetch a program; long enough for a broker restart
 ASK_AGAIN_S = 0.5
-KEPT = 16  # maximum number of cached programs, and of cached cells
+MAX_COMPILED = 16  # maximum number of cached programs, and of cached cells
 EVIDENCE_CHARS = 4000
 
 
@@ -371,7 +371,7 @@ class WorkerLoop:
 
 
 class CompiledCache(dict[str, Any]):
-    """Cache of compiled bodies by digest, at most KEPT entries. A body that fails to compile is kept as a Refusal."""
+    """Cache of compiled bodies by digest, at most MAX_COMPILED. Of one that fails to compile the Refusal is kept."""
 
     def __init__(self, maker: Callable[[bytes], Any], made: Mapping[str, Any]) -> None:
         super().__init__(made)
@@ -382,7 +382,7 @@ class CompiledCache(dict[str, Any]):
             self[digest] = self._maker(body)
         except ProgramError as error:
             self[digest] = Refusal(reason=RefusalReason.PROGRAM, message=str(error), where=digest)
-        while len(self) > KEPT:
+        while len(self) > MAX_COMPILED:
             del self[next(iter(self))]
 
 

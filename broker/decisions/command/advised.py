@@ -17,7 +17,7 @@ from rtc.protocol import causes
 from rtc.protocol.advice import Advice, Alternative, by_person
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
-KEPT = 64  # sentences
+MAX_ADVISED = 64  # sentences
 OF_VALUE = "SET"  # a sentence that states a fact
 #: the same sentence may be done later, although nothing is done for it
 PASSING = (RefusalReason.RESOURCE, RefusalReason.OVERLOAD, RefusalReason.STALE, RefusalReason.TIMEOUT)
@@ -49,7 +49,7 @@ def judged(state: State, command: Command, kind: OutcomeKind, refusal: Refusal |
     else:
         left = _without(refusal.clears, tried, elsewhere, command.id, again=same)
     state.advised[text] = Advised(command.id, refusal.clears, left, in_vain, tried)
-    if len(state.advised) > KEPT:
+    if len(state.advised) > MAX_ADVISED:
         del state.advised[next(iter(state.advised))]
     if before is not None and left == before.left:
         words = f"the advice is that for {before.command}: rtc why {command.id} shows what was found"

@@ -411,8 +411,8 @@ def _tidy(arm: AdaptedArm) -> None:
             joint.set("type", "revolute")
             limit = joint.find("limit")
             limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
-            limit.set("lower", f"{-2 * math.pi:.6f}")
-            limit.set("upper", f"{2 * math.pi:.6f}")
+            limit.set("lower", f"{-math.tau:.6f}")
+            limit.set("upper", f"{math.tau:.6f}")
             arm.notes.append(f"{name} is continuous: it gets one turn either way")
         _motor(arm, name, joint)
     for name, link in robot.links.items():

@@ -49,7 +49,7 @@ class Urdf:
     def limits(self, joint: str) -> tuple[float, float]:
         """(lower, upper); of a continuous joint one turn either way; 0 without limits."""
         if self.type(joint) == "continuous":
-            return -2 * math.pi, 2 * math.pi
+            return -math.tau, math.tau
         limit = self.joints[joint].find("limit")
         return (0.0, 0.0) if limit is None else (number(limit, "lower"), number(limit, "upper"))
 

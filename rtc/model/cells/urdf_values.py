@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element
 MOVING = ("revolute", "continuous", "prismatic")
 TYPES = (*MOVING, "fixed")
 AXIS_SLACK = 1e-4  # of the length of an axis: 0.7071 0.7071 0 is well, 0.707 0.707 0 is half a milliradian off
-WHOLE_RAD = 2 * math.pi + 0.01  # no attitude in 1,176 published files is beyond it
+WHOLE_RAD = math.tau + 0.01  # no attitude in 1,176 published files is beyond it
 MANY_TURNS = 4 * math.pi  # limits beyond it are probably in degrees
 LONG_M = 20.0  # a greater offset of a joint is probably in millimetres
 POSE = {"xyz": 3, "rpy": 3}

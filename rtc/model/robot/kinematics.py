@@ -26,7 +26,6 @@ from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 
-_TURN = 2 * math.pi
 PROJECTIONS = 12  # maximum number of steps of `turned_to`
 PROJECTED_RAD = 1e-3  # its greatest error
 DAMPING = 1e-6  # of its steps near singularities
@@ -403,7 +402,7 @@ class ArmModel:
 
     def _nearest_turns(self, q: Array, reference: Array, margin: float) -> list[Array]:
         """The same posture with whole turns added where the limits allow: as found, and nearest to `reference`."""
-        turned = q - _TURN * np.round((q - reference) / _TURN) * ~self._chain.slides
+        turned = q - math.tau * np.round((q - reference) / math.tau) * ~self._chain.slides
         margins = self.margins(margin)
         outside = (turned < self.limits.lower + margins) | (turned > self.limits.upper - margins)
         turned = np.where(outside, q, turned)
@@ -414,7 +413,7 @@ class ArmModel:
         choices = []
         bounds = (side.tolist() for side in self.bounds(margin))
         for angle, slides, least, most in zip(raw, self.slides, *bounds, strict=True):
-            same = (angle,) if slides else (angle, angle - _TURN, angle + _TURN)
+            same = (angle,) if slides else (angle, angle - math.tau, angle + math.tau)
             fits = [a for a in same if least <= a <= most]
             if not fits:
                 return []
@@ -438,7 +437,7 @@ class ArmModel:
         for n, (angle, lower, upper, margin) in enumerate(zip(raw, self._lower, self._upper, margins, strict=True)):
             best = min(
                 max((lower + margin - a, n, a, lower), (a - upper + margin, n, a, upper))
-                for a in ((angle,) if self.slides[n] else (angle, angle - _TURN, angle + _TURN))
+                for a in ((angle,) if self.slides[n] else (angle, angle - math.tau, angle + math.tau))
             )
             worst = max(worst, best)
         return worst

@@ -11,12 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import remainder
+from math import remainder, tau
 
 import numpy as np
 from numpy.typing import NDArray
 
-TURN = 2 * math.pi
 Rows = Sequence[Sequence[float]]  # the upper three rows of a 4x4 matrix
 _RX = {s: np.array(((1, 0, 0), (0, 0, -s), (0, s, 0)), dtype=float) for s in (1, -1)}  # Rx(+90), Rx(-90)
 
@@ -58,7 +57,7 @@ def branches(g: PumaGeometry, flange: Rows, wrist_roll: float) -> list[list[floa
     If the wrist is straight, only joint 4 + joint 6 is determined; joint 4 becomes `wrist_roll`.
     """
     return [
-        [remainder(q, TURN) for q in (q1, q2, q3, *wrist)]
+        [remainder(q, tau) for q in (q1, q2, q3, *wrist)]
         for q1, u, q3 in _shoulders_and_elbows(g, flange)
         for q2, wrists in (_upper_arm_and_wrists(g, flange, q1, u, q3, wrist_roll),)
         for wrist in wrists
@@ -71,7 +70,7 @@ def nearest(g: PumaGeometry, flange: Rows, near: Sequence[float], speeds: Sequen
     None: out of reach.
     """
     turned = [
-        [q - TURN * round((q - to) / TURN) for q, to in zip(branch, near, strict=True)]
+        [q - tau * round((q - to) / tau) for q, to in zip(branch, near, strict=True)]
         for branch in branches(g, flange, near[3])
     ]
 

@@ -21,7 +21,7 @@ from rtc.spatial.geometry import Array
 if TYPE_CHECKING:
     from rtc.model.robot._boxes import Separation
 
-KEPT = 8  # maximum number of collision models that are kept
+MAX_MODELS = 8  # maximum number of collision models that are kept
 
 
 class Interval(NamedTuple):
@@ -105,7 +105,7 @@ class SeparationCheck:
         self._state.tell_coal()
         known = self._pairs.tobytes()
         if known not in self._kept:
-            if len(self._kept) >= KEPT:
+            if len(self._kept) >= MAX_MODELS:
                 del self._kept[next(iter(self._kept))]
             self._kept[known] = self._made()
         model, bodies = self._kept[known], self._state.bodies

@@ -177,7 +177,7 @@ class OperatedArm:
         if motion.done_grip_n is not None and seen.grip_n < motion.done_grip_n:
             return f"the fingers press with {seen.grip_n:.1f} N; {motion.done_grip_n:g} N are a grip"
         if motion.spindle and self.turned_rad / motion.turn_rad < TURNED:
-            done, wanted = abs(self.turned_rad) / (2 * math.pi), abs(motion.turn_rad) / (2 * math.pi)
+            done, wanted = abs(self.turned_rad) / math.tau, abs(motion.turn_rad) / math.tau
             return f"the spindle has turned by {done:.2f} of {wanted:.2f} turns"
         return ""
 

@@ -71,10 +71,10 @@ def test_a_parser_is_asked_for(s, other):
 
 
 def test_the_number_of_records_has_a_limit(s):
-    for n in range(parsed_before.KEPT + 1):
+    for n in range(parsed_before.MAX_PARSED + 1):
         parse(s, f"GRASP {n}")
-    assert len(s.state.parsed) <= parsed_before.KEPT
-    assert is_parsed(s, f"GRASP {parsed_before.KEPT}")
+    assert len(s.state.parsed) <= parsed_before.MAX_PARSED
+    assert is_parsed(s, f"GRASP {parsed_before.MAX_PARSED}")
     assert not is_parsed(s, "GRASP 0")
 
 

@@ -97,8 +97,8 @@ def test_a_halt_is_obeyed_whatever_the_version(bench: Bench) -> None:
 
 def test_the_number_of_refused_peers_is_bounded() -> None:
     peers = RefusedPeers()
-    for n in range(2 * refused_peers.KEPT):
+    for n in range(2 * refused_peers.MAX_REFUSED):
         peers.refusal_of("front", str(n).encode(), m.ClientHello(client=f"{n}~x"), 1.0)
     assert not peers.is_refused("front", b"0")
     assert len(peers.rows(3.0)) == refused_peers.SHOWN
-    assert (peers.rows(3.0)[0].name, peers.rows(3.0)[0].ago_s) == (str(2 * refused_peers.KEPT - 1), 2.0)
+    assert (peers.rows(3.0)[0].name, peers.rows(3.0)[0].ago_s) == (str(2 * refused_peers.MAX_REFUSED - 1), 2.0)

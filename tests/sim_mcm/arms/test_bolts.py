@@ -25,7 +25,6 @@ from tests.workers.test_bolts_by_sentence import TURNS, with_short_bolts
 CELL = with_short_bolts(Cell.load("servicing"))
 ARM, BOLT, DRIVER = "RIGHT-ARM", "BOLT-1", "POWER-DRIVER"
 THREAD, SPINDLE = CELL.object(BOLT).thread, CELL.object(DRIVER).spindle
-TURN = 2.0 * math.pi
 PRESS = p.ControlLaw(
     name="impedance",
     gains={"wn": 100.0},
@@ -56,7 +55,7 @@ def station() -> Iterator[Station]:
 
 
 def turn(station: Station, turns: float, *stops: p.StopFunction, torque_nm: float = 4.0) -> m.EndReport:
-    motion = p.SpindleMotion(turn_rad=turns * TURN, speed_rad_s=6.2, torque_nm=torque_nm)
+    motion = p.SpindleMotion(turn_rad=turns * math.tau, speed_rad_s=6.2, torque_nm=torque_nm)
     return station.end(station.begin(motion, *stops, law=PRESS))
 
 
@@ -88,7 +87,7 @@ def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
     held = geometry.relative(start, world.pose(DRIVER))
     report = turn(station, -TURNS)
     assert report.reason is StopReason.GOAL
-    assert report.turned_rad == pytest.approx(-TURNS * TURN, rel=1e-6)
+    assert report.turned_rad == pytest.approx(-TURNS * math.tau, rel=1e-6)
     assert bolts.out_turns(BOLT) == pytest.approx(TURNS, abs=0.01)
     assert station.world.truth()["tight_nm"][BOLT] == [0.0]
     assert world.out_m(BOLT) == pytest.approx(TURNS * THREAD.pitch_m, abs=1e-4)
@@ -96,7 +95,7 @@ def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
     assert report.peak_torque_nm == pytest.approx(THREAD.breakaway_nm, abs=0.4)
     assert geometry.distance(geometry.relative(station.tcp, world.pose(DRIVER)), held) < 0.001
 
-    name = station.begin(p.SpindleMotion(turn_rad=0.5 * TURN, speed_rad_s=6.2, torque_nm=4.0), law=PRESS)
+    name = station.begin(p.SpindleMotion(turn_rad=0.5 * math.tau, speed_rad_s=6.2, torque_nm=4.0), law=PRESS)
     list(station.tick(200))  # and in again, with a pause
     station.mcm.handle(m.SetPaused(primitive=name, paused=True), BROKER, 0.0)
     paced = [message for message in station.tick(5) if isinstance(message, m.PauseChanged)]
@@ -107,7 +106,7 @@ def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
     assert bolts.out_turns(BOLT) == paused_at > TURNS - 0.4
     station.mcm.handle(m.SetPaused(primitive=name, paused=False), BROKER, 0.0)
     assert [message.paused for message in station.tick(5) if isinstance(message, m.PauseChanged)] == [False]
-    assert station.end(name).turned_rad == pytest.approx(0.5 * TURN, rel=1e-6)
+    assert station.end(name).turned_rad == pytest.approx(0.5 * math.tau, rel=1e-6)
     assert bolts.out_turns(BOLT) == pytest.approx(TURNS - 0.5, abs=0.01)
 
     arms = station.world.arms
