@@ -180,6 +180,7 @@ def test_a_damaged_file_in_the_ring_gives_no_access(ring: KeyRing, tmp_path: Pat
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_without_a_handler_of_handshakes_every_key_is_refused() -> None:
     """libzmq would otherwise accept any key, between the bind of an endpoint and the start of the handler."""
     public, secret = zmq.curve_keypair()

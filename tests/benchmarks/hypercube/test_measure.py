@@ -90,6 +90,7 @@ def test_a_sleeping_job_takes_its_time_and_little_of_the_processor():
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_a_link_and_a_relay_take_time():
     assert all(delay_s > 0 for delay_s in process_costs.link("ipc", 20))
     assert process_costs.relay(2)["main"] > 0

@@ -248,6 +248,7 @@ def test_a_lost_systemd_does_not_disturb(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_the_process_ends_with_a_status_and_a_message(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:  # accepts connections and is not a cluster
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
@@ -266,6 +267,7 @@ def test_the_process_ends_with_a_status_and_a_message(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.untimed
 def test_the_probe_has_a_status_and_a_reason(tmp_path: Path) -> None:
     file = tmp_path / "health"
 
