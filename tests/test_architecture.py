@@ -243,7 +243,7 @@ def test_only_what_people_see_makes_words_of_facts() -> None:
 
 
 #: texts of messages for people, and what would take one apart
-TEXTS = {"note", "message", "found", "drift", "words", "clears"}
+TEXTS = {"step", "note", "message", "found", "drift", "words", "clears"}
 TAKES_APART = {
     *("match", "fullmatch", "search", "findall", "finditer", "sub", "split", "rsplit", "splitlines"),
     *("startswith", "endswith", "removeprefix", "removesuffix", "partition", "rpartition", "find", "index"),

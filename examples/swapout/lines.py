@@ -91,8 +91,8 @@ class Course:
         elif note.phase is m.Phase.HELD:
             self.held.add(label)
         if note.compared is not None:
-            step = note.step.partition(": ")[2]
-            took = [(step, figure.measured) for figure in note.compared.figures if figure.name == "duration_s"]
+            figures, step = note.compared.figures, note.compared.label
+            took = [(step, figure.measured) for figure in figures if figure.name == "duration_s"]
             self.measured.setdefault(label, []).extend(took)
 
     def end(self, label: str, ended: m.CommandEnded) -> None:

@@ -298,6 +298,7 @@ class Compared(msgspec.Struct, frozen=True, array_like=True, gc=False):
     verb: str
     kind: str  # row of the analyzer's outcomes: move_free, grip-close
     figures: list[Figure] = []  # empty: it ended otherwise than expected
+    label: str = ""  # of the step
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):

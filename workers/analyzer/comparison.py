@@ -29,7 +29,7 @@ def compared(task: AnalyzeTask, changes: Changes) -> Compared | None:
     for name, compute in FIGURES.items():
         if (finding := compute(task, changes)) is not None:
             figures.append(Figure(name, *finding))
-    return Compared(task.context.verb, row_of(task.step), figures) if figures else None
+    return Compared(task.context.verb, row_of(task.step), figures, task.step.label) if figures else None
 
 
 def unexpected(task: AnalyzeTask) -> Compared | None:
