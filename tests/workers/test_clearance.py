@@ -7,6 +7,7 @@ import itertools
 import pybullet
 import pytest
 
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.wording.advice import in_one_line
@@ -94,3 +95,21 @@ def test_without_room_for_the_clearance_a_look_is_not_advised(bench):
     refusal = bench.elaborate("MOVE RIGHT-ARM TO POSITION 68.3 -80 60 CM")
     assert isinstance(refusal, Refusal)
     assert "LOCATE" not in in_one_line(refusal.clears)
+
+
+def test_where_no_look_makes_enough_room_another_place_is_named_before_the_arm_moves(bench):
+    """The module is in the rack: what is near then is not near when it has left. A look at the rack knows its pose
+    within 27 mm, and it is known within 21 mm."""
+    assert bench.do("GRASP MACS-NEW WITH RIGHT-ARM").succeeded
+    rack = bench.model.cell.seat("RACK-1").frame.pose
+    bench.world = bench.world.overlay([WorldChange(key="RACK-1.frame", value=[*rack], spread=even(0.012, 0.0))])
+
+    run = bench.do("CARRY MACS-NEW TO RACK-1-FRONT")
+
+    assert run.refusal is not None
+    assert run.primitives == []
+    first = run.refusal.clears[0]
+    assert first.instead
+    assert "LOCATE RACK-1" not in sentences_of(run.refusal.clears)
+    for sentence in first.sentences:
+        assert bench.do(sentence).succeeded

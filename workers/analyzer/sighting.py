@@ -71,13 +71,13 @@ def is_vague(task: AnalyzeTask) -> bool:
 
 
 def vagueness_in_words(sighting: Sighting) -> str:
-    degrees, tags = math.degrees(deviations(sighting)[1]), ", ".join(map(str, sighting.tags))
+    degrees, tags = math.degrees(trust.deviations(sighting)[1]), ", ".join(map(str, sighting.tags))
     return f"not well enough: two attitudes, some {degrees:.0f} deg apart, fit tags {tags}; its pose is known better"
 
 
 def _evidence(sighting: Sighting, camera: str) -> dict[str, Any]:
     """What the pose of a body is based on, as a fact for people: nothing plans with it."""
-    metres, radians = deviations(sighting)
+    metres, radians = trust.deviations(sighting)
     return {
         "cameras": sighting.cameras or [camera],
         "tags": sighting.tags,
@@ -88,12 +88,6 @@ def _evidence(sighting: Sighting, camera: str) -> dict[str, Any]:
         "age_s": sighting.age_s,  # at the report
         "ambiguous": sighting.ambiguous,
     }
-
-
-def deviations(sighting: Sighting) -> tuple[float, float]:
-    """The largest standard deviation of its position along a world axis (m), and of its attitude about one (rad)."""
-    variances = [max(0.0, sighting.covariance[7 * n]) for n in range(6)]
-    return math.sqrt(max(variances[:3])), math.sqrt(max(variances[3:]))
 
 
 def spread_of(sighting: Sighting, task: AnalyzeTask) -> list[float]:
@@ -211,7 +205,7 @@ def in_words(task: AnalyzeTask) -> str:
         1e3 * geometry.distance(sighting.pose, before),
         math.degrees(geometry.angle(sighting.pose, before)),
     )
-    metres, radians = deviations(sighting)
+    metres, radians = trust.deviations(sighting)
     cameras = f" of {' and '.join(sighting.cameras)}" if sighting.cameras else ""
     words = f"{off_mm:.1f} mm and {turned_deg:.1f} deg from where it was believed to be; "
     words += f"+- {1e3 * metres:.1f} mm, {math.degrees(radians):.2f} deg by tags "

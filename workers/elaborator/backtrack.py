@@ -158,6 +158,10 @@ def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[
 # --- the joints, tried forwards --------------------------------------------------------------------------
 
 
+class _RefusedOutside(Refused):
+    """Refused after the held object has left its seat."""
+
+
 Solved = tuple[dict[str, list[float]], list[str], dict[int, PlannedPath], Array | None]
 
 
@@ -173,6 +177,7 @@ def _search(
     straight = _straight(script, candidate, request) if lines_too else request
     notes: list[str] = []
     first: Refusal | None = None
+    has_left = False
     its_ranks = (False, False)
     searched = 0
     for n, joints, detours in _order(ways):
@@ -183,7 +188,7 @@ def _search(
             found, end = _try(steps, candidate, lines, joints, request, straight, detours)
             return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], found, end
         except Refused as refused:
-            tried = refused.refusal
+            tried, refused_outside = refused.refusal, isinstance(refused, _RefusedOutside)
         notes.append(f"generated {what}; tested: {tried.message}")
         if tried.effort is not None and tried.effort.samples is not None:
             searched += 1
@@ -191,13 +196,16 @@ def _search(
         # segment is blocked whatever way leads to it: this is a better reason than a blocked direct way.
         ranks = (bool(tried.in_the_way), detours)
         if first is None or ranks > its_ranks:
-            first, its_ranks = tried, ranks
+            first, its_ranks, has_left = tried, ranks, refused_outside
     assert first is not None
     clears, limits = candidate.program.clears, candidate.limits
     goal = (candidate.parsed.place.name if candidate.parsed.place else None) or ""
     out = any(step.words.get("leaves") == "seat" for step in script.steps)
     closer = partial(_closer, candidate.parsed)
-    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits, goal, out, closer)
+    query, arm = candidate.query, candidate.arm.name
+    first = advice.advise_on_collision(
+        first, query, arm, clears, limits, goal, out, closer, has_others=True, has_left=has_left
+    )
     raise Refused(first.after(ways_tried=len(ways)))
 
 
@@ -308,13 +316,16 @@ def _try(
     here = start = request.start
     ways: dict[int, PlannedPath] = {}
     last: _Test | None = None
+    has_left = False
     bound = partial(_bound, candidate, lines, joints)
     thing = candidate.thing.name if candidate.thing else ""
     for n, step in enumerate(steps, 1):
         if not step.to:
             here = np.asarray(joints.get(step.words.place, here), dtype=float)  # where the operator brings it
             continue
+        outside = has_left and step.words.leaves != "seat"
         asked = request if step.space == "move_joint" else straight
+        asked = _out_of_seat(asked, candidate) if outside else asked
         now = asked if here is start else replace(asked, joints={**request.joints, candidate.arm.name: here})
         tcp, clears = now.arm.fk(here), candidate.program.clears
         with _AtPlace(f"step {n} ({step.to})", words=f"step {n}"):
@@ -326,10 +337,23 @@ def _try(
         if detours and test.first and step.space == "move_joint" and target.joints is not None:
             last, here = test, np.asarray(target.joints, dtype=float)  # a search is expensive: after the other segments
             continue
-        here = test.run(ways).end
+        try:
+            here = test.run(ways).end
+        except Refused as refused:
+            if not outside:
+                raise
+            raise _RefusedOutside(refused.refusal) from None
+        has_left = has_left or step.words.leaves == "seat"
     if last is not None:
         last.run(ways)
     return ways, None if here is start else here
+
+
+def _out_of_seat(request: PlanningRequest, candidate: TaskCandidate) -> PlanningRequest:
+    """The request for the steps after the held object has left its seat, from which it then keeps its distance."""
+    seat = candidate.query.seat(candidate.query.holding(candidate.arm.name))
+    near = [name for name in request.scene.near if name != seat]
+    return replace(request, scene=replace(request.scene, near=near))
 
 
 def _straight(script: ScriptFile, candidate: TaskCandidate, request: PlanningRequest) -> PlanningRequest:

@@ -12,11 +12,12 @@ from rtc.protocol.advice import ANOTHER_ARM, Advice, Alternative, fill_in
 from rtc.protocol.causes import Collides
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal
-from workers.planning import in_seat, trust
+from workers.planning import in_seat, predicted_sighting, trust
 from workers.planning.scenes import CLEARANCE_M, clearance_of
 from workers.planning.world_query import WorldQuery
 
 UNLIMITED = Limits()
+PICTURES = 2  # of a look for a body at rest, as its primitive has them
 LEAST_ROOM_MM = 1  # that is advised: the least of AVOID-NEIGHBORS
 SHARE_OF_RANGE = 0.9  # of a hinge, that advised sentences use
 
@@ -30,22 +31,28 @@ def advise_on_collision(
     goal: str = "",
     leaves_seat: bool = False,
     closer: Callable[[int], str] = lambda _: "",
+    has_others: bool = False,
+    has_left: bool = False,
 ) -> Refusal:
     """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged. `limits`: of
     the command. `goal`: the place that it names. `leaves_seat`: it takes the held object out of its seat. `closer`: the
-    same sentence with AVOID-NEIGHBORS of so many millimetres."""
+    same sentence with AVOID-NEIGHBORS of so many millimetres. `has_others`: there may be sentences in its place, so
+    no look is advised that is not expected to make enough room. `has_left`: the held object has left its seat before.
+    """
     cause = refusal.cause
     if not isinstance(cause, Collides):
         return refusal
     bodies = cause.owners
     held = query.holding(arm)
-    seat = query.seat(held) or query.seat_around(held) if held else ""
+    seat = query.seat(held) or query.seat_around(held) if held and not has_left else ""
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
     other = refusal.in_the_way
     leaves = cause.leaving  # first: other arms are passed by ways that are not sought before
     seated = bool(seat) and held in bodies
     hinged = _hinged(refusal, query, arm, body)
     unsure = "" if seated or other or leaves else _unsure(cause, query, bodies, limits)
+    if unsure and has_others and not _looks_make_room(cause, query, bodies):
+        unsure = ""
     if unsure and (not hinged or query.cameras(unsure.rpartition(".")[0])):
         return msgspec.structs.replace(refusal, clears=trust.narrows(query, unsure, clears))
     if leaves and held in bodies and not seated and query.cameras(held):  # it creeps in the hand
@@ -97,6 +104,21 @@ def _unsure(cause: Collides, query: WorldQuery, bodies: Iterable[str], limits: L
         return ""
     keys = [key for body in bodies if (key := trust.unsure_key(query, body)) and not trust.better_than_seen(query, key)]
     return max(keys, key=lambda key: trust.off_m(query, key.rpartition(".")[0], query.spread(key)), default="")
+
+
+def _looks_make_room(cause: Collides, query: WorldQuery, bodies: Iterable[str]) -> bool:
+    """Whether looks at these bodies, or poses that a person states, are expected to make enough room."""
+    keys = filter(None, (trust.unsure_key(query, body) for body in bodies))
+    return cause.distance_m + sum(_gain_m(query, key) for key in keys) >= cause.margin_m
+
+
+def _gain_m(query: WorldQuery, key: str) -> float:
+    """By how much a pose will be known better after a look; a person who states it may know it exactly."""
+    body = key.rpartition(".")[0]
+    known_m = trust.off_m(query, body, query.spread(key))
+    cameras = [camera.name for camera in query.cameras(body)]
+    seen, _ = predicted_sighting.sighting(query, cameras, body, PICTURES)
+    return known_m if seen is None else max(0.0, known_m - trust.sees_within_m(query, body, seen))
 
 
 def _kept_out(cause: Collides, body: str, limits: Limits) -> str:

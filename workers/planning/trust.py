@@ -18,7 +18,7 @@ from rtc.language.hands import hand_in_words
 from rtc.protocol import causes
 from rtc.protocol.advice import Advice, by_person, fill_in
 from rtc.protocol.messages import Limits, Step
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, Sighting
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.facts import TRUSTED
@@ -119,9 +119,22 @@ def better_than_seen(query: WorldQuery, key: str) -> bool:
 def seen_within_m(query: WorldQuery, body: str) -> float:
     """How far a point of a body was from its place at most, as the last look has measured it; 0 without a look."""
     seen = query.world.value(f"{body}.sighting")
-    if seen is None:
-        return 0.0
-    return off_m(query, body, even(SIGMAS * seen["deviation_m"], SIGMAS * seen["deviation_rad"]))
+    return 0.0 if seen is None else _within_m(query, body, seen["deviation_m"], seen["deviation_rad"])
+
+
+def sees_within_m(query: WorldQuery, body: str, sighting: Sighting) -> float:
+    """The same of a look with this accuracy."""
+    return _within_m(query, body, *deviations(sighting))
+
+
+def _within_m(query: WorldQuery, body: str, metres: float, radians: float) -> float:
+    return off_m(query, body, even(SIGMAS * metres, SIGMAS * radians))
+
+
+def deviations(sighting: Sighting) -> tuple[float, float]:
+    """The largest standard deviation of its position along a world axis (m), and of its attitude about one (rad)."""
+    variances = [max(0.0, sighting.covariance[7 * n]) for n in range(6)]
+    return math.sqrt(max(variances[:3])), math.sqrt(max(variances[3:]))
 
 
 def shown_at(query: WorldQuery, held: str) -> str:

@@ -32,8 +32,8 @@ from rtc.protocol.primitive import (
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.prediction import closes_on_m
+from workers.planning.predicted_sighting import sighting
 from workers.planning.world_query import WorldQuery
-from workers.rehearsal.predicted_sighting import sighting
 
 TURN_TIMES = 201  # of a path, at which its turn is evaluated
 HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
@@ -332,8 +332,12 @@ def _joints_at(query: WorldQuery, arm: str, pose: Array) -> list[float]:
 
 
 def _of_look(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
-    expected = reason in (StopReason.GOAL, StopReason.FOUND)
-    seen, why = sighting(query, made, evaluation.body) if expected else (None, "")
+    expected, look = reason in (StopReason.GOAL, StopReason.FOUND), made.trajectory
+    assert isinstance(look, Look)
+    seen, why = None, ""
+    if expected:
+        follows = look.duration_s is not None
+        seen, why = sighting(query, made.performers, evaluation.body, look.pictures, follows=follows)
     if reason is StopReason.FOUND and seen is None:
         reason = StopReason.NOT_SEEN
     return EndReport(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from rtc.protocol.outcomes import Sighting
-from rtc.protocol.primitive import Look, Primitive
 from rtc.sensing import absence, optics
 from rtc.sensing.pose_fit import CONFUSED, TagObservation, between, fit
 from rtc.spatial import geometry
@@ -18,13 +18,13 @@ NO_MOTION = [0.0] * 6
 PICTURE_PX = 0.28
 
 
-def sighting(query: WorldQuery, made: Primitive, body: str) -> tuple[Sighting | None, str]:
-    """(what the cameras of a look see of a body, with the accuracy of its tags in their pictures; "").
+def sighting(
+    query: WorldQuery, cameras: Iterable[str], body: str, pictures: int, *, follows: bool = False
+) -> tuple[Sighting | None, str]:
+    """(what these cameras see of a body in so many pictures, with the accuracy of its tags there; "").
     (None, why): they cannot see it where it is believed to be."""
-    look, pose = made.trajectory, query.pose(body)
-    assert isinstance(look, Look)
-    cameras = [query.cell.camera(name) for name in made.performers]
-    views = [optics.view(camera, query.tcp(camera.arm) if camera.arm else None) for camera in cameras]
+    pose, known = query.pose(body), [query.cell.camera(name) for name in cameras]
+    views = [optics.view(camera, query.tcp(camera.arm) if camera.arm else None) for camera in known]
     scene = scene_of(query)
     seen: list[TagObservation] = []
     why: list[str] = []
@@ -34,10 +34,10 @@ def sighting(query: WorldQuery, made: Primitive, body: str) -> tuple[Sighting | 
         if not shown:
             words = f"{hides[0]} is before it" if hides else absence.Cause.OUT_OF_VIEW.value
             why.append(f"{view.camera}: {words}" if len(views) > 1 else words)
-    found = fit(seen * look.pictures, geometry.to_matrix(pose))  # one pose from all pictures of a look
+    found = fit(seen * pictures, geometry.to_matrix(pose))  # one pose from all pictures of a look
     if found is None:
         return None, "; ".join(why)
-    follows, covariance, second = look.duration_s is not None, found.covariance, found.second
+    covariance, second = found.covariance, found.second
     ambiguous = second is not None and math.hypot(second.error_px, PICTURE_PX) < CONFUSED * PICTURE_PX
     if second is not None and ambiguous and not found.ambiguous:
         covariance = covariance + between(found.best, second)
@@ -47,7 +47,7 @@ def sighting(query: WorldQuery, made: Primitive, body: str) -> tuple[Sighting | 
         tags=sorted({one.tag for one in found.used}),
         error_px=0.0,
         age_s=0.0,
-        pictures=look.pictures,
+        pictures=pictures,
         ambiguous=ambiguous,
         velocity=NO_MOTION if follows else None,
         cameras=sorted({one.view.camera for one in found.used}) if len(views) > 1 else [],
