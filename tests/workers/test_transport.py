@@ -248,6 +248,12 @@ def test_the_arm_is_offered_to_the_operator_without_a_script_for_the_verb(held: 
     assert isinstance(held.elaborate(judged.by_operator), Script)
 
 
+def test_the_operator_is_not_asked_to_grasp_what_another_arm_holds(held: Bench) -> None:
+    second = held.elaborate(f"GRASP {MODULE} HANDLE-B WITH {LEFT}")
+    offered = second.by_operator if isinstance(second, Refusal) else second.context.by_operator
+    assert isinstance(held.elaborate(offered), Script)
+
+
 def test_an_arm_whose_object_another_one_holds_too_is_not_given_to_the_operator(held: Bench) -> None:
     done(held, BOTH)
     assert held.elaborate(GIVE).context.by_operator == ""

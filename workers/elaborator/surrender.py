@@ -17,6 +17,7 @@ from rtc.protocol.outcomes import Refused
 from rtc.protocol.sentence import OPERATOR, SHARED, ParsedCommand, Quantity
 from rtc.protocol.units import in_words
 from workers.elaborator import command_fields
+from workers.elaborator.preconditions import NEEDS
 from workers.elaborator.script_options import fits_sentence
 from workers.elaborator.task_candidate import TaskCandidate
 
@@ -35,7 +36,7 @@ def by_operator(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], c
 
 
 def _same_task(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], candidate: TaskCandidate) -> str:
-    """The same task VIA OPERATOR-INTERVENTION; empty if no script is for it."""
+    """The same task VIA OPERATOR-INTERVENTION; empty if no script is for it, or if what the script needs is not so."""
     parsed = candidate.parsed
     if candidate.partner is not None:
         return ""
@@ -43,7 +44,7 @@ def _same_task(program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], ca
     rows = (row for row in program.branches[parsed.verb] if row.enabled and row.by_operator)
     row = next((row for row in rows if fits_sentence(row, asked)), None)
     words = "" if row is None or not _is_used(asked, scripts[row.script]) else _words(candidate)
-    if not words:
+    if row is None or not words or any(NEEDS[need](candidate) for need in scripts[row.script].needs):
         return ""
     regions = [f"{one.slot} {one.name}" for one in parsed.constraints if one.slot in KEPT_LIMITS and one.name]
     kept = f"MAINTAIN {' AND '.join(regions)}" if regions else ""
