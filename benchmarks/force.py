@@ -33,7 +33,7 @@ from rtc.subsystems.motion.arm import TICK_S
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.period import period
-from workers.binder import impact
+from workers.tasks import impact
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 SEED = 10

@@ -52,7 +52,8 @@ PURE = (
     "rtc/protocol/", "rtc/language/", "rtc/wording/", "rtc/spatial/", "rtc/model/robot/", "rtc/model/cells/cell.py",
     "rtc/model/cells/parts.py",
     "workers/parser/", "workers/elaborator/", "workers/binder/", "workers/analyzer/", "workers/planning/",
-    "workers/conditions/", "workers/rehearsal/", "rtc/programs/action_stack.py",
+    "workers/conditions/", "workers/rehearsal/", "workers/tasks/", "workers/mechanisms/",
+    "rtc/programs/action_stack.py",
     "rtc/programs/schema.py", "rtc/programs/checks.py", "rtc/programs/expressions.py", "rtc/programs/compatibility.py",
     "rtc/programs/attributes.py", "rtc/programs/recovery.py", "rtc/programs/splice.py", "rtc/programs/whole_file.py",
     "rtc/programs/plugin_fields.py", "rtc/programs/loader.py",
@@ -225,6 +226,21 @@ def cycle(graph: dict[str, set[str]]) -> list[str]:
         return []
 
     return next((found for name in sorted(graph) if (found := visit(name, []))), [])
+
+
+#: what the folder of a mechanism may import of `workers`, besides its own modules
+BELOW_MECHANISMS = ("workers.tasks", "workers.planning", "workers.conditions", "workers.mechanisms.mechanism")
+
+
+def test_a_mechanism_knows_no_stage_and_no_other_mechanism() -> None:
+    wrong = [
+        f"{name} imports {other}"
+        for name, others in import_graph().items()
+        if (folder := ".".join(name.split(".")[:3])).startswith("workers.mechanisms.") and folder != name
+        for other in sorted(others)
+        if other.startswith("workers.") and not other.startswith((folder, *BELOW_MECHANISMS))
+    ]
+    assert wrong == []
 
 
 def test_a_cycle_is_found() -> None:

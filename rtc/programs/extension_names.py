@@ -58,7 +58,7 @@ FIGURES = (
     "seen",  # 1: a camera can see the object, and the last look has found it; 0: it must be felt
     *(f"{clause}_{unit}" for clause in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
-HAND_LIMITS = ("opening_m", "max_grip_n")  # figures of a hand; they may limit other figures
+HAND_LIMITS = ("opening_m", "max_grip_n")  # those of them that may limit others
 #: roles that the resources of a script may name
 ROLES = (
     *("active_arm", "partner_arm", "active_object", "its_seat", "target", "camera", "its_holder"),

@@ -33,8 +33,7 @@ def advice_lines(advice: list[Alternative]) -> list[str]:
 
 
 def _without_repetition(refusal: Refusal, *, located: bool) -> Refusal:
-    """The refusal for display. If `clears` proposes all nearest names, they are listed neither as nearest nor, without
-    other names, as expected."""
+    """For display: the names that `clears` proposes are not listed as nearest too, nor as expected if they are all."""
     advice = in_one_line(refusal.clears)
     proposed = bool(refusal.nearest) and all(name in advice for name in refusal.nearest)
     return msgspec.structs.replace(

@@ -18,13 +18,13 @@ from rtc.protocol.outcomes import StopReason
 from rtc.protocol.units import SUFFIXES
 from tests.source_files import ROOT, source
 from workers.analyzer import analyze, world_changes
-from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.failure_words import fill_in
 from workers.binder import bind
 from workers.conditions import stop_conditions
 from workers.elaborator import anchors, preconditions
 from workers.planning import axes, segments
 from workers.planning.world_query import WorldQuery
+from workers.tasks.analyze_task import AnalyzeTask
 
 WORKERS = ROOT / "workers"
 
@@ -62,7 +62,7 @@ def test_every_placeholder_of_a_label_is_filled_in(bench):
 
 
 #: modules whose texts are given to all rows, or that compute the name of a row
-OF_ALL_ROWS = ("elaborator/task_candidate.py", "elaborator/preconditions.py", "planning/trust.py")
+OF_ALL_ROWS = ("tasks/candidate.py", "elaborator/preconditions.py", "planning/trust.py")
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.campaigns import operator_near
 from tests.campaigns.door import stand_open
 from tests.workers.conftest import MODEL, Bench, Physical
+from tests.workers.mechanisms.bolts.test_by_sentence import SERVICING
 from tests.workers.one_process import OneProcess
-from tests.workers.test_bolts_by_sentence import SERVICING
 
 ARM, OTHER = "RIGHT-ARM", "LEFT-ARM"
 PERIOD = 20  # ticks between two messages

@@ -17,15 +17,13 @@ from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport,
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.protocol.spelling import unknown
 from rtc.world.model import World
-from workers.analyzer import bolts, comparison, nearby, reported_facts, sighting, trimmers, what_is_left
-from workers.analyzer.analyze_task import AnalyzeTask
+from workers.analyzer import comparison, nearby, reported_facts, sighting, trimmers, what_is_left
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
 from workers.analyzer.held_object import held_object_changes, interrupted_grasp, moved_in_hand, with_spread
 from workers.analyzer.post_conditions import (
     MOVES,
     SEEN,
-    TURNING,
     UNMET,
     VAGUE,
     dropped,
@@ -43,9 +41,11 @@ from workers.analyzer.step_changes import (
 )
 from workers.analyzer.world_changes import EFFECTS, Changes, angles
 from workers.conditions import installed_phases, reflexes, sharing
+from workers.mechanisms import joined
 from workers.planning import in_seat, trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
+from workers.tasks.analyze_task import AnalyzeTask
 
 INPUT = AnalyzerInput
 NEEDS_WORLD = True
@@ -63,6 +63,9 @@ PRESSED = frozenset(
 
 #: those of them that the torque of a bolt causes: it turns a driver in the hand, and does not press it aside
 WRUNG = frozenset({StopReason.CONTACT, StopReason.TORQUE_LIMIT, StopReason.SLIP})
+
+#: effect of a step of a mechanism -> what its failure changes in the world
+AFTER_FAILURE = joined(lambda mechanism: mechanism.after_failure)
 
 #: figures that the program must define
 VALUES = (
@@ -244,17 +247,10 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass, *, retried: bool)
     changes += target_changes(task) if "target" in failure.suspect else []
     if task.step.words.effect == SEEN and violated(task) in ("", MOVES):
         changes += EFFECTS[SEEN](task, Validity.VALID)  # it was stopped, or the body moves, but it was seen
-    if task.step.words.effect in TURNING:
-        changes += _about_bolt(task, retried=retried)
+    if (of_mechanism := AFTER_FAILURE.get(task.step.words.effect)) is not None:
+        changes += of_mechanism(task, retried)
     missed = task.step.words.missed
     may_retry = failure.retriable and not task.data.closing and not task.data.trims_used
     if missed in EFFECTS and may_retry:
         changes += EFFECTS[missed](task, Validity.SUSPECT)
     return angles(task.query, with_spread(task, merged(changes)))
-
-
-def _about_bolt(task: AnalyzeTask, *, retried: bool) -> Changes:
-    """What a failure says about a bolt: a head that was touched is known, a turn that failed is in doubt."""
-    if task.step.words.effect != "head_felt":
-        return bolts.after_failure(task, retried=retried)
-    return bolts.head_felt(task, Validity.VALID) if task.report.reason in task.step.expect else []

@@ -14,12 +14,12 @@ from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
 from workers.analyzer import failure_words, what_is_left
-from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
 from workers.analyzer.world_changes import Changes
 from workers.planning import trust
 from workers.planning.advice import turn_in_words
 from workers.planning.lines_of_sight import hiders
+from workers.tasks.analyze_task import AnalyzeTask
 
 SHORT_M = 0.003  # the direction of a shorter way means nothing
 

@@ -10,12 +10,14 @@ from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import ReflexItem
 from rtc.protocol.units import figure
-from workers.analyzer import bolts, sighting
-from workers.analyzer.analyze_task import AnalyzeTask
+from workers.analyzer import sighting
 from workers.analyzer.post_conditions import distance_off_m, pressing_n, seen_as_believed, squeezed, turned_rad
 from workers.conditions import reflexes
+from workers.mechanisms import joined
 from workers.planning import in_seat
+from workers.tasks.analyze_task import AnalyzeTask
 
+OF_MECHANISMS = joined(lambda mechanism: mechanism.texts)  # placeholder -> its text
 UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
 
 
@@ -72,8 +74,8 @@ def texts(task: AnalyzeTask, reason: StopReason) -> dict[str, str]:
         "excess": _excess(task),
         "grip": figure(task.context.limits.grip_force_n or 0.0),
         "short": _short(task),
-        "progress": bolts.in_words(task),
         "until": task.context.until.sentence if task.context.until else "the condition",
+        **{name: text(task) for name, text in OF_MECHANISMS.items()},
     }
 
 

@@ -11,10 +11,11 @@ from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.world.facts import TRUSTED
 from rtc.world.spread import even, widened
-from workers.analyzer import bolts, flat_grip
-from workers.analyzer.analyze_task import AnalyzeTask
+from workers.analyzer import flat_grip
 from workers.analyzer.world_changes import EFFECTS, Changes, perhaps_taken
+from workers.mechanisms import MECHANISMS
 from workers.planning import pose_spread, shared_hold
+from workers.tasks.analyze_task import AnalyzeTask
 
 UNTURNED_RAD = 1e-6  # a smaller angle is of the arithmetic: the value stays
 CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
@@ -96,8 +97,8 @@ def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
         wider_m = max(map(abs, _widened_m(task).values()))
         if wider_m <= task.values["opened_m"]:  # else they have let go of it
             spread = pose_spread.askew_spread(spread, fact.value, wider_m, task.values["pad_m"])
-            if bolts.is_proved(task):
-                spread = bolts.on_its_bolt(task, spread)
+            for mechanism in MECHANISMS:
+                spread = mechanism.spread(task, spread)
             return _between_pads(task, changes, spread)
     return _stated(changes, thing, spread)
 

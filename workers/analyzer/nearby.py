@@ -12,9 +12,9 @@ from msgspec.structs import replace
 
 from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.spatial.geometry import Floats
-from workers.analyzer.analyze_task import AnalyzeTask
 from workers.planning import scenes
 from workers.planning.world_query import WorldQuery
+from workers.tasks.analyze_task import AnalyzeTask
 
 NEAR_M = 0.03  # an arm at full speed rests at most this far from the place of a touch
 

@@ -8,9 +8,10 @@ from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import Condition
 from rtc.sensing import rest
 from rtc.spatial import geometry
-from workers.analyzer import bolts, sighting, what_is_left
-from workers.analyzer.analyze_task import AnalyzeTask
+from workers.analyzer import sighting, what_is_left
 from workers.conditions import reflexes
+from workers.mechanisms import joined
+from workers.tasks.analyze_task import AnalyzeTask
 
 SEEN = "sighted"  # effect of steps that look
 
@@ -27,7 +28,8 @@ ENDS = "ends"  # word of a step that the condition of UNTIL ends
 UNMET = "unmet"  # finding of a step that has reached its end before the condition of UNTIL was true
 
 
-TURNING = ("turned", "tightened", "free", "head_felt")  # effects of steps that turn or touch a bolt
+#: effect of a step of a mechanism -> what is wrong with it
+VIOLATED = joined(lambda mechanism: mechanism.violated)
 
 
 STILL_RAD, TRAVEL_RAD = 0.001, 0.02  # turn of a joint that is stuck, and of one that has moved
@@ -43,8 +45,8 @@ def violated(task: AnalyzeTask) -> str:
     until = _until(task)
     if until is not None and not reflexes.has_ended(until, report):
         return "stopped"  # for the same reason, at another figure: a limit of the step
-    if evaluation.step.words.effect in TURNING:
-        return _wrong_turn(task)
+    if (judge := VIOLATED.get(evaluation.step.words.effect)) is not None:
+        return judge(task)
     if until is not None:
         return ""  # it ends where the condition is true
     if evaluation.width_m is not None:
@@ -73,18 +75,6 @@ def violated(task: AnalyzeTask) -> str:
 def _until(task: AnalyzeTask) -> Condition | None:
     """The condition of the sentence that should have ended this step; None without one."""
     return task.context.until if task.step.words.until == ENDS else None
-
-
-def _wrong_turn(task: AnalyzeTask) -> str:
-    """What is wrong with the turn of a bolt, or with the place of its head; empty: nothing."""
-    effect = task.step.words.effect
-    if effect == "head_felt":
-        return "" if bolts.is_loose(task) else "not_loose"
-    if effect == "free":
-        return ""
-    if bolts.is_unproved(task) or (task.report.reason is StopReason.SLIP and not bolts.has_come_free(task)):
-        return "not_turned"
-    return "not_seated" if effect == "tightened" and bolts.is_before_seat(task) else ""
 
 
 def unmoved_joint(task: AnalyzeTask) -> str:

@@ -16,9 +16,10 @@ from rtc.protocol.causes import NeedUnmet
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
-from rtc.world.model import LOOSE, initial_facts, location, problem
+from rtc.world.model import initial_facts, location, problem
 from rtc.world.spread import even
 from workers.analyzer import impossible
+from workers.mechanisms import joined
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
@@ -100,16 +101,6 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
         WorldChange(key=f"{thing}.seat", value=seat),
         WorldChange(key=f"{thing}.grasp", value=None),
     ]
-
-
-def _state_of_bolt(thing: str, state: Any, query: WorldQuery, values: Values) -> Changes:
-    """Turns and frame of a bolt in this state."""
-    thread = query.thread(thing)
-    if thread is None:
-        return []
-    turns = thread.turns if state == LOOSE else 0.0
-    frame = geometry.normalise(query.turned_out(thing, turns)).tolist()
-    return [WorldChange(key=f"{thing}.turns", value=turns), WorldChange(key=f"{thing}.frame", value=frame)]
 
 
 def _unplaced(thing: str, query: WorldQuery) -> Changes:
@@ -240,6 +231,6 @@ def _initial(query: WorldQuery) -> Changes:
 
 FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes]] = {
     "frame": _placed,
-    "state": _state_of_bolt,
     "facts": _whole,
+    **joined(lambda mechanism: mechanism.follows),
 }

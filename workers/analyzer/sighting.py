@@ -20,10 +20,10 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.spread import even, widened
 from workers.analyzer import flat_grip, joined, touch
-from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.reported_facts import seat_at
 from workers.planning import pose_spread, trust
 from workers.planning.world_query import WorldQuery
+from workers.tasks.analyze_task import AnalyzeTask
 
 Changes = list[WorldChange]
 

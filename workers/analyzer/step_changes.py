@@ -8,10 +8,10 @@ from rtc.programs.schema import OutcomeClass
 from rtc.protocol.messages import EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
-from workers.analyzer.analyze_task import AnalyzeTask
 from workers.analyzer.post_conditions import seen_as_believed
 from workers.analyzer.world_changes import Changes
 from workers.planning import segments
+from workers.tasks.analyze_task import AnalyzeTask
 
 THIN_M = 0.002  # fingers closer together than this hold nothing
 

@@ -13,9 +13,9 @@ import numpy as np
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.spread import EXACT, Spread, even, widened
-from workers.analyzer.analyze_task import AnalyzeTask
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
+from workers.tasks.analyze_task import AnalyzeTask
 
 Found = tuple[Array, list[float]]  # frame, spread
 

@@ -18,8 +18,8 @@ from rtc.programs.recovery import RESERVE, RULES, SEARCH, STACK, Failure, Offers
 from rtc.programs.schema import AnalyzerProgram, Bounds
 from rtc.protocol.messages import TrimOffer
 from rtc.protocol.outcomes import ProgramError, StopReason
-from workers.analyzer.analyze_task import AnalyzeTask
 from workers.conditions import reflexes
+from workers.tasks.analyze_task import AnalyzeTask
 
 NAMELESS = TrimOffer(skill="")  # an entry of the sentence (AND TRY)
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from rtc.protocol.units import figure
 from rtc.spatial import geometry, hinges
-from workers.analyzer import bolts
-from workers.analyzer.analyze_task import AnalyzeTask
+from workers.mechanisms import MECHANISMS
 from workers.planning.step_target import TURN
+from workers.tasks.analyze_task import AnalyzeTask
 
 LEFT = "{left}"
 BACK_RAD = 0.1  # a hand that was to turn one way has turned the other way by less
@@ -31,9 +31,9 @@ def nothing(task: AnalyzeTask) -> str:
 def _in_words(task: AnalyzeTask) -> str | None:
     """The amount; empty if it is smaller than the tolerance of a goal. None: not known."""
     figures, evaluation, report, values = task.step.figures, task.evaluation, task.report, task.values
-    if figures.to_turns is not None:
-        turns = abs(figures.to_turns - task.query.turns(task.context.object) - bolts.moved_turns(task))
-        return f"{figure(turns)} TURNS" if turns > bolts.LEAST_TURNS else ""
+    for mechanism in MECHANISMS:
+        if (left := mechanism.left(task)) is not None:
+            return left
     if figures.width_m is not None:
         return _length(abs(figures.width_m - report.hand_width_m), values["position_m"])
     if (turn := wanted_rad(task)) is not None:

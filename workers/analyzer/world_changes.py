@@ -13,11 +13,12 @@ import msgspec
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.spatial import geometry, hinges
 from rtc.world.spread import widened
-from workers.analyzer import bolts, touch
-from workers.analyzer.analyze_task import AnalyzeTask
+from workers.analyzer import touch
 from workers.analyzer.sighting import sighted
+from workers.mechanisms import joined
 from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery
+from workers.tasks.analyze_task import AnalyzeTask
 
 Changes = list[WorldChange]
 
@@ -214,10 +215,7 @@ EFFECTS: dict[str, Callable[[AnalyzeTask, Validity], Changes]] = {
     "landed": landed,
     "sighted": sighted,
     "unseen": unseen,
-    "turned": bolts.turned,
-    "tightened": bolts.tightened,
-    "free": bolts.free,
-    "head_felt": bolts.head_felt,
     "handed": handed,
     "pointed": pointed,
+    **joined(lambda mechanism: mechanism.effects),
 }

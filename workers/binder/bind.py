@@ -25,16 +25,17 @@ from rtc.protocol.primitive import HandMotion, HoldStill
 from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.protocol.units import in_words
 from rtc.world.model import World
-from workers.binder import assemble, look, replan, targets
-from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
-from workers.binder.bolts import bind_spindle
-from workers.binder.motion import bind_motion
+from workers.binder import look
 from workers.binder.operated import bind_operated
 from workers.conditions import installed_phases, prediction, sharing
 from workers.conditions.prediction import Expected
+from workers.mechanisms import joined
 from workers.planning import step_target, suggestions
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
+from workers.tasks import assemble, replan, targets
+from workers.tasks.bind_task import BindTask, refused_program, unknown_in_program
+from workers.tasks.motion import bind_motion
 
 INPUT = BinderInput
 NEEDS_WORLD = True
@@ -249,7 +250,7 @@ ACTIONS: dict[str, Action] = {
     "procedure": bind_procedure,
     "look": bind_look,
     "answered": bind_answer,
-    "spindle": bind_spindle,
     "operated": bind_operated,
+    **joined(lambda mechanism: mechanism.actions),
 }
 PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "grasp_plan": grasp_plan}

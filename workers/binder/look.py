@@ -12,9 +12,9 @@ from rtc.protocol.messages import BoundStep, EvaluationContext, PictureTime
 from rtc.protocol.primitive import Look, TagGeometry
 from rtc.sensing import optics
 from rtc.sensing.windows import windows
-from workers.binder import assemble
-from workers.binder.bind_task import RuledTask, refused_program
 from workers.planning import sight, suggestions
+from workers.tasks import assemble
+from workers.tasks.bind_task import RuledTask, refused_program
 
 
 def bind(task: RuledTask) -> BoundStep:

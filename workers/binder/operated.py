@@ -15,11 +15,11 @@ from rtc.protocol.messages import BoundStep, EvaluationContext
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import Operated
 from rtc.protocol.sentence import SHARED_AXES
-from workers.binder import assemble, targets
-from workers.binder.bind_task import BindTask, RuledTask, refused_program
-from workers.binder.motion import motion_to_share
 from workers.conditions import sharing
 from workers.conditions.prediction import Expected
+from workers.tasks import assemble, targets
+from workers.tasks.bind_task import BindTask, RuledTask, refused_program
+from workers.tasks.motion import motion_to_share
 
 HAND, SPINDLE = "hand", "spindle"  # the word `operator_has` of a step
 PLACE = {0, 1, 2}  # axes of a twist that move the tcp

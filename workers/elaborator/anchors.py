@@ -6,38 +6,24 @@ bound again after the object was found elsewhere. An anchor that does not exist 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.protocol import causes
-from rtc.protocol.advice import ANOTHER_ARM, Advice, by_person, fill_in
+from rtc.protocol.advice import ANOTHER_ARM, by_person, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
-from rtc.spatial.geometry import Array
-from workers.elaborator.task_candidate import TaskCandidate
+from workers.mechanisms import joined
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
+from workers.tasks.anchor import Anchor, refused
+from workers.tasks.candidate import TaskCandidate
 
 ALONG_BAR = (1.0, 0.0, 0.0)  # tool x
-ALONG_BOLT = (0.0, 0.0, 1.0)  # z of the tip of a spindle
-
-
-class Anchor(msgspec.Struct, frozen=True):
-    """Joint values (rad), or a tcp pose in `frame` (an object or seat; None = world). `grasp`: pose of the held object
-    in the hand that it was made for; with another one the tcp must go elsewhere. `relies_on`: keys of the facts used.
-    """
-
-    joints: list[float] | None = None
-    pose: list[float] | None = None
-    frame: str | None = None
-    grasp: list[float] | None = None
-    relies_on: tuple[str, ...] = ()
 
 
 def grasp_point(candidate: TaskCandidate) -> Anchor:
@@ -67,7 +53,7 @@ def seat(candidate: TaskCandidate) -> Anchor:
     assert candidate.target is not None
     grasp = candidate.query.grasp(candidate.thing.name)
     if grasp is None:
-        raise _state(
+        raise refused(
             f"how {candidate.arm.name} holds {candidate.thing.name} is not known", "let go of it, and take it again"
         )
     pose = geometry.compose(candidate.target.module_frame.pose, geometry.inverse(grasp)).tolist()
@@ -84,44 +70,9 @@ def hinge(candidate: TaskCandidate) -> Anchor:
     assert candidate.thing is not None
     name, hinge = candidate.thing.name, candidate.thing.hinge
     if hinge is None:
-        raise _state(f"{name} has no hinge", "an object that has a hinge")
+        raise refused(f"{name} has no hinge", "an object that has a hinge")
     pose = hinges.frame(geometry.IDENTITY, hinge.axis).tolist()
     return Anchor(pose=pose, frame=name, relies_on=(f"{name}.frame", f"{name}.angle"))
-
-
-def bolt(candidate: TaskCandidate) -> Anchor:
-    """The tcp pose at which the spindle of the held driver is on the head of the bolt, in the bolt's frame.
-
-    A bolt may be turned from any side: the hand keeps the attitude nearest to that of its home."""
-    name, grasp, pose = _on_head(candidate)
-    driver = candidate.query.holding(candidate.arm.name)
-    relies_on = (f"{driver}.grasp", f"{name}.frame")
-    return Anchor(pose=pose.tolist(), frame=name, grasp=grasp.tolist(), relies_on=relies_on)
-
-
-def bolt_out(candidate: TaskCandidate) -> Anchor:
-    """The same on the head of the bolt when it is out by all its turns, whether it is or not (world frame)."""
-    name, grasp, pose = _on_head(candidate)
-    thread = candidate.query.thread(name)
-    assert thread is not None
-    out = geometry.compose(candidate.query.turned_out(name, thread.turns), pose)
-    driver = candidate.query.holding(candidate.arm.name)
-    return Anchor(pose=out.tolist(), grasp=grasp.tolist(), relies_on=(f"{driver}.grasp",))
-
-
-def _on_head(candidate: TaskCandidate) -> tuple[str, Array, Array]:
-    """The bolt, the grasp of the driver, and the tcp pose on the head in the bolt's frame."""
-    assert candidate.thing is not None
-    name, query = candidate.thing.name, candidate.query
-    driver = query.driver(candidate.arm.name)
-    grasp = query.grasp(driver.name) if driver is not None else None
-    if candidate.thing.thread is None or driver is None or driver.spindle is None or grasp is None:
-        raise _state(f"{candidate.arm.name} cannot turn {name}", "an object with a thread, and a driver in the hand")
-    tip = geometry.compose(grasp, driver.spindle.frame.pose)
-    facing = geometry.from_rpy((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0))  # the axes of tip and bolt are opposed
-    home = query.model.arms[candidate.arm.name].fk(candidate.arm.home_rad)
-    angle = hinges.angle_of(geometry.compose(query.frame(name), facing), ALONG_BOLT, geometry.compose(home, tip))
-    return name, grasp, geometry.compose(hinges.turned(facing, ALONG_BOLT, angle), geometry.inverse(tip))
 
 
 def destination(candidate: TaskCandidate) -> Anchor:
@@ -132,12 +83,12 @@ def destination(candidate: TaskCandidate) -> Anchor:
     if place.joints is not None:
         wanted = len(candidate.arm.joints)
         if len(place.joints) != wanted:
-            raise _state(
+            raise refused(
                 f"{candidate.arm.name} has {wanted} joints, {len(place.joints)} were given", f"give {wanted} values"
             )
         slides = [n for n, value in enumerate(candidate.arm.home_deg) if isinstance(value, str)]
         if slides != place.sliding:
-            raise _state(
+            raise refused(
                 _wrong_units(candidate, slides, place.sliding), "give each joint its unit, such as 0.5 M 30 DEG"
             )
         return Anchor(joints=list(place.joints))
@@ -171,7 +122,7 @@ def here(candidate: TaskCandidate) -> Anchor:
     arm = candidate.arm.name
     if not candidate.query.trusts(f"{arm}.joints"):
         clears = fill_in(candidate.program.clears.get("stands", []), {"arm": hand_in_words(arm)})
-        raise _state(f"it is not certain where {arm} stands", clears)
+        raise refused(f"it is not certain where {arm} stands", clears)
     return Anchor(pose=candidate.query.tcp(arm).tolist())
 
 
@@ -238,10 +189,6 @@ def _no_grasp_point(thing: str) -> Refused:
     )
 
 
-def _state(message: str, clears: str | Advice) -> Refused:
-    return Refused.because(RefusalReason.STATE, message, clears=clears)
-
-
 ANCHORS: dict[str, Callable[[TaskCandidate], Anchor]] = {
     "grasp_point": grasp_point,
     "destination": destination,
@@ -250,6 +197,5 @@ ANCHORS: dict[str, Callable[[TaskCandidate], Anchor]] = {
     "hinge": hinge,
     "meeting": meeting,
     "here": here,
-    "bolt": bolt,
-    "bolt_out": bolt_out,
+    **joined(lambda mechanism: mechanism.anchors),
 }

@@ -18,10 +18,13 @@ from rtc.protocol.sentence import BOTH_ARMS, Destination, ParsedCommand
 from rtc.spatial import geometry
 from rtc.world.model import BOLT_STATES
 from workers.elaborator import two_arms
+from workers.elaborator.figures import figures_of
 from workers.elaborator.script_options import fits_sentence
-from workers.elaborator.task_candidate import TaskCandidate, figures_of
+from workers.mechanisms import MECHANISMS
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
+from workers.tasks.candidate import TaskCandidate
+from workers.tasks.scripts import lets_go_first
 
 
 def candidates(
@@ -93,7 +96,7 @@ def _shared(
     if parsed.object is not None or not query.sharers(arm.name):
         return None
     rows = program.branches[parsed.verb]
-    leaves = any(two_arms.lets_go_first(scripts[row.script], of_object=True) for row in rows)
+    leaves = any(lets_go_first(scripts[row.script], of_object=True) for row in rows)
     return query.cell.object(query.holding(arm.name)) if leaves else None
 
 
@@ -123,15 +126,15 @@ def _arms(
     query: WorldQuery,
     thing: parts.Object | None,
 ) -> list[parts.Arm]:
-    """The arm named in the sentence; else those that hold the object, or a driver for a bolt; else all arms."""
+    """The arm named in the sentence; else those that a mechanism names; else those that hold the object; else all."""
     cell = query.cell
     if parsed.hand is not None:
         if parsed.hand == BOTH_ARMS:
             return [two_arms.both_arms(program, scripts, parsed, query)]
         return [_part(cell.arms, parsed.hand, "arm")]
-    drivers = [arm for arm in cell.arms if query.driver(arm.name)] if thing and thing.thread is not None else []
-    if drivers:
-        return drivers
+    able = [name for mechanism in MECHANISMS for name in mechanism.arms(query, thing)] if thing else []
+    if able:
+        return [arm for arm in cell.arms if arm.name in able]
     holder = query.held_by(thing.name) if thing else ""
     return [arm for arm in cell.arms if not holder or arm.name == holder]
 

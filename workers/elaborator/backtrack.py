@@ -31,15 +31,17 @@ from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array
 from rtc.world.model import location
 from workers.conditions.binding_names import POSE_OF_JOINTS
-from workers.elaborator import anchors, two_arms
-from workers.elaborator.anchors import ANCHORS, Anchor
+from workers.elaborator import anchors
+from workers.elaborator.anchors import ANCHORS
 from workers.elaborator.sentence_of import sentence_of
-from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import advice, axes, in_seat, scenes, segments, shared_hold, suggestions, trust
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
 from workers.planning.step_target import target_of
+from workers.tasks.anchor import Anchor
+from workers.tasks.candidate import TaskCandidate
+from workers.tasks.scripts import lets_go_first
 
 MAX_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
 FRAME, GRASP = "frame", "grasp"  # attributes that cameras sense
@@ -232,7 +234,7 @@ def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, 
 
 def _request(script: ScriptFile, candidate: TaskCandidate, sensed: set[str]) -> PlanningRequest:
     query = candidate.query
-    if two_arms.lets_go_first(script) and query.holding(candidate.arm.name):
+    if lets_go_first(script) and query.holding(candidate.arm.name):
         query = shared_hold.after_letting_go(query, candidate.arm.name)
     holds = query.holding(candidate.arm.name)
     scene = scenes.scene_of(
@@ -360,7 +362,7 @@ def _straight(script: ScriptFile, candidate: TaskCandidate, request: PlanningReq
     """The request for lines and curves. Those of a script about an object touch it, or a held one its seat or the
     target; and those that only back off. They need no more distance than the clearance from other bodies."""
     query, arm, thing, target = candidate.query, candidate.arm.name, candidate.thing, candidate.target
-    held = "" if two_arms.lets_go_first(script) else query.holding(arm)
+    held = "" if lets_go_first(script) else query.holding(arm)
     contacts: list[tuple[str, str]] = []
     if held and (thing is not None or candidate.partner is not None):
         contacts = scenes.seat_contacts(query, held, [target.name] if target else [])

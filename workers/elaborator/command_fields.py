@@ -15,10 +15,10 @@ from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import SHARED_AXES, Constraint, ParsedCommand, Quantity
 from rtc.protocol.units import KINDS, such_as
 from rtc.subsystems.base import report_items
-from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
+from workers.tasks.candidate import TaskCandidate
 
-#: Fields of the record that a script need not list: other modules act on them, or this one checks them.
+#: Fields of the record that scripts need not list: others act on them, or this module checks them.
 EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "reflexes", "report", "after", "now"}) | {
     "together_with"
 }

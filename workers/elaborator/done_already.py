@@ -10,7 +10,7 @@ from rtc.programs.schema import ScriptFile
 from rtc.protocol import causes
 from rtc.protocol.advice import fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
-from workers.elaborator.task_candidate import TaskCandidate
+from workers.tasks.candidate import TaskCandidate
 
 LET_GO = "let_go"  # effect of a step, and row of `needs` that says what is left to do
 TAKEN_OUT = "object_in_target"  # precondition of a script that takes an object out of its seat

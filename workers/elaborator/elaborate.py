@@ -36,7 +36,6 @@ from workers.elaborator import (
     look,
     make_way,
     no_script,
-    object_attributes,
     other_motion,
     sentences_instead,
     set_fact,
@@ -71,10 +70,11 @@ from workers.elaborator.script_steps import (
     with_seats,
 )
 from workers.elaborator.sentence_of import sentence_of
-from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
+from workers.tasks import object_attributes
+from workers.tasks.candidate import TaskCandidate
 
 WRITES_OF_RESERVE = ("active_arm", "active_object", "its_seat")  # what a piece of script may find out
 

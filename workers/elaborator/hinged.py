@@ -11,8 +11,8 @@ from rtc.protocol import causes
 from rtc.protocol.advice import by_person, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from workers.conditions import reflexes
-from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning.advice import SHARE_OF_RANGE
+from workers.tasks.candidate import TaskCandidate
 
 SPACE = "move_circle"  # of a step that turns an object about its hinge
 SLACK_RAD = 0.1  # a compliant hand is commanded beyond the angle that it reaches

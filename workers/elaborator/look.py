@@ -13,10 +13,11 @@ from rtc.protocol.advice import Advice, fill_in
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
-from workers.elaborator import object_attributes
-from workers.elaborator.task_candidate import TaskCandidate, figures_of
+from workers.elaborator.figures import figures_of
 from workers.planning import sight, suggestions, trust
 from workers.planning.world_query import WorldQuery
+from workers.tasks import object_attributes
+from workers.tasks.candidate import TaskCandidate
 
 MAX_FURTHER = 3  # maximum number of cameras beside the best one
 

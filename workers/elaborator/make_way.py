@@ -17,11 +17,11 @@ from rtc.protocol.advice import fill_in
 from rtc.protocol.messages import Limits, WorldChange
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial.geometry import Floats
-from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import scenes
 from workers.planning.motion.plan import find_joint_way
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
+from workers.tasks.candidate import TaskCandidate
 
 
 def advise(

@@ -4,29 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 from rtc.language.hands import hand_in_words
 from rtc.protocol.advice import Advice, Texts, fill_in
 from rtc.protocol.causes import NeedUnmet
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
-from workers.elaborator.task_candidate import TaskCandidate
+from workers.mechanisms import joined
 from workers.planning import shared_hold, trust
 from workers.planning.world_query import WorldQuery
+from workers.tasks.candidate import TaskCandidate
+from workers.tasks.unmet import UnmetPrecondition
 
 IN_SEAT_M = 0.02  # an object released within this distance of its seated pose stays in the seat
 IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the middle between the fingers
 WIDER_M = 0.006  # fingers wider than the object by more than this do not hold it
-
-
-class UnmetPrecondition(NamedTuple):
-    """An unmet precondition, the object or arm that causes it, and the row of `needs` that clears it (else its own)."""
-
-    message: str
-    held: str
-    row: str = ""
-    thing: str = ""  # the object to let go of, if it is not `held`
 
 
 def seat_of(query: WorldQuery, thing: str) -> str:
@@ -127,22 +119,6 @@ def _object_hinged(candidate: TaskCandidate) -> UnmetPrecondition | None:
     return None if candidate.thing.hinge is not None else UnmetPrecondition(f"{name} has no hinge", name)
 
 
-def _driver_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
-    """The hand holds an object with a spindle."""
-    query, arm = candidate.query, candidate.arm.name
-    if query.driver(arm) is not None:
-        return None
-    drivers = [thing.name for thing in query.cell.objects if thing.spindle is not None]
-    if not drivers:
-        return UnmetPrecondition(f"{query.cell.name} has no driver", "", "driver_there")
-    driver = drivers[0]
-    if holder := query.held_by(driver):
-        return UnmetPrecondition(f"{driver} is held by {holder}, not by {arm}", holder, "held_by_another", driver)
-    if held := query.holding(arm):
-        return UnmetPrecondition(f"{arm} holds {held}, and no driver", driver, "driver_hand_full", held)
-    return UnmetPrecondition(f"{arm} holds no driver", driver)
-
-
 def _seat_free(candidate: TaskCandidate) -> UnmetPrecondition | None:
     assert candidate.target is not None
     inside = [t.name for t in candidate.query.cell.objects if candidate.query.seat(t.name) == candidate.target.name]
@@ -182,11 +158,11 @@ NEEDS: dict[str, Callable[[TaskCandidate], UnmetPrecondition | None]] = {
     "object_held": _object_held,
     "object_seated": _object_seated,
     "object_hinged": _object_hinged,
-    "driver_held": _driver_held,
     "seat_free": _seat_free,
     "width_known": _width_known,
     "partner_empty": _partner_empty,
     "object_in_target": _object_in_target,
+    **joined(lambda mechanism: mechanism.needs),
 }
 
 

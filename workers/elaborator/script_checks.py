@@ -11,12 +11,13 @@ from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
 from workers.conditions import reflexes
-from workers.elaborator import anchors, bolts, command_fields, done_already, hinged, preconditions, two_arms
+from workers.elaborator import anchors, command_fields, done_already, hinged, preconditions, two_arms
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
-from workers.elaborator.task_candidate import TaskCandidate
+from workers.mechanisms import MECHANISMS
 from workers.planning import trust
 from workers.planning.scenes import clearance_of
+from workers.tasks.candidate import TaskCandidate
 
 
 def _refuse_too_tight(_: ScriptFile, candidate: TaskCandidate) -> None:
@@ -135,9 +136,7 @@ CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
     hinged.refuse_other_motion,
     hinged.refuse_turn_of_hand,
     hinged.refuse_beyond_stops,
-    bolts.refuse_beyond_thread,
-    bolts.refuse_too_much_torque,
-    bolts.refuse_fastened,
+    *(check for mechanism in MECHANISMS for check in mechanism.checks),
     two_arms.refuse_moving_alone,
     _refuse_unsure_grasp,
     _refuse_unsure_place,

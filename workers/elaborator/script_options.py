@@ -13,8 +13,9 @@ from rtc.programs import attributes, expressions
 from rtc.programs.schema import Branch, BranchCondition, ScriptFile
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.sentence import ParsedCommand
-from workers.elaborator import command_fields, no_script, object_attributes
-from workers.elaborator.task_candidate import TaskCandidate
+from workers.elaborator import command_fields, no_script
+from workers.tasks import object_attributes
+from workers.tasks.candidate import TaskCandidate
 
 
 class ScriptOption(NamedTuple):

@@ -17,9 +17,10 @@ from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.conditions import reflexes
 from workers.elaborator import look, surrender
 from workers.elaborator.backtrack import FRAME, GRASP
+from workers.elaborator.figures import of_partner
 from workers.elaborator.script_options import ScriptOption
-from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import segments, suggestions
+from workers.tasks.candidate import TaskCandidate
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
     """The step for this candidate, with evaluated figures and filled-in words. `body`: what a camera looks for; empty:
     the object."""
     if step.who == PARTNER:
-        made = step_for(msgspec.structs.replace(step, who="active_arm"), candidate.of_partner, entries, nominal, body)
-        return msgspec.structs.replace(made, who=PARTNER, arm=candidate.of_partner.arm.name)
+        made = step_for(msgspec.structs.replace(step, who="active_arm"), of_partner(candidate), entries, nominal, body)
+        return msgspec.structs.replace(made, who=PARTNER, arm=of_partner(candidate).arm.name)
     known = {entry.n for entry in entries}
     index, count = step.trim
     asked = [] if not nominal else [n for n in range(index, index + count) if n in known]

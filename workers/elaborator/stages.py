@@ -22,10 +22,11 @@ from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial import geometry
 from workers.elaborator import backtrack, preconditions
 from workers.elaborator.backtrack import Planned
-from workers.elaborator.task_candidate import TaskCandidate
+from workers.elaborator.figures import of_partner
 from workers.planning import in_seat, shared_hold
 from workers.planning.segments import BOTH
 from workers.planning.world_query import WorldQuery
+from workers.tasks.candidate import TaskCandidate
 
 Changes = list[WorldChange]
 
@@ -104,7 +105,7 @@ def _needed(plan: Sequence[PlanLine], names: Iterable[str]) -> list[PlanLine]:
 def _seen_by(part: ScriptFile, candidate: TaskCandidate, query: WorldQuery) -> TaskCandidate:
     """The candidate as the arm of these steps sees it in this world; the other arm takes part in a common motion."""
     now = replace(candidate, query=query)
-    now = now.of_partner if any(step.who == PARTNER for step in part.steps) else now
+    now = of_partner(now) if any(step.who == PARTNER for step in part.steps) else now
     if not any(step.to in now.vias or "through" in step.words for step in part.steps):
         now = replace(now, parsed=msgspec.structs.replace(now.parsed, through=[]))
     return now if any(step.space == BOTH for step in part.steps) else replace(now, partner=None)

@@ -19,7 +19,7 @@ from rtc.protocol.units import in_words
 from workers.elaborator import command_fields
 from workers.elaborator.preconditions import NEEDS
 from workers.elaborator.script_options import fits_sentence
-from workers.elaborator.task_candidate import TaskCandidate
+from workers.tasks.candidate import TaskCandidate
 
 KEPT_LIMITS = ("AVOID-TASK-REGION", "SAFE-WORK-RANGE")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from rtc.protocol.messages import Step
-from workers.elaborator.task_candidate import TaskCandidate
+from workers.tasks.candidate import TaskCandidate
 
 
 def noted(steps: list[Step], candidate: TaskCandidate) -> list[Step]:

@@ -13,9 +13,10 @@ from rtc.protocol.advice import by_person, by_sentence, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from workers.conditions import sharing
-from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import shared_hold, suggestions
 from workers.planning.world_query import WorldQuery
+from workers.tasks.candidate import TaskCandidate
+from workers.tasks.scripts import lets_go_first
 
 
 def both_arms(
@@ -112,12 +113,6 @@ def free_points(
         return points
     free = shared_hold.free_points(query, thing.name)
     return [point for point in points if point is None or point.name in free] or points
-
-
-def lets_go_first(script: ScriptFile, *, of_object: bool = False) -> bool:
-    """Whether the hand of the script opens before the arm moves; `of_object`: and lets go of an object by that."""
-    first = next((step for step in script.steps if step.op or step.to), None)
-    return first is not None and first.op == "open" and (not of_object or first.words.get("effect") == "let_go")
 
 
 def refuse_moving_alone(script: ScriptFile, candidate: TaskCandidate) -> None:

@@ -13,7 +13,7 @@ from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile, ScriptStep
 from rtc.protocol.messages import Step
 from workers.elaborator.sentence_of import relative_amount, sentence_of
-from workers.elaborator.task_candidate import TaskCandidate
+from workers.tasks.candidate import TaskCandidate
 
 LEFT = "{left}"  # in the sentence: the amount that is left, without its sign
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -23,24 +22,22 @@ from rtc.protocol.primitive import (
     Look,
     Operated,
     Primitive,
-    SpindleMotion,
     TimeAbove,
     TorqueAbove,
-    TorqueBelow,
     TurnAbove,
 )
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.prediction import closes_on_m
+from workers.mechanisms import MECHANISMS, joined
 from workers.planning.predicted_sighting import sighting
 from workers.planning.world_query import WorldQuery
+from workers.tasks.report import at_rest, predicate_of, replaced
 
 TURN_TIMES = 201  # of a path, at which its turn is evaluated
 HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
 CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
 NO_FORCE = [0.0] * 6
-# A torque above TWISTS_NM turns a driver between pads that press with 60 N. 3.4 N.m hold them 1.1 to 1.8 mm apart (11).
-TWISTS_NM, APART_M = 1.0, 0.0016
 BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
 
 
@@ -53,28 +50,19 @@ def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopRe
     ends = reason or evaluation.step.expect[0]  # the likely one comes first
     report = REPORTS[type(made.trajectory)](query, made, evaluation, ends)
     measured, limit = tripped(made, ends)
-    return _replaced(
+    return replaced(
         report,
         at_s=now_s + report.duration_s,
         measured=measured,
         limit=limit,
-        peak_force_n=measured or 0.0 if isinstance(_stop(made, ends), ForceAbove) else 0.0,
-        peak_torque_nm=measured or 0.0 if isinstance(_stop(made, ends), TorqueAbove) else 0.0,
+        peak_force_n=measured or 0.0 if isinstance(predicate_of(made, ends), ForceAbove) else 0.0,
+        peak_torque_nm=measured or 0.0 if isinstance(predicate_of(made, ends), TorqueAbove) else 0.0,
     )
-
-
-def _replaced(report: EndReport, **fields: Any) -> EndReport:
-    return EndReport(**{**{name: getattr(report, name) for name in report.__struct_fields__}, **fields})
-
-
-def _stop(made: Primitive, reason: StopReason) -> object:
-    """The predicate that would end the primitive with this reason; None if it has none, such as a refusal."""
-    return next((stop.when for stop in made.stop_functions if stop.reason is reason), None)
 
 
 def tripped(made: Primitive, reason: StopReason) -> tuple[float | None, float | None]:
     """(measured value, limit) of the stop function with this reason; None without a limit."""
-    when = _stop(made, reason)
+    when = predicate_of(made, reason)
     for name in getattr(when, "__struct_fields__", ()):
         if name.startswith(("limit_", "margin_")):
             limit = float(getattr(when, name))
@@ -102,12 +90,12 @@ def _of_path(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, 
         takes_s = evaluation.predicted_s  # an arm that lags is there at the end
     elif reason is StopReason.CONTACT and reason in evaluation.step.expect:
         takes_s += _unloads_s(evaluation, path.duration_s)
-    report = _at_rest(query, made.performer, made.id, reason, _posture(path, at_s), takes_s)
+    report = at_rest(query, made.performer, made.id, reason, _posture(path, at_s), takes_s)
     if made.partner is None:
         return report
     second = made.partner
     posture = _posture(second.trajectory, min(at_s, second.trajectory.duration_s))
-    return _replaced(report, partner=_at_rest(query, second.performer, made.id, reason, posture, at_s))
+    return replaced(report, partner=at_rest(query, second.performer, made.id, reason, posture, at_s))
 
 
 def _unloads_s(evaluation: EvaluationContext, path_s: float) -> float:
@@ -130,8 +118,8 @@ def _curve(path: JointTrajectory) -> Hermite:
 
 
 def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: EvaluationContext) -> float:
-    """When an expected touch is felt: of a held object where it is in its seat, of a driver at the head of the bolt, of
-    a finger at the grasp point. A step that touches anything else states how far before its end (`beyond_m`)."""
+    """When an expected touch is felt: of a held object where it is in its seat, of a mechanism where it says, of a
+    finger at the grasp point. A step that touches anything else states how far before its end (`beyond_m`)."""
     curve, fk, context = _curve(path), query.model.arms[arm].fk, evaluation.context
 
     def tcp(at_s: float) -> Array:
@@ -139,9 +127,9 @@ def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: Eva
 
     if evaluation.held and query.is_seat(context.target):
         return _nearest_s(query, evaluation.held, query.seated_pose(context.target), path.duration_s, tcp)
-    if (tip := _tip(query, arm)) is not None and query.thread(context.object) is not None:
-        head = query.frame(context.object)
-        return _first_s(path.duration_s, lambda at_s: geometry.relative(head, geometry.compose(tcp(at_s), tip))[2] <= 0)
+    for mechanism in MECHANISMS:
+        if (is_felt := mechanism.touch(query, arm, evaluation)) is not None:
+            return _first_s(path.duration_s, lambda at_s: is_felt(tcp(at_s)))
     if context.object and context.grasp_point and not evaluation.held:
         point = query.cell.object(context.object).grasp_point(context.grasp_point)
         bar = geometry.compose(query.frame(context.object), point.frame.pose)
@@ -181,15 +169,6 @@ def _round_axis(arms: Array, axis: Array) -> Array:
     return np.abs(np.unwrap(angles))
 
 
-def _tip(query: WorldQuery, arm: str) -> Array | None:
-    """The tip of the spindle of the driver in the hand, in the frame of the tcp; None without a driver."""
-    driver = query.driver(arm)
-    grasp = query.grasp(driver.name) if driver is not None else None
-    if driver is None or driver.spindle is None or grasp is None:
-        return None
-    return geometry.compose(grasp, driver.spindle.frame.pose)
-
-
 def _by_finger(tcp: Callable[[float], Array], bar: Array, play_m: float, duration_s: float) -> Callable[[float], bool]:
     """Whether the finger towards which the hand moves touches the bar at a time. `play_m`: its way from the middle."""
 
@@ -224,75 +203,27 @@ def _nearest_s(query: WorldQuery, held: str, place: Array, duration_s: float, tc
     return before_s
 
 
-def _at_rest(
-    query: WorldQuery, arm: str, primitive: str, reason: StopReason, joints: list[float], duration_s: float
-) -> EndReport:
-    pose = query.model.arms[arm].fk(joints).tolist()
-    return EndReport(
-        primitive=primitive,
-        performer=arm,
-        reason=reason,
-        at_s=0.0,
-        duration_s=duration_s,
-        joints=list(joints),
-        slides=[n for n, slides in enumerate(query.model.arms[arm].slides) if slides],
-        tcp_pose=pose,
-        wrench=NO_FORCE,
-        trip_pose=pose,
-        trip_wrench=NO_FORCE,
-        hand_width_m=query.hand_width(arm),
-        hand_force_n=query.hand_force(arm),
-    )
-
-
 def _of_rest(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
     rests_s = evaluation.predicted_s
     if isinstance(made.trajectory, HoldStill) and made.trajectory.duration_s is None:
         rests_s = next(stop.when.limit_s for stop in made.stop_functions if isinstance(stop.when, TimeAbove))
-    return _at_rest(query, made.performer, made.id, reason, query.joints(made.performer), rests_s)
+    return at_rest(query, made.performer, made.id, reason, query.joints(made.performer), rests_s)
 
 
 def _of_hand(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
     motion, arm = made.trajectory, made.performer
     assert isinstance(motion, HandMotion)
-    report = _at_rest(query, arm, made.id, reason, query.joints(arm), evaluation.predicted_s)
+    report = at_rest(query, arm, made.id, reason, query.joints(arm), evaluation.predicted_s)
     if reason is not StopReason.GOAL:
         return report
     between_m = closes_on_m(query, evaluation) if motion.width_m < query.hand_width(arm) else 0.0
     presses = between_m > motion.width_m
     width_m = max(motion.width_m, between_m)
-    return _replaced(
+    return replaced(
         report,
         hand_width_m=width_m,
         hand_force_n=motion.force_n if presses else 0.0,
     )
-
-
-def _of_spindle(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
-    """The hand follows the bolt along its thread. A torque is felt at once outwards, and inwards at the tight place; it
-    ends at the end of the thread."""
-    turn, arm = made.trajectory, query.model.arms[made.performer]
-    assert isinstance(turn, SpindleMotion)
-    share = 1.0 if reason in (StopReason.GOAL, StopReason.SLIP) else _turned(query, made, evaluation, reason)
-    here, goal, joints = query.tcp(made.performer), evaluation.goal_pose, query.joints(made.performer)
-    if goal is not None:
-        there = geometry.translate(here, share * (np.asarray(goal[:3]) - here[:3]))
-        found = arm.nearest_ik(there.tolist(), joints)
-        joints = joints if found is None else [float(angle) for angle in found]
-    report = _at_rest(query, made.performer, made.id, reason, joints, share * abs(turn.turn_rad) / turn.speed_rad_s)
-    when = _stop(made, reason)
-    apart_m = APART_M if isinstance(when, TorqueAbove) and when.limit_nm > TWISTS_NM else 0.0
-    return _replaced(report, turned_rad=share * turn.turn_rad, hand_width_m=report.hand_width_m + apart_m)
-
-
-def _turned(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> float:
-    """The share of a turn of the spindle after which its torque ends it."""
-    turn, bolt = made.trajectory, evaluation.context.object
-    assert isinstance(turn, SpindleMotion)
-    thread, out = query.thread(bolt), query.turns(bolt)
-    ends = isinstance(_stop(made, reason), TorqueBelow)
-    outwards = thread.turns - out if ends and thread is not None else 0.0
-    return min(1.0, (out if turn.turn_rad > 0.0 else outwards) * math.tau / abs(turn.turn_rad))
 
 
 def _of_operator(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
@@ -305,12 +236,12 @@ def _of_operator(query: WorldQuery, made: Primitive, evaluation: EvaluationConte
         joints, takes_s = asked.along.positions[-1], asked.along.duration_s
     elif done and evaluation.goal_pose is not None:
         joints = _joints_at(query, name, _followed(query, asked, evaluation, evaluation.goal_pose))
-    report = _at_rest(query, name, made.id, reason, joints, takes_s)
+    report = at_rest(query, name, made.id, reason, joints, takes_s)
     if not done:
         return report
     if asked.hand:
-        report = _replaced(report, hand_width_m=closes_on_m(query, evaluation), hand_force_n=asked.grip_n)
-    return _replaced(report, turned_rad=asked.turn_rad)
+        report = replaced(report, hand_width_m=closes_on_m(query, evaluation), hand_force_n=asked.grip_n)
+    return replaced(report, turned_rad=asked.turn_rad)
 
 
 def _followed(query: WorldQuery, asked: Operated, evaluation: EvaluationContext, goal: list[float]) -> Array:
@@ -355,7 +286,7 @@ REPORTS: dict[type, Callable[[WorldQuery, Primitive, EvaluationContext, StopReas
     JointTrajectory: _of_path,
     HandMotion: _of_hand,
     HoldStill: _of_rest,
-    SpindleMotion: _of_spindle,
     Operated: _of_operator,
     Look: _of_look,
+    **joined(lambda mechanism: mechanism.reports),
 }

@@ -344,8 +344,8 @@ MAINTAINED: dict[str, tuple[str, str]] = {
 
 
 class Camera(CellPart, frozen=True, kw_only=True):
-    """A camera without distortion. `arm`: the arm that carries it. All values are then in the axes of the tcp, without
-    an arm in those of the world. Its own axes: x right, y down in the picture, z forward."""
+    """A camera without distortion. `arm`: whose hand carries it; then all axes are those of the tcp, else the world's.
+    Its own axes: x right, y down in the picture, z forward."""
 
     name: Name
     arm: Name | None = None

@@ -56,7 +56,7 @@ class Breakpoint(msgspec.Struct, frozen=True):
 class Heartbeat(Message, frozen=True, kw_only=True):
     """Sign of life. From a worker, a subsystem, or a client with `halt_if_lost`.
 
-    The broker answers a registered worker, if its message has a time, with the same message."""
+    The broker returns that of a registered worker if it has a time."""
 
     name: Name
     at_s: float = 0.0  # clock of the worker; 0 = no answer wanted

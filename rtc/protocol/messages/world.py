@@ -67,8 +67,8 @@ class Commit(Message, frozen=True, kw_only=True):
 class Doubt(Message, frozen=True, kw_only=True):
     """Facts that a motion changes become suspect; the same lease again changes nothing.
 
-    With a lease that the broker has made for itself: all facts, because it is unknown what was executed. With the lease
-    of an analysis that was given up: the facts of its locations, unless that job has written its changes before."""
+    By a lease of the broker for itself: all of them, because it is unknown what was executed. By the lease of an
+    analysis that was given up: those of its locations, unless that job has written its changes before."""
 
     request: Name
     lease: Lease

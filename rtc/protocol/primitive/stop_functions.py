@@ -14,11 +14,11 @@ from rtc.protocol.strict import Strict
 
 
 class GoalReached(Strict, frozen=True, tag="goal-reached", omit_defaults=True):
-    """The trajectory is complete and the arm has settled. A hand has its width, or presses with its force. A camera has
-    the pose of its body, or has followed it for the duration.
+    """The trajectory is complete and the arm has settled. Of a hand: it has its width, or presses with its force. Of a
+    camera: it has its pose, or has followed the body for the duration.
 
-    `within_m`: distance from the end of the path at which a compliant arm at rest has reached it. Its spring gives way
-    under a load. None: that of a position-controlled arm."""
+    `within_m`: so near the end of its path a compliant arm at rest has reached it, because a load stretches its spring;
+    None: as near as a position-controlled arm."""
 
     within_m: float | None = None
 

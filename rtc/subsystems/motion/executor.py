@@ -20,6 +20,7 @@ from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.subsystems.base.report_items import Measure, measured
 from rtc.subsystems.motion import acceptance, profiles, stop_functions
 from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
+from rtc.subsystems.motion.bolts import SpindleTurn
 from rtc.subsystems.motion.bounds import ConditionBounds
 from rtc.subsystems.motion.clearance import Clearance
 from rtc.subsystems.motion.goals import GOAL_RAD, Arrived, arrival
@@ -32,7 +33,6 @@ from rtc.subsystems.motion.operation import OperatedArm
 from rtc.subsystems.motion.reports import Trip, end_report, not_begun
 from rtc.subsystems.motion.running_reports import RunningReports
 from rtc.subsystems.motion.setpoints import Setpoints
-from rtc.subsystems.motion.spindle import SpindleTurn
 from rtc.subsystems.motion.stray_watch import StrayWatch
 
 # After these reasons the arm may lean on an obstacle, so it cannot reach the commanded position.

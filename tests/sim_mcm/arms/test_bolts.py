@@ -20,7 +20,7 @@ from rtc.subsystems.motion.arm import SpindleCommand
 from rtc.subsystems.motion.subsystem import McmSubsystem
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.faults import Injections
-from tests.workers.test_bolts_by_sentence import TURNS, with_short_bolts
+from tests.workers.mechanisms.bolts.test_by_sentence import TURNS, with_short_bolts
 
 CELL = with_short_bolts(Cell.load("servicing"))
 ARM, BOLT, DRIVER = "RIGHT-ARM", "BOLT-1", "POWER-DRIVER"

@@ -18,12 +18,12 @@ from rtc.protocol.messages import ScriptContext
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
-from workers.binder.bind_task import BindTask, RuledTask
 from workers.conditions.stop_conditions import Values
 from workers.planning import axes
 from workers.planning.motion.plan import Motion
 from workers.planning.motion.timing import Timed, slower
 from workers.planning.segments import Target
+from workers.tasks.bind_task import BindTask, RuledTask
 
 ASIDE = 0.02  # of a way back: how far it may lead aside (share of its length), and turn (rad)
 WRIST_M = 0.12  # from the tool centre point back to the wrist: the hand and its flange are that long

@@ -1,13 +1,12 @@
-"""One candidate for performing a command: arm or camera, object, grasp point, target, and figures. Pure.
+"""Figures of a candidate: the variables of a script's expressions. Pure.
 
-`figures` are the variables of a script's expressions. Sources in order of increasing priority: numbers of the cell, the
-command-object table, the hand, the object, the sentence.
+Sources in order of increasing priority: numbers of the cell, the command-object table, the hand, the object, the
+sentence.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -15,131 +14,36 @@ import numpy as np
 from rtc.model.cells import parts
 from rtc.programs import attributes, expressions
 from rtc.programs.schema import ElaboratorProgram, TableRow
-from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand, Quantity
-from rtc.protocol.units import SUFFIXES, in_words
+from rtc.protocol.units import SUFFIXES
 from rtc.spatial import geometry
 from rtc.world.spread import narrowest
-from workers.elaborator import object_attributes
+from workers.mechanisms import MECHANISMS
 from workers.planning import pose_spread, trust
 from workers.planning.trust import AHEAD_S
 from workers.planning.world_query import WorldQuery
+from workers.tasks import object_attributes
+from workers.tasks.candidate import TaskCandidate
 
 
-class TaskCandidate(msgspec.Struct, frozen=True, dict=True):
-    query: WorldQuery
-    program: ElaboratorProgram
-    parsed: ParsedCommand
-    limits: Limits
-    hand: parts.Arm | None  # None: only a camera works
-    thing: parts.Object | None
-    point: parts.GraspPoint | None
-    target: parts.Seat | None
-    figures: dict[str, float]
-    via: parts.Camera | None = None  # the camera of a command that only looks
-    seat: parts.Seat | None = None  # what that camera looks for, if it is a seat
-    partner: parts.Arm | None = None  # the second arm: of BOTH-ARMS, or the one that HANDOFF gives to
-    meeting: parts.Place | None = None  # where the second arm takes the object; None: where the object is
-
-    @property
-    def arm(self) -> parts.Arm:
-        assert self.hand is not None, "a script without an arm needs none"
-        return self.hand
-
-    @property
-    def of_partner(self) -> TaskCandidate:
-        """The same candidate as the second arm sees it: for the steps that it performs. Raises Refused."""
-        assert self.partner is not None, "a script for two arms has two"
-        figures = figures_of(
-            self.program, self.parsed, self.query, self.partner, self.thing, self.point, self.target, self.hand
-        )
-        limits = msgspec.structs.replace(self.limits, attitude=None)  # only the first hand keeps it
-        return msgspec.structs.replace(self, hand=self.partner, partner=self.hand, figures=figures, limits=limits)
-
-    @property
-    def body(self) -> str:
-        """The object, or the seat that a camera looks for."""
-        return self.thing.name if self.thing else self.seat.name if self.seat else ""
-
-    @cached_property
-    def camera(self) -> parts.Camera | None:
-        """The camera that looks for the object; None: none can see it."""
-        return self.via or (next(iter(self.query.cameras(self.body)), None) if self.body else None)
-
-    @cached_property
-    def texts(self) -> dict[str, str]:
-        """Values of {arm} and the other placeholders in the words of a script."""
-        return {
-            "arm": self.hand.name if self.hand else "",
-            "object": self.body,
-            "camera": self.via.name if self.via else "",
-            "point": self.point.name if self.point else "",
-            "target": self.target.name if self.target else "",
-            "axis": (self.parsed.place.along if self.parsed.place else None) or "TOOL-Z",
-            "destination": destination_in_words(self.parsed),
-            "shared": self.parsed.shared or "",
-            "way_out": self.query.way_out_of(self.target.name) if self.target else "",
-            "out": self.query.way_out(self.thing.name) if self.thing else "",
-            "amount": _amount_in_words(self.parsed),
-            "through": " ".join(self.vias),
-            "around": "allowed" if self.parsed.path is None and not self.vias else "",
-            "meeting": self.meeting.name if self.meeting else "",
-            "until": self.parsed.until.sentence if self.parsed.until else "",
-            "time": _time_in_words(self.parsed, self.figures),
-        }
-
-    @property
-    def vias(self) -> list[str]:
-        """Names of the bindings of THROUGH, in order."""
-        return [f"VIA-{n}" for n in range(1, len(self.parsed.through) + 1)]
-
-    def fill_in(self, words: str) -> str:
-        """Replace the placeholders in `words`."""
-        if "{" not in words:
-            return words
-        for name, text in self.texts.items():
-            words = words.replace("{" + name + "}", text)
-        return words
-
-    @property
-    def roles(self) -> dict[str, str]:
-        """Values of active_arm and the other roles in the resources of a script."""
-        return {
-            "active_arm": self.hand.name if self.hand else "",
-            "partner_arm": self.partner.name if self.partner else "",
-            "active_object": self.body,
-            "camera": self.via.name if self.via else "",
-            "target": self.target.name if self.target else "",
-        }
-
-
-def _amount_in_words(parsed: ParsedCommand) -> str:
-    quantity = parsed.amount or parsed.to_value
-    return in_words(quantity.value, quantity.unit) if quantity else ""
-
-
-def _time_in_words(parsed: ParsedCommand, figures: dict[str, float]) -> str:
-    """Duration of a command without an end of its own: for 30 s, or until halted, with the maximum."""
-    if parsed.duration_s is not None:
-        return f"for {in_words(parsed.duration_s, 's')}"
-    limit_s = figures.get("duration_s")
-    return "until halted" + (f", {limit_s / 60:g} min at most" if limit_s else "")
-
-
-def destination_in_words(parsed: ParsedCommand) -> str:
-    place = parsed.place
-    if place is None:
-        return f"before {parsed.target}" if parsed.target else ""
-    if place.name:
-        return place.name
-    if place.joints:
-        return "the joint values given"
-    if place.position:
-        return "x {:.3f} y {:.3f} z {:.3f} m".format(*place.position)
-    if place.neighborhood_of:
-        return f"the neighborhood of {place.neighborhood_of}"
-    return f"the grasp point of {place.grasp_point_of}" if place.grasp_point_of else "a step from here"
+def of_partner(candidate: TaskCandidate) -> TaskCandidate:
+    """The same candidate as the second arm sees it: for the steps that it performs. Raises Refused."""
+    assert candidate.partner is not None, "a script for two arms has two"
+    figures = figures_of(
+        candidate.program,
+        candidate.parsed,
+        candidate.query,
+        candidate.partner,
+        candidate.thing,
+        candidate.point,
+        candidate.target,
+        candidate.hand,
+    )
+    limits = msgspec.structs.replace(candidate.limits, attitude=None)  # only the first hand keeps it
+    return msgspec.structs.replace(
+        candidate, hand=candidate.partner, partner=candidate.hand, figures=figures, limits=limits
+    )
 
 
 def figures_of(
@@ -182,11 +86,8 @@ def figures_of(
                 figures["hinge_lever_m"] = float(np.linalg.norm(arc))
                 away = float(arc @ geometry.rotate(between.frame.pose, (0.0, 0.0, 1.0)))
                 figures["hinge_push"] = math.copysign(1.0, away)
-        figures["has_spindle"] = float(thing.spindle is not None)
-        figures["threaded"] = float(thing.thread is not None)
-        if thing.thread is not None:
-            figures |= {"out_turns": query.turns(thing.name), "thread_turns": thing.thread.turns}
-            figures["thread_m"] = thing.thread.pitch_m * thing.thread.turns
+        for mechanism in MECHANISMS:
+            figures |= mechanism.figures(query, thing)
     if target is not None:
         figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
         figures["held_unsure_m"] = _held_unsure_m(query, thing, target) if thing is not None else 0.0

@@ -13,9 +13,6 @@ from rtc.protocol.messages import BoundStep, EvaluationContext, Limits
 from rtc.protocol.outcomes import Refused, StopReason, refuse_if
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.units import in_words
-from workers.binder import assemble, impact, targets, two_arms
-from workers.binder.bind_task import BindTask, RuledTask, unknown_in_program
-from workers.binder.impact import Keeping
 from workers.conditions import prediction, sharing
 from workers.conditions.stop_conditions import Values
 from workers.planning import advice, in_seat, scenes, segments, step_target, trust
@@ -25,6 +22,9 @@ from workers.planning.motion.plan import Motion
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
+from workers.tasks import assemble, impact, targets, two_arms
+from workers.tasks.bind_task import BindTask, RuledTask, unknown_in_program
+from workers.tasks.impact import Keeping
 
 DETOUR = 3.0  # a relative step in joint space is reported if the hand travels this many times its distance
 DETOUR_POSTURES = 21  # at which the way of the hand is measured

@@ -10,10 +10,10 @@ import msgspec
 
 from rtc.protocol.messages import BoundStep
 from rtc.protocol.primitive import Compliance, ControlLaw, Load, Partner, TcpTurned, TimeAbove
-from workers.binder import targets
-from workers.binder.bind_task import RuledTask
 from workers.conditions import stop_conditions
 from workers.planning.motion.timing import Timed
+from workers.tasks import targets
+from workers.tasks.bind_task import RuledTask
 
 
 def with_partner(task: RuledTask, bound: BoundStep, motion: Timed) -> BoundStep:

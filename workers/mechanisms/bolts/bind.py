@@ -14,12 +14,12 @@ from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import SpindleMotion
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from workers.binder import assemble
-from workers.binder.bind_task import BindTask, RuledTask, refused_program
-from workers.binder.motion import planning_request
 from workers.conditions.prediction import Expected
 from workers.planning import segments
 from workers.planning.segments import Target
+from workers.tasks import assemble
+from workers.tasks.bind_task import BindTask, RuledTask, refused_program
+from workers.tasks.motion import planning_request
 
 LINE = "move_task"
 PROVABLE_TURNS = 0.01  # a smaller turn cannot be proved; what is left after a slip may be less

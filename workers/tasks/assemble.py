@@ -23,12 +23,12 @@ from rtc.protocol.primitive import (
     Vector,
 )
 from rtc.protocol.primitive_id import command_of
-from workers.binder import compliance, targets
-from workers.binder.bind_task import BindTask, RuledTask
 from workers.conditions import stop_conditions
 from workers.conditions.prediction import Expected
 from workers.conditions.stop_conditions import Values
 from workers.planning import trust
+from workers.tasks import compliance, targets
+from workers.tasks.bind_task import BindTask, RuledTask
 
 
 def of_arm(

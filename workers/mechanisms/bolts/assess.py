@@ -7,15 +7,19 @@ has come off, and a stripped thread, turn without that way.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
+from rtc.protocol.units import figure
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array, Floats
 from rtc.world.model import LOOSE, TIGHT, TURNED
-from workers.analyzer.analyze_task import AnalyzeTask
+from workers.planning.world_query import WorldQuery
+from workers.tasks.analyze_task import AnalyzeTask
 
 SLACK_M, SLACK_SHARE = 0.0008, 0.05  # by which the way of the hand may differ from that of the thread
 TORQUES = (StopReason.TORQUE_LIMIT, StopReason.CONTACT)  # reasons of a turn that a torque has ended
@@ -87,7 +91,48 @@ def free(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     return [*_at(task, thread.turns, validity, LOOSE), *_on_head(task, validity)]
 
 
-def after_failure(task: AnalyzeTask, *, retried: bool) -> list[WorldChange]:
+def wrong_turn(task: AnalyzeTask) -> str:
+    """What is wrong with the turn of a bolt; empty: nothing."""
+    if is_unproved(task) or (task.report.reason is StopReason.SLIP and not has_come_free(task)):
+        return "not_turned"
+    return "not_seated" if task.step.words.effect == "tightened" and is_before_seat(task) else ""
+
+
+def wrong_head(task: AnalyzeTask) -> str:
+    """What is wrong with the place of a head that was touched; empty: nothing."""
+    return "" if is_loose(task) else "not_loose"
+
+
+def nothing_wrong(_: AnalyzeTask) -> str:
+    """A bolt that has come free is proved by the torque alone."""
+    return ""
+
+
+def left(task: AnalyzeTask) -> str | None:
+    """The turns that are left of a sentence, as its amount; empty: none. None: the step turns no bolt."""
+    to_turns = task.step.figures.to_turns
+    if to_turns is None:
+        return None
+    turns = abs(to_turns - task.query.turns(task.context.object) - moved_turns(task))
+    return f"{figure(turns)} TURNS" if turns > LEAST_TURNS else ""
+
+
+def follows_from_state(thing: str, state: Any, query: WorldQuery, _: Mapping[str, float]) -> list[WorldChange]:
+    """Turns and frame of a bolt in this state."""
+    thread = query.thread(thing)
+    if thread is None:
+        return []
+    turns = thread.turns if state == LOOSE else 0.0
+    frame = geometry.normalise(query.turned_out(thing, turns)).tolist()
+    return [WorldChange(key=f"{thing}.turns", value=turns), WorldChange(key=f"{thing}.frame", value=frame)]
+
+
+def head_after_failure(task: AnalyzeTask, _: bool) -> list[WorldChange]:
+    """A head that was touched is known."""
+    return head_felt(task, Validity.VALID) if task.report.reason in task.step.expect else []
+
+
+def after_failure(task: AnalyzeTask, retried: bool) -> list[WorldChange]:
     """What a turn that has failed says about the bolt: unless the turn is proved, the bolt is believed where the way of
     the hand says, or a little farther in, and in doubt. A driver that has not felt the torque of the thread has turned
     nothing: it is seated again (`retried`). If it is not, the thread may be stripped: the state is in doubt. The place
@@ -194,8 +239,11 @@ def is_proved(task: AnalyzeTask) -> bool:
 
 
 def on_its_bolt(task: AnalyzeTask, spread: list[float]) -> list[float]:
-    """The spread of a driver, in its own axes, after it has turned a bolt: it is tilted by no more than its tip may be
-    from the axis of the bolt. How far the torque has turned it about its spindle shows in the opening of the hand."""
+    """The spread of a driver, in its own axes, after a step that may have turned a bolt. If it has, the driver is
+    tilted by no more than its tip may be from the axis of the bolt. How far the torque has turned it about its spindle
+    shows in the opening of the hand."""
+    if not is_proved(task):
+        return spread
     query, driver, tip = task.query, task.query.driver(task.evaluation.arm), _tip(task)
     if tip is None or driver is None or driver.spindle is None:
         return spread

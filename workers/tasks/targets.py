@@ -11,12 +11,12 @@ from rtc.protocol.outcomes import Refused, refuse_if
 from rtc.protocol.primitive import Vector
 from rtc.protocol.primitive_id import command_of
 from rtc.spatial import geometry
-from workers.binder import replan
-from workers.binder.bind_task import BindTask, refused_program, unknown_in_program
 from workers.conditions import stop_conditions
 from workers.planning import axes, step_target, suggestions, trust
 from workers.planning.motion.plan import Motion
 from workers.planning.segments import Target
+from workers.tasks import replan
+from workers.tasks.bind_task import BindTask, refused_program, unknown_in_program
 
 MIN_STEP_M = 0.001  # minimum length of a line with a defined direction
 MAX_TURN_RAD = math.radians(5.0)  # maximum rotation along a line with a constant direction in the tool frame

@@ -8,11 +8,11 @@ from rtc.protocol import causes
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import Compliance, ControlLaw, ForceProfile, HandMotion, Load, Trajectory
 from rtc.spatial.axis_names import AXES
-from workers.binder import impact
-from workers.binder.bind_task import BindTask, RuledTask, refused_program
 from workers.conditions.stop_conditions import Values
 from workers.planning import axes, suggestions
 from workers.planning.step_target import axis_of
+from workers.tasks import impact
+from workers.tasks.bind_task import BindTask, RuledTask, refused_program
 
 
 def control_law(task: RuledTask, trajectory: Trajectory, load: Load | None) -> ControlLaw:

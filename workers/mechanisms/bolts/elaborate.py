@@ -1,18 +1,92 @@
-"""Refusals about bolts: turns that a thread does not have, and what bolts fasten in a seat. Pure."""
+"""Bolts in a script: the figures of a thread, a driver in the hand, anchors on a head, and what is refused. Pure."""
 
 from __future__ import annotations
 
+import math
+
+from rtc.model.cells import parts
 from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile
 from rtc.protocol import causes
 from rtc.protocol.advice import by_sentence, fill_in, in_order
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, Refused
-from workers.elaborator import two_arms
-from workers.elaborator.task_candidate import TaskCandidate
+from rtc.spatial import geometry, hinges
+from rtc.spatial.geometry import Array
+from workers.planning.world_query import WorldQuery
+from workers.tasks.anchor import Anchor, refused
+from workers.tasks.candidate import TaskCandidate
+from workers.tasks.scripts import lets_go_first
+from workers.tasks.unmet import UnmetPrecondition
 
 LEAST_TURNS = 0.02  # a smaller turn is none
 SHARE = 0.8  # of the greatest torque, that advised sentences use
+ALONG_BOLT = (0.0, 0.0, 1.0)  # z of the tip of a spindle
+
+
+def figures(query: WorldQuery, thing: parts.Object) -> dict[str, float]:
+    """Whether an object is a driver or a bolt, and how far a bolt is out."""
+    found = {"has_spindle": float(thing.spindle is not None), "threaded": float(thing.thread is not None)}
+    if thing.thread is not None:
+        found |= {"out_turns": query.turns(thing.name), "thread_turns": thing.thread.turns}
+        found["thread_m"] = thing.thread.pitch_m * thing.thread.turns
+    return found
+
+
+def arms_with_driver(query: WorldQuery, thing: parts.Object) -> list[str]:
+    """The arms that hold a driver, for a bolt."""
+    return [arm.name for arm in query.cell.arms if query.driver(arm.name)] if thing.thread is not None else []
+
+
+def driver_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    """The hand holds an object with a spindle."""
+    query, arm = candidate.query, candidate.arm.name
+    if query.driver(arm) is not None:
+        return None
+    drivers = [thing.name for thing in query.cell.objects if thing.spindle is not None]
+    if not drivers:
+        return UnmetPrecondition(f"{query.cell.name} has no driver", "", "driver_there")
+    driver = drivers[0]
+    if holder := query.held_by(driver):
+        return UnmetPrecondition(f"{driver} is held by {holder}, not by {arm}", holder, "held_by_another", driver)
+    if held := query.holding(arm):
+        return UnmetPrecondition(f"{arm} holds {held}, and no driver", driver, "driver_hand_full", held)
+    return UnmetPrecondition(f"{arm} holds no driver", driver)
+
+
+def bolt(candidate: TaskCandidate) -> Anchor:
+    """The tcp pose at which the spindle of the held driver is on the head of the bolt, in the bolt's frame.
+
+    A bolt may be turned from any side: the hand keeps the attitude nearest to that of its home."""
+    name, grasp, pose = _on_head(candidate)
+    driver = candidate.query.holding(candidate.arm.name)
+    relies_on = (f"{driver}.grasp", f"{name}.frame")
+    return Anchor(pose=pose.tolist(), frame=name, grasp=grasp.tolist(), relies_on=relies_on)
+
+
+def bolt_out(candidate: TaskCandidate) -> Anchor:
+    """The same on the head of the bolt when it is out by all its turns, whether it is or not (world frame)."""
+    name, grasp, pose = _on_head(candidate)
+    thread = candidate.query.thread(name)
+    assert thread is not None
+    out = geometry.compose(candidate.query.turned_out(name, thread.turns), pose)
+    driver = candidate.query.holding(candidate.arm.name)
+    return Anchor(pose=out.tolist(), grasp=grasp.tolist(), relies_on=(f"{driver}.grasp",))
+
+
+def _on_head(candidate: TaskCandidate) -> tuple[str, Array, Array]:
+    """The bolt, the grasp of the driver, and the tcp pose on the head in the bolt's frame."""
+    assert candidate.thing is not None
+    name, query = candidate.thing.name, candidate.query
+    driver = query.driver(candidate.arm.name)
+    grasp = query.grasp(driver.name) if driver is not None else None
+    if candidate.thing.thread is None or driver is None or driver.spindle is None or grasp is None:
+        raise refused(f"{candidate.arm.name} cannot turn {name}", "an object with a thread, and a driver in the hand")
+    tip = geometry.compose(grasp, driver.spindle.frame.pose)
+    facing = geometry.from_rpy((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0))  # the axes of tip and bolt are opposed
+    home = query.model.arms[candidate.arm.name].fk(candidate.arm.home_rad)
+    angle = hinges.angle_of(geometry.compose(query.frame(name), facing), ALONG_BOLT, geometry.compose(home, tip))
+    return name, grasp, geometry.compose(hinges.turned(facing, ALONG_BOLT, angle), geometry.inverse(tip))
 
 
 def refuse_beyond_thread(script: ScriptFile, candidate: TaskCandidate) -> None:
@@ -70,7 +144,7 @@ def _beyond(candidate: TaskCandidate, there: float, now: float, most: float) -> 
 
 def refuse_fastened(script: ScriptFile, candidate: TaskCandidate) -> None:
     """Refuse to move a held object that bolts fasten in its seat, or to bring it into a seat whose bolts are in."""
-    if candidate.hand is None or not any(step.to for step in script.steps) or two_arms.lets_go_first(script):
+    if candidate.hand is None or not any(step.to for step in script.steps) or lets_go_first(script):
         return
     query = candidate.query
     held = query.holding(candidate.arm.name)

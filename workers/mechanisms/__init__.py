@@ -1,0 +1,21 @@
+"""The mechanisms of the robot, each in one folder: what it can do with touch, bolts, doors and so on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+from workers.mechanisms import bolts
+from workers.mechanisms.mechanism import Mechanism
+
+MECHANISMS: tuple[Mechanism, ...] = (bolts.MECHANISM,)
+
+Key = TypeVar("Key")
+Part = TypeVar("Part")
+
+
+def joined(part: Callable[[Mechanism], Mapping[Key, Part]]) -> dict[Key, Part]:
+    """This part of all mechanisms in one table. No two mechanisms use the same word."""
+    rows = [row for mechanism in MECHANISMS for row in part(mechanism).items()]
+    assert len(dict(rows)) == len(rows), sorted(str(key) for key, _ in rows)
+    return dict(rows)
