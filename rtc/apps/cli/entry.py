@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from rtc.apps.cli import halt_at_once
 from rtc.apps.cli.interrupts import leave_at_interrupts
 from rtc.runtime.environment import use_rooms
 
@@ -18,7 +17,10 @@ def main() -> None:
     if sys.argv[1:] == ["--version"]:
         print(import_module("rtc.apps.cli.version").line())
         return
-    if sys.argv[1:2] == ["halt"] and (status := halt_at_once.run(sys.argv[2:])) is not None:
+    if (
+        sys.argv[1:2] == ["halt"]
+        and (status := import_module("rtc.apps.cli.halt_at_once").run(sys.argv[2:])) is not None
+    ):
         sys.exit(status)
     use_rooms()
     if (status := import_module("rtc.apps.cli.forked").run(sys.argv[1:])) is not None:

@@ -238,7 +238,8 @@ def undo(
     Example:  rtc inject undo
     Example:  rtc inject undo jam BAY-2
     """
-    words = " ".join(name) if name else "ALL"
+    words = " ".join(name or ["all"])
+    words = "ALL" if words.lower() == "all" else words
     _change(lambda rtc: rtc.undo_fault(words), run_dir, json)
 
 

@@ -94,6 +94,8 @@ def do(
     if advice is not None:
         if file is not None or len(sentences or []) > 1:
             raise cli_error("--advice takes the number of one command at most, and no file: rtc do --advice 1 C-12", 2)
+        if parallel:
+            raise cli_error("--advice performs its sentences in their order; leave out --parallel", 2)
         record, _ = recall(sentences[0] if sentences else "", False, run_dir, key)
         sentences = advised(record, advice)
     lines = _program(sentences or [], file)

@@ -129,8 +129,10 @@ def _become(call: Call, line: socket.socket) -> NoReturn:
     status = 1
     try:
         line.settimeout(None)
-        line.send(str(os.getpid()).encode())
-        answer, fds, _, _ = socket.recv_fds(line, 1, 4)
+        answer, fds = b"", list[int]()
+        with contextlib.suppress(OSError):  # the caller may have gone
+            line.send(str(os.getpid()).encode())
+            answer, fds, _, _ = socket.recv_fds(line, 1, 4)
         if answer != BEGIN:
             os._exit(1)
         _take_over(call, fds, keep=line.fileno())

@@ -271,6 +271,7 @@ def test_injected_faults_are_in_the_status_until_they_are_undone(rtc: Run, run_d
     assert Image.open(tmp_path / "dark.png").convert("L").getextrema() == (0, 0)
 
     assert last_json(rtc("inject", "undo", "blind", "CAMERA-1", "--json"))["active"] == active[1:]
+    assert last_json(rtc("inject", "undo", "all", "--json"))["active"] == []
     with Client(run_dir) as client:
         assert client.undo_fault().active == []
         assert until_listed([], client.status) == []

@@ -31,6 +31,7 @@ from rtc.runtime.settings import LOCK, Settings, shell_command
         ("demo graps", "did you mean grasp?"),
         ("do --advice 1 C-1 C-2", "--advice takes the number of one command at most"),
         ("do --advice 1 --file plan.txt", "--advice takes the number of one command at most"),
+        ("do --advice 1 --parallel", "leave out --parallel"),
         ("demo grasp --part insertion", "--test and --part are for the demo swapout, not for grasp"),
         ("up --speed inf", "--speed is a number above 0, or max; not inf"),
         ("up --speed nan", "--speed is a number above 0, or max; not nan"),
