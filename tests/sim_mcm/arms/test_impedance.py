@@ -80,7 +80,7 @@ def test_the_measured_stiffness_is_the_commanded_one(world, bench, make, model, 
         start = model.fk(executor.sample.joints)
         push = [0.0] * 6
         push[axis] = 5.0
-        pushed(world, bench, push, 2500)
+        pushed(world, bench, push, 2500 if along < 1000.0 else 1000)  # a soft spring swings longer
         moved = model.fk(executor.sample.joints)[:3] - start[:3]
         assert moved[axis] == pytest.approx(5.0 / along, rel=0.05)
         assert np.abs(np.delete(moved, axis)).max() < 0.1 * moved[axis]
