@@ -109,8 +109,8 @@ def serve(listener: socket.socket, path: Path) -> None:
 def _files() -> list[str]:
     """Of rtc: the modules that this process has loaded, and the grammar that it has compiled."""
     root = os.path.dirname(str(rtc.__file__))
-    modules = [file for module in list(sys.modules.values()) if (file := module.__dict__.get("__file__") or "") > root]
-    return [*modules, os.path.join(root, "language", "command.lark")]
+    files = [module.__dict__.get("__file__") or "" for module in list(sys.modules.values())]
+    return [*(file for file in files if file.startswith(root)), os.path.join(root, "language", "command.lark")]
 
 
 def _times_of_files(files: list[str] | dict[str, int]) -> dict[str, int]:

@@ -594,6 +594,11 @@ def test_a_lost_link_is_shown_at_once_and_no_picture_stays(page: Page, gateway: 
 def test_a_killed_gateway_is_forgotten_and_its_successor_knows_the_commands(
     page: Page, gateway: Gateway, run_dir: Path
 ):
+    long = "HOLD RIGHT-ARM FOR 60 SEC"
+    with Client(run_dir) as client:
+        handle = client.submit(long)
+        client.halt("RIGHT-ARM")
+        handle.wait()
     life = page.ask("rtcConsole.state.life")
     gateway.end(signal.SIGKILL)
     page.wait("!document.querySelector('#banner').hidden")
@@ -602,5 +607,5 @@ def test_a_killed_gateway_is_forgotten_and_its_successor_knows_the_commands(
     gateway.start()
     page.wait(f"rtcConsole.state.life !== {life!r} && {READY}")
     page.wait(ENDED.format(text="STOW LEFT-ARM", kind="succeeded"))
-    page.wait(ENDED.format(text=SLOW, kind="halted"))
+    page.wait(ENDED.format(text=long, kind="halted"))
     assert page.problems == []
