@@ -37,7 +37,6 @@ from workers.tasks.report import at_rest, predicate_of, replaced
 TURN_TIMES = 201  # of a path, at which its turn is evaluated
 HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
 CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
-NO_FORCE = [0.0] * 6
 BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
 
 

@@ -135,7 +135,7 @@ def test_without_a_driver_in_the_hand_nothing_begins(make) -> None:
 
 
 @pytest.mark.physics
-@pytest.mark.parametrize("friction", [0.8, 1.2])
+@pytest.mark.parametrize("friction", [0.8, 1.0, 1.2])
 def test_the_wrist_feels_the_catch_of_the_rack(friction: float) -> None:
     """A catch that holds the attitude with 10 N.m twists what is pulled between the pads, and the simulated sensor
     misses that: it read 0.7 N where the catch pulled with 10 N, and a tug took the driver for free."""
