@@ -12,7 +12,7 @@ import signal
 import socket
 import subprocess
 from collections import deque
-from collections.abc import Container
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -53,6 +53,19 @@ class ProcessState(StrEnum):
     FAILED = "failed"  # not restarted any more
     ENDING = "ending"  # SIGTERM sent
     ENDED = "ended"
+
+
+_WAITS = frozenset({ProcessState.PENDING, ProcessState.WAITING, ProcessState.LOOPING})
+_AFTER_A_DEATH = frozenset({ProcessState.WAITING, ProcessState.LOOPING, ProcessState.FAILED})
+#: what may follow what; only a process that runs is ended, and a failed or ended one stays so
+FOLLOWS: Mapping[ProcessState, frozenset[ProcessState]] = {
+    **dict.fromkeys(_WAITS, _AFTER_A_DEATH | {ProcessState.STARTING}),  # or it cannot be started
+    ProcessState.STARTING: _AFTER_A_DEATH | {ProcessState.READY, ProcessState.ENDING},
+    ProcessState.READY: _AFTER_A_DEATH | {ProcessState.ENDING},
+    ProcessState.ENDING: frozenset({ProcessState.ENDING, ProcessState.ENDED}),
+    ProcessState.FAILED: frozenset(),
+    ProcessState.ENDED: frozenset(),
+}
 
 
 class ForkConnection:
@@ -130,9 +143,12 @@ class Child:
     @property
     def waits(self) -> bool:
         """True while it waits for its next start."""
-        return self.state in (ProcessState.PENDING, ProcessState.WAITING, ProcessState.LOOPING)
+        return self.state in _WAITS
 
     def become(self, state: ProcessState) -> None:
+        """Changes its state. Raises ValueError for a change that `FOLLOWS` does not have."""
+        if state not in FOLLOWS[self.state]:
+            raise ValueError(f"{self.spec.name} is {self.state}: it does not become {state}")
         self.state, self.since_s, self.worked_s = state, now_s(), 0.0
 
     def start(self, fork_server: ForkConnection | None = None) -> None:

@@ -27,7 +27,7 @@ T0 = 1000.0
 def child(state: ProcessState, worked_s: float, busy_s: float) -> Child:
     """A process without output since T0, which has used the processor for so long, the last time at `busy_s`."""
     made = Child(Spec("world", (), beats=True), Path("/nowhere"))
-    made.become(state)
+    made.state = state
     made.since_s = made.last_output_s = T0
     made.worked_s, made.busy_s = worked_s, busy_s
     return made
@@ -64,6 +64,23 @@ def test_a_process_that_is_to_end_is_killed_by_the_same_rule(
 ) -> None:
     now = T0 + passed_s
     assert _ended_too_late(child(ProcessState.ENDING, worked_s, now - idle_s), now) is late
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (ProcessState.FAILED, ProcessState.STARTING),
+        (ProcessState.ENDED, ProcessState.ENDING),
+        (ProcessState.ENDING, ProcessState.READY),  # its last output, after SIGTERM
+        (ProcessState.PENDING, ProcessState.READY),
+        (ProcessState.READY, ProcessState.STARTING),  # before its death is known
+    ],
+)
+def test_a_process_changes_its_state_by_the_table_alone(before: ProcessState, after: ProcessState) -> None:
+    made = child(before, 0.0, 0.0)
+    with pytest.raises(ValueError, match=str(before)):
+        made.become(after)
+    assert made.state is before
 
 
 def answered(command: list[str], after_s: float, monkeypatch: pytest.MonkeyPatch) -> int:
