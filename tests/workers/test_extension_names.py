@@ -62,7 +62,10 @@ def test_every_placeholder_of_a_label_is_filled_in(bench):
 
 
 #: modules whose texts are given to all rows, or that compute the name of a row
-OF_ALL_ROWS = ("tasks/candidate.py", "elaborator/preconditions.py", "planning/trust.py")
+OF_ALL_ROWS = (
+    *("tasks/candidate.py", "elaborator/preconditions.py", "planning/trust.py"),
+    *("mechanisms/collision_advice.py", "mechanisms/hinges/advice.py"),
+)
 
 
 @pytest.mark.parametrize(

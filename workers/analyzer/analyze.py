@@ -39,9 +39,9 @@ from workers.analyzer.step_changes import (
     target_changes,
     touched_object_changes,
 )
-from workers.analyzer.world_changes import EFFECTS, Changes, angles
+from workers.analyzer.world_changes import EFFECTS, Changes
 from workers.conditions import installed_phases, reflexes, sharing
-from workers.mechanisms import joined
+from workers.mechanisms import each, joined
 from workers.planning import in_seat, trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -66,6 +66,7 @@ WRUNG = frozenset({StopReason.CONTACT, StopReason.TORQUE_LIMIT, StopReason.SLIP}
 
 #: effect of a step of a mechanism -> what its failure changes in the world
 AFTER_FAILURE = joined(lambda mechanism: mechanism.after_failure)
+DERIVED = each(lambda mechanism: mechanism.derived)
 
 #: figures that the program must define
 VALUES = (
@@ -179,7 +180,11 @@ def _success_changes(task: AnalyzeTask) -> Changes:
         changes += EFFECTS[effect](task, Validity.VALID)
     changes += held_object_changes(task, changes, suspect=False)
     changes += pressed_on(task)
-    return angles(task.query, with_spread(task, merged(changes)))
+    return _with_derived(task, with_spread(task, merged(changes)))
+
+
+def _with_derived(task: AnalyzeTask, changes: Changes) -> Changes:
+    return [*changes, *(one for derived in DERIVED for one in derived(task.query, changes))]
 
 
 def _remark(task: AnalyzeTask) -> str:
@@ -253,4 +258,4 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass, *, retried: bool)
     may_retry = failure.retriable and not task.data.closing and not task.data.trims_used
     if missed in EFFECTS and may_retry:
         changes += EFFECTS[missed](task, Validity.SUSPECT)
-    return angles(task.query, with_spread(task, merged(changes)))
+    return _with_derived(task, with_spread(task, merged(changes)))

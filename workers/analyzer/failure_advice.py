@@ -16,8 +16,8 @@ from rtc.spatial.geometry import Floats
 from workers.analyzer import failure_words, what_is_left
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
 from workers.analyzer.world_changes import Changes
+from workers.mechanisms.collision_advice import about
 from workers.planning import trust
-from workers.planning.advice import turn_in_words
 from workers.planning.lines_of_sight import hiders
 from workers.tasks.analyze_task import AnalyzeTask
 
@@ -121,7 +121,7 @@ def _uncovered(task: AnalyzeTask, body: str) -> Advice:
         else:
             continue
         if hiders(query.after([gone]), cameras, body)[0]:
-            return fill_in(clears.get(row, []), {"turn": turn_in_words(query, name), "before": name})
+            return fill_in(clears.get(row, []), {**about(query, name), "before": name})
     return []
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import msgspec
-import numpy as np
 
 from rtc.programs.schema import OutcomeClass
 from rtc.protocol.messages import Validity, WorldChange
@@ -13,12 +12,13 @@ from rtc.world.facts import TRUSTED
 from rtc.world.spread import even, widened
 from workers.analyzer import flat_grip
 from workers.analyzer.world_changes import EFFECTS, Changes, perhaps_taken
-from workers.mechanisms import MECHANISMS
+from workers.mechanisms import each
 from workers.planning import pose_spread, shared_hold
 from workers.tasks.analyze_task import AnalyzeTask
 
 UNTURNED_RAD = 1e-6  # a smaller angle is of the arithmetic: the value stays
 CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
+SPREADS, IN_PLACE = each(lambda mechanism: mechanism.spread), each(lambda mechanism: mechanism.spread_in_place)
 
 
 def held_object_changes(
@@ -84,9 +84,8 @@ def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
     fact = task.query.world.get(f"{thing}.grasp") if thing else None
     if fact is None or fact.value is None:
         return changes
-    if task.query.hinge(thing) is not None:
-        spread = _rolled(task, thing, changes)
-    else:
+    spread = next((found for in_place in IN_PLACE if (found := in_place(task, changes)) is not None), None)
+    if spread is None:
         moved_s = report.duration_s - report.paused_s if report.moved_s is None else report.moved_s
         spread = pose_spread.crept_spread(task.query.spread(fact.key), moved_s, task.query.cell.numbers)
         if report.tcp_pose:
@@ -97,8 +96,8 @@ def with_spread(task: AnalyzeTask, changes: Changes) -> Changes:
         wider_m = max(map(abs, _widened_m(task).values()))
         if wider_m <= task.values["opened_m"]:  # else they have let go of it
             spread = pose_spread.askew_spread(spread, fact.value, wider_m, task.values["pad_m"])
-            for mechanism in MECHANISMS:
-                spread = mechanism.spread(task, spread)
+            for spread_of in SPREADS:
+                spread = spread_of(task, spread)
             return _between_pads(task, changes, spread)
     return _stated(changes, thing, spread)
 
@@ -133,22 +132,6 @@ def _stated(changes: Changes, thing: str, spread: list[float]) -> Changes:
         else change
         for change in changes
     ]
-
-
-def _rolled(task: AnalyzeTask, thing: str, changes: Changes) -> list[float]:
-    """The spread of a held object with a hinge: it keeps its place, and a round bar rolls when its hand turns it."""
-    hinge, fact = task.query.hinge(thing), task.query.world.get(f"{thing}.grasp")
-    turned = next((change.value for change in changes if change.key == f"{thing}.frame"), None)
-    assert hinge is not None
-    assert fact is not None
-    spread = task.query.spread(fact.key)
-    points = task.query.cell.object(thing).grasp_points
-    point = min(points, key=lambda one: geometry.distance(one.frame.pose, geometry.inverse(fact.value)), default=None)
-    if turned is None or point is None or not point.round:
-        return list(spread)
-    lever_m = float(np.linalg.norm(np.cross(point.frame.xyz, hinge.axis)))
-    rolled_m = 0.5 * point.width_m * geometry.angle(task.query.frame(thing), turned)
-    return pose_spread.rolled_spread(spread, hinge.axis, rolled_m, task.values["rolled_m"], lever_m)
 
 
 def moved_in_hand(

@@ -19,21 +19,20 @@ from rtc.model.robot.collision_scene import Held
 from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused, refuse_if
 from rtc.protocol.primitive.limits import HEAVIEST_KG
-from rtc.spatial import geometry, hinges
+from rtc.spatial import geometry
 from rtc.world.facts import TRUSTED
-from rtc.world.model import ATTRIBUTES, BOLT_STATES, location
+from rtc.world.model import ATTRIBUTES, location
+from workers.mechanisms import each
 from workers.planning import scenes
 from workers.planning.world_query import WorldQuery
 
 Values = Mapping[str, float]
 Problems = Iterator[tuple[str, str]]  # key, problem
 
-HINGE_OFF_M = 0.05  # maximum error of a hinge's place on its body in the cell file
-HINGE_OFF_RAD = 0.1  # maximum error of its axis, and of an angle at a stop
 INSIDE_M = 0.005  # an object that is deeper in a link of an arm than this is not there; less is an error of its pose
-WHOLE_TURN = 1e-6  # tolerance of the turns of a bolt
 #: attributes with a meaning
-OF_OBJECT, OF_HINGE, OF_BOLT = ("frame", "seat", "held_by", "grasp", "mass"), ("angle",), ("turns",)
+OF_OBJECT = ("frame", "seat", "held_by", "grasp", "mass")
+ATTRIBUTES_OF, IMPOSSIBLE = each(lambda mechanism: mechanism.attributes), each(lambda mechanism: mechanism.impossible)
 OF_USER = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")  # an attribute without one
 OF_PLACE = re.compile(r"[A-Z][A-Z0-9]*(-[A-Z0-9]+)*")
 
@@ -81,15 +80,10 @@ def _attributes(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQ
             continue
         if not OF_USER.fullmatch(attribute):
             yield change.key, f"{attribute!r:.40} is not the name of an attribute"
-        of_thing = {
-            *OF_OBJECT,
-            *(OF_HINGE if thing and thing.hinge else ()),
-            *(OF_BOLT if thing and thing.thread else ()),
-        }
-        fitting = {"frame"} if thing is None else of_thing
-        if attribute in ATTRIBUTES and attribute not in fitting and change.value is not None:
+        own = {"frame"} if thing is None else {*OF_OBJECT, *(name for of in ATTRIBUTES_OF for name in of(thing))}
+        if attribute in ATTRIBUTES and attribute not in own and change.value is not None:
             kind = "a seat" if thing is None else "this object"
-            yield change.key, f"{place} has no {attribute}: of {kind} there are {', '.join(sorted(fitting))}"
+            yield change.key, f"{place} has no {attribute}: of {kind} there are {', '.join(sorted(own))}"
 
 
 def _postures(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
@@ -124,18 +118,7 @@ def _figures(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuer
             continue
         if not thing.fixed and attribute == "mass" and change.value > HEAVIEST_KG:
             yield change.key, f"{change.key} would be {change.value:g} kg; a load has at most {HEAVIEST_KG:g} kg"
-        if thing.hinge is not None and attribute == "angle":
-            least, most = thing.hinge.range_rad
-            if not least - HINGE_OFF_RAD <= change.value <= most + HINGE_OFF_RAD:
-                stops = f"from {math.degrees(least):g} to {math.degrees(most):g} deg"
-                yield change.key, f"{change.key} would be {math.degrees(change.value):.0f} deg; it turns {stops}"
-        if thing.hinge is not None and attribute == "frame" and (off := off_hinge(thing.name, change.value, after)):
-            yield change.key, off
-        most = thing.thread.turns + WHOLE_TURN if thing.thread is not None else math.inf
-        if attribute == "turns" and not -WHOLE_TURN <= change.value <= most:
-            yield change.key, f"{change.key} would be {change.value:g}; it has {most:g}"
-        if thing.thread is not None and attribute == "state" and change.value not in BOLT_STATES:
-            yield change.key, f"{change.key} is {change.value!s:.40}; a bolt is {', '.join(BOLT_STATES)}"
+        yield from ((change.key, why) for impossible in IMPOSSIBLE if (why := impossible(change, thing, after)))
 
 
 def _seats(changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Values) -> Problems:
@@ -199,25 +182,3 @@ def _placed(changes: Sequence[WorldChange], after: WorldQuery) -> set[str]:
 
 
 CHECKS = (_attributes, _postures, _spreads, _names, _figures, _seats, _arms, _bodies)
-
-
-def off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:
-    """Why an object with a hinge cannot be at this frame; empty if it can, or has no hinge.
-
-    Its hinge is where the body that it is mounted on has it, up to an error of the survey.
-    """
-    known = query.cell.object(thing)
-    if known.hinge is None:
-        return ""
-    home, (least, most) = query.mount(known), known.hinge.range_rad
-    angle = hinges.angle_of(home, known.hinge.axis, frame)
-    place = hinges.turned(home, known.hinge.axis, angle)
-    off_m, tilt_rad = geometry.distance(place, frame), geometry.angle(place, frame)
-    if off_m > HINGE_OFF_M:
-        return f"{thing} would be {off_m * 1000:.0f} mm from its hinge; {HINGE_OFF_M * 1000:.0f} mm is the most"
-    if tilt_rad > HINGE_OFF_RAD:
-        return f"{thing} would be tilted by {math.degrees(tilt_rad):.0f} deg against its hinge"
-    if not least - HINGE_OFF_RAD <= angle <= most + HINGE_OFF_RAD:
-        stops = f"from {math.degrees(least):g} to {math.degrees(most):g} deg"
-        return f"{thing} would be at {math.degrees(angle):.0f} deg; it turns {stops}"
-    return ""

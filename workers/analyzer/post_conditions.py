@@ -8,9 +8,9 @@ from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import Condition
 from rtc.sensing import rest
 from rtc.spatial import geometry
-from workers.analyzer import sighting, what_is_left
+from workers.analyzer import sighting
 from workers.conditions import reflexes
-from workers.mechanisms import joined
+from workers.mechanisms import each, joined
 from workers.tasks.analyze_task import AnalyzeTask
 
 SEEN = "sighted"  # effect of steps that look
@@ -30,6 +30,7 @@ UNMET = "unmet"  # finding of a step that has reached its end before the conditi
 
 #: effect of a step of a mechanism -> what is wrong with it
 VIOLATED = joined(lambda mechanism: mechanism.violated)
+HAS_REACHED = each(lambda mechanism: mechanism.has_reached)
 
 
 STILL_RAD, TRAVEL_RAD = 0.001, 0.02  # turn of a joint that is stuck, and of one that has moved
@@ -63,7 +64,8 @@ def violated(task: AnalyzeTask) -> str:
         return VAGUE
     within_m = evaluation.step.figures.within_m
     if within_m is not None:  # instead of the tolerance of the program
-        return "elsewhere" if distance_off_m(task) > within_m and not what_is_left.has_turned(task) else ""
+        there = distance_off_m(task) <= within_m or any(has_reached(task) for has_reached in HAS_REACHED)
+        return "" if there else "elsewhere"
     pressed = evaluation.step.figures.press_n is not None  # it ends where the obstacle is
     if report.reason is StopReason.GOAL and evaluation.goal_pose is not None and not pressed:
         turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)

@@ -19,7 +19,7 @@ from rtc.spatial import geometry
 from rtc.world.model import initial_facts, location, problem
 from rtc.world.spread import even
 from workers.analyzer import impossible
-from workers.mechanisms import joined
+from workers.mechanisms import each
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
@@ -41,7 +41,8 @@ def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) ->
         if wrong:
             raise _refused(wrong, key, "repeat it with the correct value and unit")
         changes.append(change)
-        changes += FOLLOWS[attribute](thing, value, query, values) if attribute in FOLLOWS else []
+        for follows in (table[attribute] for table in FOLLOWS if attribute in table):
+            changes += follows(thing, value, query, values)
     impossible.refuse(changes, query, values)
     return changes
 
@@ -84,8 +85,6 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
     """Changes of seat, grasp or seated objects that follow from a new frame."""
     if any(seat.name == thing for seat in query.cell.seats):
         return _moved_with(thing, frame, query)
-    if off := impossible.off_hinge(thing, frame, query):
-        raise _refused(off, f"{thing}.frame", f"SET {thing} ANGLE 0 DEG, or its angle; or its hinge in the cell file")
     if query.held_by(thing):
         return _in_hand(thing, frame, query, values)
     seat = seat_at(frame, query, values["seated_m"], values["seated_rad"])
@@ -229,8 +228,5 @@ def _initial(query: WorldQuery) -> Changes:
     return list(begin.values())
 
 
-FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes]] = {
-    "frame": _placed,
-    "facts": _whole,
-    **joined(lambda mechanism: mechanism.follows),
-}
+Follows = Mapping[str, Callable[[str, Any, WorldQuery, Values], Changes]]
+FOLLOWS: list[Follows] = [*each(lambda mechanism: mechanism.follows), {"frame": _placed, "facts": _whole}]

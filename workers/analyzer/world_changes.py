@@ -8,10 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import msgspec
-
 from rtc.protocol.messages import Validity, WorldChange
-from rtc.spatial import geometry, hinges
+from rtc.spatial import geometry
 from rtc.world.spread import widened
 from workers.analyzer import touch
 from workers.analyzer.sighting import sighted
@@ -97,21 +95,6 @@ def landed(task: AnalyzeTask, validity: Validity) -> Changes:
     """One finger touched the object from the front: the object is displaced to that finger's side."""
     found = touch.beside(task)
     return [] if found is None else _seen(task, found, validity)
-
-
-def angles(query: WorldQuery, changes: Changes) -> Changes:
-    """The changes, with the angle of each object with a hinge whose frame they state. It counts from the place of the
-    hinge on the body that the object is mounted on."""
-    found = []
-    for change in changes:
-        thing, _, attribute = change.key.rpartition(".")
-        hinge = query.hinge(thing) if attribute == "frame" else None
-        if hinge is None:
-            continue
-        home = query.after(changes).mount(query.cell.object(thing))
-        angle = None if change.keep_value else hinges.angle_of(home, hinge.axis, change.value)
-        found.append(msgspec.structs.replace(change, key=f"{thing}.angle", value=angle, spread=None))
-    return [*changes, *found]
 
 
 def _seen(task: AnalyzeTask, found: touch.Found, validity: Validity) -> Changes:

@@ -30,6 +30,7 @@ from workers.binder.operated import bind_operated
 from workers.conditions import installed_phases, prediction, sharing
 from workers.conditions.prediction import Expected
 from workers.mechanisms import joined
+from workers.mechanisms.collision_advice import advise_on_collision
 from workers.planning import step_target, suggestions
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -65,8 +66,10 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
         bound = _bound(BindTask(compiled, query, msgspec.structs.replace(data, step=step)))
         return installed_phases.applied(compiled.phases, data, bound)
     except Refused as refused:
-        infeasible = refused.refusal.reason is RefusalReason.INFEASIBLE
-        return refused.refusal.offering(sharing.offer(query, data.context) if infeasible else "")
+        arm, limits, leaves = data.step.arm or data.context.arm, data.context.limits, data.step.words.leaves == "seat"
+        advised = advise_on_collision(refused.refusal, query, arm, compiled.clears, limits, leaves_seat=leaves)
+        infeasible = advised.reason is RefusalReason.INFEASIBLE
+        return advised.offering(sharing.offer(query, data.context) if infeasible else "")
     except expressions.ExpressionError as error:
         lacking = "a figure that the step needs must be in the script, the program or the cell"
         return refused_program(str(error), lacking).refusal

@@ -65,16 +65,6 @@ def seat(candidate: TaskCandidate) -> Anchor:
     )
 
 
-def hinge(candidate: TaskCandidate) -> Anchor:
-    """A pose on the hinge of the object, in the object's frame: its z is the axis."""
-    assert candidate.thing is not None
-    name, hinge = candidate.thing.name, candidate.thing.hinge
-    if hinge is None:
-        raise refused(f"{name} has no hinge", "an object that has a hinge")
-    pose = hinges.frame(geometry.IDENTITY, hinge.axis).tolist()
-    return Anchor(pose=pose, frame=name, relies_on=(f"{name}.frame", f"{name}.angle"))
-
-
 def destination(candidate: TaskCandidate) -> Anchor:
     """The destination of MOVE ... TO."""
     place = candidate.parsed.place
@@ -194,7 +184,6 @@ ANCHORS: dict[str, Callable[[TaskCandidate], Anchor]] = {
     "destination": destination,
     "stow": stow,
     "seat": seat,
-    "hinge": hinge,
     "meeting": meeting,
     "here": here,
     **joined(lambda mechanism: mechanism.anchors),

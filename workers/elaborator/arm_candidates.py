@@ -18,13 +18,15 @@ from rtc.protocol.sentence import BOTH_ARMS, Destination, ParsedCommand
 from rtc.spatial import geometry
 from rtc.world.model import BOLT_STATES
 from workers.elaborator import two_arms
-from workers.elaborator.figures import figures_of
+from workers.elaborator.figures import with_figures
 from workers.elaborator.script_options import fits_sentence
-from workers.mechanisms import MECHANISMS
+from workers.mechanisms import each
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.candidate import TaskCandidate
 from workers.tasks.scripts import lets_go_first
+
+ARMS = each(lambda mechanism: mechanism.arms)
 
 
 def candidates(
@@ -45,13 +47,10 @@ def candidates(
         about = thing or _shared(program, scripts, parsed, query, arm)
         for partner, meeting in two_arms.seconds(query, parsed, arm):
             for point in points:
-                figures = figures_of(program, parsed, query, arm, about, point, target, partner)
-                figures["meets"] = float(meeting is not None)
-                allowed.append(
-                    TaskCandidate(
-                        query, program, parsed, limits, arm, about, point, target, figures, None, None, partner, meeting
-                    )
+                made = TaskCandidate(
+                    query, program, parsed, limits, arm, about, point, target, {}, None, None, partner, meeting
                 )
+                allowed.append(with_figures(made))
     return sorted(allowed, key=_far)
 
 
@@ -132,7 +131,7 @@ def _arms(
         if parsed.hand == BOTH_ARMS:
             return [two_arms.both_arms(program, scripts, parsed, query)]
         return [_part(cell.arms, parsed.hand, "arm")]
-    able = [name for mechanism in MECHANISMS for name in mechanism.arms(query, thing)] if thing else []
+    able = [name for arms in ARMS for name in arms(query, thing)] if thing else []
     if able:
         return [arm for arm in cell.arms if arm.name in able]
     holder = query.held_by(thing.name) if thing else ""

@@ -34,7 +34,8 @@ from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.elaborator import anchors
 from workers.elaborator.anchors import ANCHORS
 from workers.elaborator.sentence_of import sentence_of
-from workers.planning import advice, axes, in_seat, scenes, segments, shared_hold, suggestions, trust
+from workers.mechanisms.collision_advice import advise_on_collision
+from workers.planning import axes, in_seat, scenes, segments, shared_hold, suggestions, trust
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
@@ -205,7 +206,7 @@ def _search(
     out = any(step.words.get("leaves") == "seat" for step in script.steps)
     closer = partial(_closer, candidate.parsed)
     query, arm = candidate.query, candidate.arm.name
-    first = advice.advise_on_collision(
+    first = advise_on_collision(
         first, query, arm, clears, limits, goal, out, closer, has_others=True, has_left=has_left
     )
     raise Refused(first.after(ways_tried=len(ways)))

@@ -9,54 +9,37 @@ from __future__ import annotations
 import math
 
 import msgspec
-import numpy as np
+from msgspec.structs import replace
 
 from rtc.model.cells import parts
 from rtc.programs import attributes, expressions
 from rtc.programs.schema import ElaboratorProgram, TableRow
 from rtc.protocol.outcomes import RefusalReason, Refused
-from rtc.protocol.sentence import ParsedCommand, Quantity
+from rtc.protocol.sentence import Quantity
 from rtc.protocol.units import SUFFIXES
 from rtc.spatial import geometry
 from rtc.world.spread import narrowest
-from workers.mechanisms import MECHANISMS
+from workers.mechanisms import each
 from workers.planning import pose_spread, trust
 from workers.planning.trust import AHEAD_S
 from workers.planning.world_query import WorldQuery
 from workers.tasks import object_attributes
 from workers.tasks.candidate import TaskCandidate
 
+FIGURES = each(lambda mechanism: mechanism.figures)
+
 
 def of_partner(candidate: TaskCandidate) -> TaskCandidate:
     """The same candidate as the second arm sees it: for the steps that it performs. Raises Refused."""
     assert candidate.partner is not None, "a script for two arms has two"
-    figures = figures_of(
-        candidate.program,
-        candidate.parsed,
-        candidate.query,
-        candidate.partner,
-        candidate.thing,
-        candidate.point,
-        candidate.target,
-        candidate.hand,
-    )
     limits = msgspec.structs.replace(candidate.limits, attitude=None)  # only the first hand keeps it
-    return msgspec.structs.replace(
-        candidate, hand=candidate.partner, partner=candidate.hand, figures=figures, limits=limits
-    )
+    return with_figures(replace(candidate, hand=candidate.partner, partner=candidate.hand, limits=limits))
 
 
-def figures_of(
-    program: ElaboratorProgram,
-    parsed: ParsedCommand,
-    query: WorldQuery,
-    arm: parts.Arm | None,
-    thing: parts.Object | None,
-    point: parts.GraspPoint | None,
-    target: parts.Seat | None,
-    partner: parts.Arm | None = None,
-) -> dict[str, float]:
-    """All figures of a candidate. Raises Refused if the command-object table has no row for it."""
+def with_figures(candidate: TaskCandidate) -> TaskCandidate:
+    """The candidate with all its figures. Raises Refused if the command-object table has no row for it."""
+    program, parsed, query, thing = candidate.program, candidate.parsed, candidate.query, candidate.thing
+    arm, point, target = candidate.hand, candidate.point, candidate.target
     figures: dict[str, float] = msgspec.structs.asdict(query.cell.numbers)
     of_object = object_attributes.figures(program, query, thing)
     figures |= _table(program, parsed.verb, thing, query, figures | of_object) | of_object
@@ -66,28 +49,19 @@ def figures_of(
         for figure, of_hand in program.by_hand.items():
             if figure in figures:
                 figures[figure] = min(figures[figure], figures[of_hand])
-    between = point or (query.point_in_hand(thing.name) if thing and query.held_by(thing.name) else None)
-    if between is not None:
-        figures["grasp_width_m"] = between.width_m
+    if candidate.between is not None:
+        figures["grasp_width_m"] = candidate.between.width_m
     if point is not None and thing is not None:
         figures |= pose_spread.uncertainty_figures(query.spread(f"{thing.name}.frame"), point.frame.pose)
         figures["seen"] = float(query.finds(thing.name))
-    figures["shared"] = float(_shared(query, arm, thing, partner))
+    figures["shared"] = float(_shared(query, arm, thing, candidate.partner))
+    figures["meets"] = float(candidate.meeting is not None)
     if thing is not None:
         figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
-        figures["hinged"] = float(thing.hinge is not None)
         figures["held_elsewhere"] = float(arm is not None and query.held_by(thing.name) not in ("", arm.name))
         figures["slot_m"] = _slot_m(query, thing)
-        if thing.hinge is not None:
-            least, most = thing.hinge.range_rad
-            figures |= {"hinge_rad": query.angle(thing.name), "hinge_least_rad": least, "hinge_most_rad": most}
-            if between is not None:
-                arc = np.cross(thing.hinge.axis, between.frame.xyz)  # way of the grasp point per radian, object's axes
-                figures["hinge_lever_m"] = float(np.linalg.norm(arc))
-                away = float(arc @ geometry.rotate(between.frame.pose, (0.0, 0.0, 1.0)))
-                figures["hinge_push"] = math.copysign(1.0, away)
-        for mechanism in MECHANISMS:
-            figures |= mechanism.figures(query, thing)
+    for figures_of in FIGURES:
+        figures |= figures_of(candidate)
     if target is not None:
         figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
         figures["held_unsure_m"] = _held_unsure_m(query, thing, target) if thing is not None else 0.0
@@ -96,7 +70,7 @@ def figures_of(
     figures |= _figure_of("to", parsed.to_value)
     if parsed.duration_s is not None:
         figures["duration_s"] = parsed.duration_s
-    return figures
+    return replace(candidate, figures=figures)
 
 
 def _shared(query: WorldQuery, arm: parts.Arm | None, thing: parts.Object | None, partner: parts.Arm | None) -> bool:

@@ -13,7 +13,7 @@ from rtc.protocol.advice import Advice, fill_in
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
-from workers.elaborator.figures import figures_of
+from workers.elaborator.figures import with_figures
 from workers.planning import sight, suggestions, trust
 from workers.planning.world_query import WorldQuery
 from workers.tasks import object_attributes
@@ -48,8 +48,8 @@ def candidates(
     if parsed.target is not None and target is None:
         raise suggestions.unknown("seat", parsed.target, [one.name for one in cell.seats])
     cameras = _cameras(program, parsed, query, name)
-    figures = figures_of(program, parsed, query, None, None, None, None)
-    figures |= object_attributes.figures(program, query, thing)
+    alone = TaskCandidate(query, program, parsed, limits, None, None, None, None, {})
+    figures = with_figures(alone).figures | object_attributes.figures(program, query, thing)
     return [
         TaskCandidate(query, program, parsed, limits, None, thing, None, target, figures, camera, seat)
         for camera in cameras

@@ -113,12 +113,6 @@ def _object_seated(candidate: TaskCandidate) -> UnmetPrecondition | None:
     )
 
 
-def _object_hinged(candidate: TaskCandidate) -> UnmetPrecondition | None:
-    assert candidate.thing is not None
-    name = candidate.thing.name
-    return None if candidate.thing.hinge is not None else UnmetPrecondition(f"{name} has no hinge", name)
-
-
 def _seat_free(candidate: TaskCandidate) -> UnmetPrecondition | None:
     assert candidate.target is not None
     inside = [t.name for t in candidate.query.cell.objects if candidate.query.seat(t.name) == candidate.target.name]
@@ -157,7 +151,6 @@ NEEDS: dict[str, Callable[[TaskCandidate], UnmetPrecondition | None]] = {
     "other_handle": _other_handle,
     "object_held": _object_held,
     "object_seated": _object_seated,
-    "object_hinged": _object_hinged,
     "seat_free": _seat_free,
     "width_known": _width_known,
     "partner_empty": _partner_empty,

@@ -11,7 +11,7 @@ from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
 from workers.conditions import reflexes
-from workers.elaborator import anchors, command_fields, done_already, hinged, preconditions, two_arms
+from workers.elaborator import anchors, command_fields, done_already, preconditions, two_arms
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.mechanisms import MECHANISMS
@@ -133,9 +133,6 @@ CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
     _refuse_nothing_held,
     _refuse_unmet,
     _refuse_unknown_place,
-    hinged.refuse_other_motion,
-    hinged.refuse_turn_of_hand,
-    hinged.refuse_beyond_stops,
     *(check for mechanism in MECHANISMS for check in mechanism.checks),
     two_arms.refuse_moving_alone,
     _refuse_unsure_grasp,

@@ -19,6 +19,7 @@ from workers.elaborator import look, surrender
 from workers.elaborator.backtrack import FRAME, GRASP
 from workers.elaborator.figures import of_partner
 from workers.elaborator.script_options import ScriptOption
+from workers.mechanisms import each
 from workers.planning import segments, suggestions
 from workers.tasks.candidate import TaskCandidate
 
@@ -34,6 +35,7 @@ class Compiled:
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
 FIGURES = frozenset(StepFigures.__struct_fields__)
 ENDS = "ends"  # word of a step that UNTIL ends; another one that watches it may end otherwise too
+STRAINS = each(lambda mechanism: mechanism.strains)
 MAX_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
 
 
@@ -175,13 +177,9 @@ def _fits(piece: ScriptPiece, script: ScriptFile, candidate: TaskCandidate) -> b
     nowhere = candidate.target is None and any("{way_out}" in step.words.get("axis", "") for step in own)
     bound = all({step.to, step.words.get("about", "")} <= poses for step in own)
     known = figures <= candidate.figures.keys()
-    return bool(own) and bound and known and not (blind or nowhere or _strains(own, candidate))
-
-
-def _strains(steps: list[ScriptStep], candidate: TaskCandidate) -> bool:
-    """Whether the steps would move a held object with a hinge otherwise than about it."""
-    hinged = candidate.thing is not None and candidate.thing.hinge is not None
-    return hinged and steps[0].op != "open" and any(step.space == "move_task" for step in steps)
+    if not own or any(strains(own, candidate) for strains in STRAINS):
+        return False
+    return bound and known and not (blind or nowhere)
 
 
 def _cannot_try(name: str, compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> Refused:

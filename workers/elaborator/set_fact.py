@@ -6,8 +6,6 @@ the values have its number and unit. The analyzer judges whether the facts are p
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from typing import Any
 
 from rtc.model.cells import parts
@@ -19,14 +17,13 @@ from rtc.protocol.messages import SavedWorld, Script, ScriptContext, Step, StepW
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.protocol.spelling import nearest
-from rtc.spatial import geometry, hinges
+from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from rtc.world.model import LOOSE, TIGHT
 from workers.elaborator import command_fields, preconditions, strategies, teach
+from workers.mechanisms import joined
+from workers.mechanisms.mechanism import Stated, Thing
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
-
-Thing = parts.Object | parts.Seat
 
 
 def script(
@@ -145,7 +142,10 @@ def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, quer
             raise _misfit(row, parsed, thing)
         make = FACTS.get(attribute)
         if make is not None:
-            return make(program, values, thing, query)
+            facts = make(program, values, thing, query)
+            if f"{thing.name}.frame" in facts:
+                _refuse_fixed(thing)
+            return facts
     else:
         known = [_word(name) for name in (*program.settable, *program.not_settable, *_others(thing, query))]
         like = nearest(parsed.attribute or "", known)
@@ -221,30 +221,6 @@ def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: Wo
     return _pose(seated[:3], seated[3:], thing)
 
 
-def _angle(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
-    """The pose of an object with a hinge at this angle."""
-    hinge = thing.hinge if isinstance(thing, parts.Object) else None
-    if hinge is None:
-        message = f"{thing.name} has no hinge"
-        raise Refused.because(RefusalReason.STATE, message, clears="an object with one")
-    if not hinge.range_rad[0] <= values[0] <= hinge.range_rad[1]:
-        least, most = hinge.range_deg
-        between = f"from {least:g} to {most:g} deg"
-        message = f"{thing.name} turns {between}, not to {math.degrees(values[0]):g} deg"
-        cause = causes.BeyondStop(value_rad=values[0], least_rad=hinge.range_rad[0], most_rad=hinge.range_rad[1])
-        raise Refused.because(RefusalReason.INFEASIBLE, message, clears=f"an angle {between}", cause=cause)
-    turned = hinges.turned(query.hinge_home(thing.name), hinge.axis, values[0])
-    return _pose(turned[:3], turned[3:], thing)
-
-
-def _state(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
-    """The state of a bolt; of another object a new attribute. Its turns and its frame follow from it."""
-    stated = (TIGHT, LOOSE)
-    if query.thread(thing.name) is not None and values[0] not in stated:
-        raise suggestions.unknown("state of a bolt", values[0], stated, where=values[0])
-    return {f"{thing.name}.state": values[0]}
-
-
 def _refuse_held(program: ElaboratorProgram, thing: Thing, query: WorldQuery) -> None:
     if holder := query.held_by(thing.name):
         message = f"{thing.name} is held by {holder}"
@@ -264,17 +240,15 @@ def _current_pose(thing: Thing, query: WorldQuery) -> Array:
 
 
 def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any]:
-    _refuse_fixed(thing)
     return {f"{thing.name}.frame": [float(n) for n in (*place, *attitude)]}
 
 
 ANGLES = ("roll", "pitch", "yaw")
 UNKNOWN = "UNKNOWN"
-FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]] = {
+FACTS: dict[str, Stated] = {
     "frame": _frame,
     "attitude": _attitude,
     "orientation": _attitude,
     "seat": _seat,
-    "angle": _angle,
-    "state": _state,
+    **joined(lambda mechanism: mechanism.stated),
 }

@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TypeVar
 
-from workers.mechanisms import bolts
+from workers.mechanisms import bolts, hinges
 from workers.mechanisms.mechanism import Mechanism
 
-MECHANISMS: tuple[Mechanism, ...] = (bolts.MECHANISM,)
+MECHANISMS: tuple[Mechanism, ...] = (hinges.MECHANISM, bolts.MECHANISM)
 
 Key = TypeVar("Key")
 Part = TypeVar("Part")
+
+
+def each(part: Callable[[Mechanism], Part | None]) -> list[Part]:
+    """This part of each mechanism that states it, in the order in which they are asked."""
+    return [found for mechanism in MECHANISMS if (found := part(mechanism)) is not None]
 
 
 def joined(part: Callable[[Mechanism], Mapping[Key, Part]]) -> dict[Key, Part]:

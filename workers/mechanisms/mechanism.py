@@ -1,20 +1,21 @@
 """What the stages ask of a mechanism of the robot, such as bolts. Each mechanism is a folder beside this file.
 
 elaborate.py states figures, needs, anchors and refusals of scripts; bind.py makes primitives of steps; assess.py says
-what a report changes in the world and what is wrong with it; predict.py foretells a report. What a mechanism does not
-state is empty. No folder of a mechanism imports another.
+what a report changes in the world and what is wrong with it; predict.py foretells a report; advice.py says how a
+blocked way is cleared. What a mechanism does not state is empty. No folder of a mechanism imports another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from rtc.model.cells import parts
-from rtc.programs.schema import ScriptFile
+from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
+from rtc.protocol.advice import Texts
 from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Validity, WorldChange
-from rtc.protocol.outcomes import StopReason
+from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import Primitive
 from rtc.spatial.geometry import Array
 from workers.planning.world_query import WorldQuery
@@ -25,30 +26,12 @@ from workers.tasks.candidate import TaskCandidate
 from workers.tasks.unmet import UnmetPrecondition
 
 Changes = list[WorldChange]
+Thing = parts.Object | parts.Seat
 Need = Callable[[TaskCandidate], UnmetPrecondition | None]
 Check = Callable[[ScriptFile, TaskCandidate], None]
+Stated = Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]
 Touch = Callable[[WorldQuery, str, EvaluationContext], Callable[[Array], bool] | None]
 Report = Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]
-
-
-def _no_figures(_: WorldQuery, __: parts.Object) -> dict[str, float]:
-    return {}
-
-
-def _no_arms(_: WorldQuery, __: parts.Object) -> list[str]:
-    return []
-
-
-def _not_of_it(_: AnalyzeTask) -> str | None:
-    return None
-
-
-def _same_spread(_: AnalyzeTask, spread: list[float]) -> list[float]:
-    return spread
-
-
-def _no_touch(_: WorldQuery, __: str, ___: EvaluationContext) -> None:
-    return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,13 +39,17 @@ class Mechanism:
     """One row of `workers.mechanisms.MECHANISMS`. Names of words are those that scripts and programs use."""
 
     name: str
-    #: elaborate: variables of expressions that an object of the sentence adds
-    figures: Callable[[WorldQuery, parts.Object], dict[str, float]] = _no_figures
+    #: elaborate: variables of expressions that a candidate adds
+    figures: Callable[[TaskCandidate], dict[str, float]] | None = None
     #: the arms that are tried for an object when the sentence names none; empty: those that the stage would try
-    arms: Callable[[WorldQuery, parts.Object], list[str]] = _no_arms
+    arms: Callable[[WorldQuery, parts.Object], list[str]] | None = None
     needs: Mapping[str, Need] = field(default_factory=dict)
     anchors: Mapping[str, Callable[[TaskCandidate], Anchor]] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
+    #: attribute of a SET sentence -> the facts that it states
+    stated: Mapping[str, Stated] = field(default_factory=dict)
+    #: whether steps of a trim would harm what the candidate is about
+    strains: Callable[[Sequence[ScriptStep], TaskCandidate], bool] | None = None
     #: bind: kind of action -> what makes its primitive
     actions: Mapping[str, Callable[[BindTask], BoundStep]] = field(default_factory=dict)
     #: assess: effect of a step -> its changes of the world; what is wrong with it (empty: nothing); what a failure says
@@ -72,11 +59,25 @@ class Mechanism:
     #: placeholder of messages -> its text
     texts: Mapping[str, Callable[[AnalyzeTask], str]] = field(default_factory=dict)
     #: what is left of a relative sentence: the amount, empty for nothing; None: the step is not of this mechanism
-    left: Callable[[AnalyzeTask], str | None] = _not_of_it
-    #: the spread of a held object after a step
-    spread: Callable[[AnalyzeTask, list[float]], list[float]] = _same_spread
-    #: attribute of a stated fact -> the facts that follow from it
+    left: Callable[[AnalyzeTask], str | None] | None = None
+    #: whether a step has ended where it should, although the hand is elsewhere
+    has_reached: Callable[[AnalyzeTask], bool] | None = None
+    #: the spread of a held object after a step, from that of an object that is free but for the hand
+    spread: Callable[[AnalyzeTask, list[float]], list[float]] | None = None
+    #: the same of an object that the mechanism keeps in its place, after these changes; None: it keeps no such object
+    spread_in_place: Callable[[AnalyzeTask, Changes], list[float] | None] | None = None
+    #: changes of a report -> those that follow from them
+    derived: Callable[[WorldQuery, Changes], Changes] | None = None
+    #: attribute of a stated fact -> the facts that follow from it. Raises Refused
     follows: Mapping[str, Callable[[str, Any, WorldQuery, Mapping[str, float]], Changes]] = field(default_factory=dict)
+    #: attributes with a meaning for an object; why a stated fact of it cannot be (empty: it can)
+    attributes: Callable[[parts.Object], Collection[str]] | None = None
+    impossible: Callable[[WorldChange, parts.Object, WorldQuery], str] | None = None
     #: predict: for a step that expects a touch, whether it is felt at a pose of the tcp; None: not of this mechanism
-    touch: Touch = _no_touch
+    touch: Touch | None = None
+    #: when a path reaches its goal before its end (s); None: it does not
+    reached_s: Callable[[WorldQuery, Primitive], float | None] | None = None
     reports: Mapping[type, Report] = field(default_factory=dict)
+    #: advice: row of `clears` for a motion of this arm that a body blocks (empty: not of it); texts about a body
+    way: Callable[[Refusal, WorldQuery, str, str], str] | None = None
+    about: Callable[[WorldQuery, str], Texts] | None = None

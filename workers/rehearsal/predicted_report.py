@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rtc.model.robot.quintic import Hermite
 from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import (
@@ -24,20 +23,20 @@ from rtc.protocol.primitive import (
     Primitive,
     TimeAbove,
     TorqueAbove,
-    TurnAbove,
 )
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.prediction import closes_on_m
-from workers.mechanisms import MECHANISMS, joined
+from workers.mechanisms import each, joined
 from workers.planning.predicted_sighting import sighting
 from workers.planning.world_query import WorldQuery
-from workers.tasks.report import at_rest, predicate_of, replaced
+from workers.tasks.report import at_rest, curve, predicate_of, replaced
 
-TURN_TIMES = 201  # of a path, at which its turn is evaluated
 HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
 CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
 BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
+
+TOUCHES, REACHED_S = each(lambda mechanism: mechanism.touch), each(lambda mechanism: mechanism.reached_s)
 
 
 def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopReason | None = None) -> EndReport:
@@ -77,7 +76,7 @@ def _of_path(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, 
     path = made.trajectory
     assert isinstance(path, JointTrajectory)
     if reason in (StopReason.GOAL, StopReason.NO_CONTACT):
-        at_s = _turned_s(query, made)
+        at_s = next((at_s for reached_s in REACHED_S if (at_s := reached_s(query, made)) is not None), path.duration_s)
     elif reason is StopReason.CONTACT and reason in evaluation.step.expect:
         at_s = _touch_s(query, made.performer, path, evaluation)
     elif reason in (StopReason.REFUSED, StopReason.BLOCKED):
@@ -108,26 +107,22 @@ def _unloads_s(evaluation: EvaluationContext, path_s: float) -> float:
 def _posture(path: JointTrajectory, at_s: float) -> list[float]:
     if at_s >= path.duration_s:
         return path.positions[-1]
-    found: list[float] = _curve(path).at(np.array([at_s]))[0, 0].tolist()
+    found: list[float] = curve(path).at(np.array([at_s]))[0, 0].tolist()
     return found
-
-
-def _curve(path: JointTrajectory) -> Hermite:
-    return Hermite(path.time_s, path.positions, path.velocities, path.accelerations)
 
 
 def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: EvaluationContext) -> float:
     """When an expected touch is felt: of a held object where it is in its seat, of a mechanism where it says, of a
     finger at the grasp point. A step that touches anything else states how far before its end (`beyond_m`)."""
-    curve, fk, context = _curve(path), query.model.arms[arm].fk, evaluation.context
+    course, fk, context = curve(path), query.model.arms[arm].fk, evaluation.context
 
     def tcp(at_s: float) -> Array:
-        return fk(curve.at(np.array([at_s]))[0, 0])
+        return fk(course.at(np.array([at_s]))[0, 0])
 
     if evaluation.held and query.is_seat(context.target):
         return _nearest_s(query, evaluation.held, query.seated_pose(context.target), path.duration_s, tcp)
-    for mechanism in MECHANISMS:
-        if (is_felt := mechanism.touch(query, arm, evaluation)) is not None:
+    for touch in TOUCHES:
+        if (is_felt := touch(query, arm, evaluation)) is not None:
             return _first_s(path.duration_s, lambda at_s: is_felt(tcp(at_s)))
     if context.object and context.grasp_point and not evaluation.held:
         point = query.cell.object(context.object).grasp_point(context.grasp_point)
@@ -137,35 +132,6 @@ def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: Eva
             return _first_s(path.duration_s, touches)
     beyond_m, end = evaluation.step.figures.beyond_m or 0.0, fk(path.positions[-1])
     return _first_s(path.duration_s, lambda at_s: geometry.distance(tcp(at_s), end) <= beyond_m)
-
-
-def _turned_s(query: WorldQuery, made: Primitive) -> float:
-    """When the tcp has turned round a hinge as far as a stop function says, at the end of the path at the latest.
-
-    Friction keeps a compliant arm behind its command, so the path leads farther (`lag_rad` of the scripts)."""
-    path = made.trajectory
-    assert isinstance(path, JointTrajectory)
-    for stop in made.stop_functions:
-        when = stop.when
-        if stop.reason is not StopReason.GOAL or not isinstance(when, TurnAbove) or when.point is None:
-            continue
-        times = np.linspace(0.0, path.duration_s, TURN_TIMES)
-        places = [query.model.arms[made.performer].fk(joints)[:3] for joints in _curve(path).at(times)[:, 0]]
-        turned = _round_axis(np.array(places) - when.point, np.array(when.axis))
-        past = np.flatnonzero(turned > when.limit_rad)
-        if len(past) > 0:
-            before, after = turned[past[0] - 1], turned[past[0]]
-            share = (when.limit_rad - before) / (after - before)
-            return float(times[past[0] - 1] + share * (times[past[0]] - times[past[0] - 1]))
-    return path.duration_s
-
-
-def _round_axis(arms: Array, axis: Array) -> Array:
-    """The turn (rad, either way) about an axis from the first of these lever arms to each, [n]; whole turns count."""
-    along = axis / np.linalg.norm(axis)
-    first = arms[0] - along * float(along @ arms[0])
-    angles = np.arctan2(arms @ np.cross(along, first), arms @ first)
-    return np.abs(np.unwrap(angles))
 
 
 def _by_finger(tcp: Callable[[float], Array], bar: Array, play_m: float, duration_s: float) -> Callable[[float], bool]:

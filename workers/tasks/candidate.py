@@ -43,6 +43,13 @@ class TaskCandidate(msgspec.Struct, frozen=True, dict=True):
         """The object, or the seat that a camera looks for."""
         return self.thing.name if self.thing else self.seat.name if self.seat else ""
 
+    @property
+    def between(self) -> parts.GraspPoint | None:
+        """The grasp point that the fingers go to, or else the one that they hold; None without one."""
+        if self.point is not None or self.thing is None or not self.query.held_by(self.thing.name):
+            return self.point
+        return self.query.point_in_hand(self.thing.name)
+
     @cached_property
     def camera(self) -> parts.Camera | None:
         """The camera that looks for the object; None: none can see it."""

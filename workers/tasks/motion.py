@@ -10,12 +10,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.protocol.messages import BoundStep, EvaluationContext, Limits
-from rtc.protocol.outcomes import Refused, StopReason, refuse_if
+from rtc.protocol.outcomes import StopReason, refuse_if
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.units import in_words
 from workers.conditions import prediction, sharing
 from workers.conditions.stop_conditions import Values
-from workers.planning import advice, in_seat, scenes, segments, step_target, trust
+from workers.planning import in_seat, scenes, segments, step_target, trust
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
 from workers.planning.motion.plan import Motion
@@ -94,17 +94,9 @@ def planning_request(task: RuledTask, speed_m_s: float, space: str) -> PlanningR
 
 
 def _planned(task: RuledTask, request: PlanningRequest, target: Target, keep: Keeping) -> Motion:
-    """The timed motion, as slow as its force and its duration demand. A refusal states what would clear the way."""
+    """The timed motion, as slow as its force and its duration demand. Raises Refused."""
     step = task.data.step
-    try:
-        motion = segments.plan_segment(request, step.space, target, step.way)
-    except Refused as refused:
-        leaves_seat, limits = step.words.leaves == "seat", task.data.context.limits
-        advised = advice.advise_on_collision(
-            refused.refusal, task.query, task.arm, task.program.clears, limits, leaves_seat=leaves_seat
-        )
-        raise Refused(advised) from None
-    motion = impact.kept(task, motion, keep)
+    motion = impact.kept(task, segments.plan_segment(request, step.space, target, step.way), keep)
     return motion if step.figures.takes_s is None else plans.slowed_to(motion, step.figures.takes_s)
 
 

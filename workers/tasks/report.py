@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from rtc.model.robot.quintic import Hermite
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
-from rtc.protocol.primitive import Primitive
+from rtc.protocol.primitive import JointTrajectory, Primitive
 from workers.planning.world_query import WorldQuery
 
 NO_FORCE = [0.0] * 6
@@ -37,6 +38,11 @@ def at_rest(
 def replaced(report: EndReport, **fields: Any) -> EndReport:
     """The report with other values of these fields."""
     return EndReport(**{**{name: getattr(report, name) for name in report.__struct_fields__}, **fields})
+
+
+def curve(path: JointTrajectory) -> Hermite:
+    """The joint values of a path at any time."""
+    return Hermite(path.time_s, path.positions, path.velocities, path.accelerations)
 
 
 def predicate_of(made: Primitive, reason: StopReason) -> object:

@@ -16,6 +16,7 @@ MECHANISM = Mechanism(
     needs={"driver_held": elaborate.driver_held},
     anchors={"bolt": elaborate.bolt, "bolt_out": elaborate.bolt_out},
     checks=(elaborate.refuse_beyond_thread, elaborate.refuse_too_much_torque, elaborate.refuse_fastened),
+    stated={"state": elaborate.stated_state},
     actions={"spindle": bind.bind_spindle},
     effects={
         "turned": assess.turned,
@@ -37,6 +38,8 @@ MECHANISM = Mechanism(
     left=assess.left,
     spread=assess.on_its_bolt,
     follows={"state": assess.follows_from_state},
+    attributes=assess.attributes,
+    impossible=assess.impossible,
     touch=predict.touches_head,
     reports={SpindleMotion: predict.of_spindle},
 )

@@ -7,17 +7,18 @@ has come off, and a stripped thread, turn without that way.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 
+from rtc.model.cells import parts
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.units import figure
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array, Floats
-from rtc.world.model import LOOSE, TIGHT, TURNED
+from rtc.world.model import BOLT_STATES, LOOSE, TIGHT, TURNED
 from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import AnalyzeTask
 
@@ -27,6 +28,7 @@ LEAST_TURNS = 0.02  # a smaller turn is none
 SEATED_TURNS = 0.5  # a tight bolt is believed no farther out before its last turn ends
 FREE_TURNS = 0.5  # the thread may end this far before its end is believed to be
 ALONG = 0.7  # part of an axis along the spindle from which it counts as that of the spindle
+WHOLE_TURN = 1e-6  # tolerance of stated turns
 FELT_TURNS = 0.1  # accuracy of a touch of the head
 
 
@@ -125,6 +127,22 @@ def follows_from_state(thing: str, state: Any, query: WorldQuery, _: Mapping[str
     turns = thread.turns if state == LOOSE else 0.0
     frame = geometry.normalise(query.turned_out(thing, turns)).tolist()
     return [WorldChange(key=f"{thing}.turns", value=turns), WorldChange(key=f"{thing}.frame", value=frame)]
+
+
+def attributes(thing: parts.Object) -> Collection[str]:
+    return ("turns",) if thing.thread is not None else ()
+
+
+def impossible(change: WorldChange, thing: parts.Object, _: WorldQuery) -> str:
+    """Why turns or a state cannot be those of this bolt; empty if they can."""
+    attribute, thread = change.key.rpartition(".")[2], thing.thread
+    if thread is None:
+        return ""
+    if attribute == "turns" and not -WHOLE_TURN <= change.value <= thread.turns + WHOLE_TURN:
+        return f"{change.key} would be {change.value:g}; it has {thread.turns + WHOLE_TURN:g}"
+    if attribute == "state" and change.value not in BOLT_STATES:
+        return f"{change.key} is {change.value!s:.40}; a bolt is {', '.join(BOLT_STATES)}"
+    return ""
 
 
 def head_after_failure(task: AnalyzeTask, _: bool) -> list[WorldChange]:

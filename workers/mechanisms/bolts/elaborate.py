@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from rtc.model.cells import parts
 from rtc.programs import expressions
-from rtc.programs.schema import ScriptFile
+from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol import causes
 from rtc.protocol.advice import by_sentence, fill_in, in_order
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
+from rtc.world.model import LOOSE, TIGHT
+from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.anchor import Anchor, refused
 from workers.tasks.candidate import TaskCandidate
@@ -24,11 +27,14 @@ SHARE = 0.8  # of the greatest torque, that advised sentences use
 ALONG_BOLT = (0.0, 0.0, 1.0)  # z of the tip of a spindle
 
 
-def figures(query: WorldQuery, thing: parts.Object) -> dict[str, float]:
-    """Whether an object is a driver or a bolt, and how far a bolt is out."""
+def figures(candidate: TaskCandidate) -> dict[str, float]:
+    """Whether the object is a driver or a bolt, and how far a bolt is out."""
+    thing = candidate.thing
+    if thing is None:
+        return {}
     found = {"has_spindle": float(thing.spindle is not None), "threaded": float(thing.thread is not None)}
     if thing.thread is not None:
-        found |= {"out_turns": query.turns(thing.name), "thread_turns": thing.thread.turns}
+        found |= {"out_turns": candidate.query.turns(thing.name), "thread_turns": thing.thread.turns}
         found["thread_m"] = thing.thread.pitch_m * thing.thread.turns
     return found
 
@@ -52,6 +58,16 @@ def driver_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
     if held := query.holding(arm):
         return UnmetPrecondition(f"{arm} holds {held}, and no driver", driver, "driver_hand_full", held)
     return UnmetPrecondition(f"{arm} holds no driver", driver)
+
+
+def stated_state(
+    _: ElaboratorProgram, values: list[Any], thing: parts.Object | parts.Seat, query: WorldQuery
+) -> dict[str, Any]:
+    """The state of a bolt; of another object a new attribute. Its turns and its frame follow from it."""
+    stated = (TIGHT, LOOSE)
+    if query.thread(thing.name) is not None and values[0] not in stated:
+        raise suggestions.unknown("state of a bolt", values[0], stated, where=values[0])
+    return {f"{thing.name}.state": values[0]}
 
 
 def bolt(candidate: TaskCandidate) -> Anchor:

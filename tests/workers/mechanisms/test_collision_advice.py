@@ -16,7 +16,7 @@ from rtc.spatial import geometry
 from rtc.wording.advice import in_one_line
 from tests.workers.conftest import Bench, Reporter, record
 from workers.elaborator import backtrack
-from workers.planning.advice import advise_on_collision
+from workers.mechanisms.collision_advice import advise_on_collision
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 

@@ -1,22 +1,82 @@
-"""Refusals about a held object with a hinge: its hand turns it between the stops, or lets it go. Pure."""
+"""Objects with a hinge in a script: figures, the anchor on the hinge, a stated angle, and what is refused. Pure."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 
 from rtc.model.cells import parts
 from rtc.programs import expressions
-from rtc.programs.schema import ScriptFile, ScriptStep
+from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol import causes
 from rtc.protocol.advice import by_person, fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.spatial import geometry, hinges
 from workers.conditions import reflexes
-from workers.planning.advice import SHARE_OF_RANGE
+from workers.mechanisms.hinges.advice import SHARE_OF_RANGE
+from workers.planning.world_query import WorldQuery
+from workers.tasks.anchor import Anchor, refused
 from workers.tasks.candidate import TaskCandidate
+from workers.tasks.unmet import UnmetPrecondition
 
 SPACE = "move_circle"  # of a step that turns an object about its hinge
 SLACK_RAD = 0.1  # a compliant hand is commanded beyond the angle that it reaches
 MIN_RAD = math.radians(0.1)  # minimum turn; the angle of a door is not known better
+
+
+def figures(candidate: TaskCandidate) -> dict[str, float]:
+    """Whether the object has a hinge, its angle and stops, and how its grasp point moves when it turns."""
+    thing, between = candidate.thing, candidate.between
+    if thing is None or thing.hinge is None:
+        return {} if thing is None else {"hinged": 0.0}
+    least, most = thing.hinge.range_rad
+    found = {"hinge_rad": candidate.query.angle(thing.name), "hinge_least_rad": least, "hinge_most_rad": most}
+    if between is not None:
+        arc = np.cross(thing.hinge.axis, between.frame.xyz)  # way of the grasp point per radian, object's axes
+        away = float(arc @ geometry.rotate(between.frame.pose, (0.0, 0.0, 1.0)))
+        found |= {"hinge_lever_m": float(np.linalg.norm(arc)), "hinge_push": math.copysign(1.0, away)}
+    return {"hinged": 1.0, **found}
+
+
+def object_hinged(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    thing = candidate.thing
+    assert thing is not None
+    return None if thing.hinge is not None else UnmetPrecondition(f"{thing.name} has no hinge", thing.name)
+
+
+def hinge(candidate: TaskCandidate) -> Anchor:
+    """A pose on the hinge of the object, in the object's frame: its z is the axis."""
+    assert candidate.thing is not None
+    name, its = candidate.thing.name, candidate.thing.hinge
+    if its is None:
+        raise refused(f"{name} has no hinge", "an object that has a hinge")
+    pose = hinges.frame(geometry.IDENTITY, its.axis).tolist()
+    return Anchor(pose=pose, frame=name, relies_on=(f"{name}.frame", f"{name}.angle"))
+
+
+def stated_angle(
+    _: ElaboratorProgram, values: list[Any], thing: parts.Object | parts.Seat, query: WorldQuery
+) -> dict[str, Any]:
+    """The pose of an object with a hinge at this angle."""
+    its = thing.hinge if isinstance(thing, parts.Object) else None
+    if its is None:
+        raise Refused.because(RefusalReason.STATE, f"{thing.name} has no hinge", clears="an object with one")
+    least, most = its.range_rad
+    if not least <= values[0] <= most:
+        between = "from {:g} to {:g} deg".format(*its.range_deg)
+        message = f"{thing.name} turns {between}, not to {math.degrees(values[0]):g} deg"
+        cause = causes.BeyondStop(value_rad=values[0], least_rad=least, most_rad=most)
+        raise Refused.because(RefusalReason.INFEASIBLE, message, clears=f"an angle {between}", cause=cause)
+    return {f"{thing.name}.frame": hinges.turned(query.hinge_home(thing.name), its.axis, values[0]).tolist()}
+
+
+def strains(steps: Sequence[ScriptStep], candidate: TaskCandidate) -> bool:
+    """Whether these steps would move a held object with a hinge otherwise than about it."""
+    hinged = candidate.thing is not None and candidate.thing.hinge is not None
+    return hinged and steps[0].op != "open" and any(step.space == "move_task" for step in steps)
 
 
 def refuse_other_motion(script: ScriptFile, candidate: TaskCandidate) -> None:

@@ -8,10 +8,11 @@ from collections.abc import Callable, Iterable, Mapping
 import msgspec
 
 from rtc.language.hands import hand_in_words
-from rtc.protocol.advice import ANOTHER_ARM, Advice, Alternative, fill_in
+from rtc.protocol.advice import ANOTHER_ARM, Advice, Alternative, Texts, fill_in
 from rtc.protocol.causes import Collides
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal
+from workers.mechanisms import each
 from workers.planning import in_seat, predicted_sighting, trust
 from workers.planning.scenes import CLEARANCE_M, clearance_of
 from workers.planning.world_query import WorldQuery
@@ -19,7 +20,8 @@ from workers.planning.world_query import WorldQuery
 UNLIMITED = Limits()
 PICTURES = 2  # of a look for a body at rest, as its primitive has them
 LEAST_ROOM_MM = 1  # that is advised: the least of AVOID-NEIGHBORS
-SHARE_OF_RANGE = 0.9  # of a hinge, that advised sentences use
+
+WAYS, ABOUT = each(lambda mechanism: mechanism.way), each(lambda mechanism: mechanism.about)
 
 
 def advise_on_collision(
@@ -49,11 +51,11 @@ def advise_on_collision(
     other = refusal.in_the_way
     leaves = cause.leaving  # first: other arms are passed by ways that are not sought before
     seated = bool(seat) and held in bodies
-    hinged = _hinged(refusal, query, arm, body)
+    own = next(filter(None, (way(refusal, query, arm, body) for way in WAYS)), "")
     unsure = "" if seated or other or leaves else _unsure(cause, query, bodies, limits)
     if unsure and has_others and not _looks_make_room(cause, query, bodies):
         unsure = ""
-    if unsure and (not hinged or query.cameras(unsure.rpartition(".")[0])):
+    if unsure and (not own or query.cameras(unsure.rpartition(".")[0])):
         return msgspec.structs.replace(refusal, clears=trust.narrows(query, unsure, clears))
     if leaves and held in bodies and not seated and query.cameras(held):  # it creeps in the hand
         return msgspec.structs.replace(refusal, clears=trust.narrows(query, f"{held}.grasp", clears))
@@ -63,12 +65,12 @@ def advise_on_collision(
         or ("way_unsure" if leaves else "")
         or _kept_out(cause, body, limits)
         or ("way_other" if other else "")
-        or hinged
+        or own
         or _at_goal(refusal, query, body)
         or ("way_shared" if query.sharers(arm) else "way_far" if _far(refusal) and "way_far" in clears else "way")
     )
     known = [place for place in query.places if arm in place.poses or arm in place.joints_deg]
-    texts: dict[str, str | list[str] | Advice] = {
+    texts: Texts = {
         "closer": _closer(cause, closer) if row == "way_neighbors" or _is_room(cause, limits) else [],
         "place": [place.name for place in known if place.name != goal],
         "another_arm": [ANOTHER_ARM] if not held and _another_may(query, arm, goal) else [],
@@ -78,10 +80,14 @@ def advise_on_collision(
         "lift": in_seat.way_out_in_words(query, arm, seat) if seat else "",
         "body": leaves or body,
         "other": hand_in_words(other),
-        "turn": turn_in_words(query, body),
-        "angle": f"{math.degrees(query.angle(body)) if query.hinge(body) else 0.0:.0f}",
+        **about(query, body),
     }
     return msgspec.structs.replace(refusal, clears=fill_in(clears.get(row, []), texts))
+
+
+def about(query: WorldQuery, body: str) -> Texts:
+    """The texts of all mechanisms about a body that blocks a way or a view."""
+    return {name: text for about_body in ABOUT for name, text in about_body(query, body).items()}
 
 
 def _closer(cause: Collides, closer: Callable[[int], str]) -> Advice:
@@ -136,27 +142,6 @@ def _is_room(cause: Collides, limits: Limits) -> bool:
 def _room_mm(cause: Collides) -> int:
     """The distance of AVOID-NEIGHBORS for which there is room: whole millimetres, and some micrometres less."""
     return math.floor(1e3 * cause.distance_m - 1e-3)
-
-
-def _hinged(refusal: Refusal, query: WorldQuery, arm: str, body: str) -> str:
-    """The row for a door that is at the goal or beside the arm, or that this arm turns; empty for other bodies."""
-    if query.hinge(body) is None:
-        return ""
-    if query.held_by(body) == arm:
-        return "way_turned"
-    beside = refusal.fraction < 0.5 and not query.holding(arm)
-    return "way_beside_hinged" if beside else "way_hinged"
-
-
-def turn_in_words(query: WorldQuery, body: str) -> str:
-    """The sentence that turns a door to its other side, short of the stop; empty for other bodies."""
-    hinge = query.hinge(body)
-    if hinge is None:
-        return ""
-    closed_deg, open_deg = hinge.range_deg
-    if math.degrees(query.angle(body)) > 0.5 * (closed_deg + open_deg):
-        return f"CLOSE {body}"
-    return f"OPEN {body} TO {SHARE_OF_RANGE * open_deg:.0f} DEG"
 
 
 def _far(refusal: Refusal) -> bool:
