@@ -34,6 +34,7 @@ class HeldModule:
         self._world = self.bench.world
         executor = self.subsystem.executors[arm]
         self.joints, self._hand = list(executor.command[0]), executor.hand
+        self._pressed = self.sim.arms[arm]._pressed
 
     def restore(self) -> None:
         """Back to the state after the sentences."""
@@ -46,6 +47,7 @@ class HeldModule:
         arm.follow((self.joints, still, still))
         arm.command_hand(self._hand)
         arm._hand.wanted_m = 0.0  # the spring of the grip is stretched
+        arm._pressed = self._pressed  # what the first tick reads
         for name, other in self.sim.arms.items():
             other.read()
             self.subsystem.executors[name] = Executor(other)
