@@ -17,20 +17,11 @@ from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport,
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.protocol.spelling import unknown
 from rtc.world.model import World
-from workers.analyzer import comparison, nearby, reported_facts, sighting, trimmers, what_is_left
+from workers.analyzer import comparison, nearby, reported_facts, trimmers, what_is_left
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
 from workers.analyzer.held_object import held_object_changes, interrupted_grasp, moved_in_hand, with_spread
-from workers.analyzer.post_conditions import (
-    MOVES,
-    SEEN,
-    UNMET,
-    VAGUE,
-    dropped,
-    squeezed,
-    unmoved_joint,
-    violated,
-)
+from workers.analyzer.post_conditions import UNMET, squeezed, unmoved_joint, violated
 from workers.analyzer.step_changes import (
     arm_changes,
     merged,
@@ -67,6 +58,8 @@ WRUNG = frozenset({StopReason.CONTACT, StopReason.TORQUE_LIMIT, StopReason.SLIP}
 #: effect of a step of a mechanism -> what its failure changes in the world
 AFTER_FAILURE = joined(lambda mechanism: mechanism.after_failure)
 DERIVED = each(lambda mechanism: mechanism.derived)
+
+FOUND = joined(lambda mechanism: mechanism.found)
 
 #: figures that the program must define
 VALUES = (
@@ -119,7 +112,7 @@ def _assessed(task: AnalyzeTask) -> Assessment:
     if row not in task.program.outcomes:
         message = unknown("row of the analyzer's outcomes", row, task.program.outcomes)
         raise Refused.because(RefusalReason.PROGRAM, message, where=row, clears="LOAD a program that has it")
-    wrong = violated(task) or ("dropped" if dropped(task) else "")
+    wrong = violated(task)
     if not wrong and report.reason in task.step.expect:
         return _success(task)
     reason = task.program.derived.get(row, {}).get(wrong, report.reason)
@@ -127,9 +120,6 @@ def _assessed(task: AnalyzeTask) -> Assessment:
         reason = StopReason.FOLLOWING_ERROR
         words = f"{still} of {task.evaluation.arm} has not moved while others have; {report.message}".rstrip("; ")
         report = msgspec.structs.replace(report, message=words)
-        task = AnalyzeTask(task.program, task.query, msgspec.structs.replace(task.data, report=report))
-    if wrong == VAGUE and report.sighting is not None:
-        report = msgspec.structs.replace(report, message=sighting.vagueness_in_words(report.sighting))
         task = AnalyzeTask(task.program, task.query, msgspec.structs.replace(task.data, report=report))
     cells = task.program.outcomes[row]
     behind = task.program.unmet if wrong == UNMET else task.program.squeezed if squeezed(task) else ""
@@ -140,7 +130,6 @@ def _assessed(task: AnalyzeTask) -> Assessment:
 
 def _success(task: AnalyzeTask) -> Assessment:
     """The step has ended as expected: its effect on the world, the values that it keeps, and what has drifted."""
-    seen = sighting.in_words(task) if task.evaluation.body else ""
     changes = _success_changes(task)
     found = comparison.compared(task, changes)
     drifts = [figure for figure in found.figures if figure.drifts] if found else []
@@ -154,7 +143,7 @@ def _success(task: AnalyzeTask) -> Assessment:
         verdict="abort" if task.data.closing else "trim" if trim else "continue",
         reason=task.report.reason,
         message=task.step.label,
-        found="; ".join(filter(None, (task.evaluation.remark, seen))),
+        found="; ".join(filter(None, (task.evaluation.remark, *_found(task)[:1]))),
         trim=trim,
         keep={name: _kept(source, task.report) for name, source in task.step.keep.items()},
         remark=_remark(task),
@@ -192,10 +181,16 @@ def _remark(task: AnalyzeTask) -> str:
     how far the object is from free of the seat that it leaves."""
     if task.step.words.says:
         return "; ".join(filter(None, (task.step.words.says, task.evaluation.remark)))
-    if task.step.words.effect == SEEN:
-        return sighting.doubt_in_words(task)
+    if found := _found(task):
+        return found[1]
     leaves = task.step.words.leaves == "seat"
     return in_seat.remark_on_slot(task.query, task.evaluation.arm, task.report.tcp_pose) if leaves else ""
+
+
+def _found(task: AnalyzeTask) -> tuple[str, ...]:
+    """What a mechanism says of this step: (what was found, what the outcome of the command states); empty: nothing."""
+    found = FOUND.get(task.step.words.effect)
+    return found(task) if found is not None else ()
 
 
 def _swinging(task: AnalyzeTask, reason: StopReason) -> str:
@@ -250,8 +245,6 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass, *, retried: bool)
     changes += touched_object_changes(task, failure)
     changes += nearby.doubtful(task) if "near" in failure.suspect else []
     changes += target_changes(task) if "target" in failure.suspect else []
-    if task.step.words.effect == SEEN and violated(task) in ("", MOVES):
-        changes += EFFECTS[SEEN](task, Validity.VALID)  # it was stopped, or the body moves, but it was seen
     if (of_mechanism := AFTER_FAILURE.get(task.step.words.effect)) is not None:
         changes += of_mechanism(task, retried)
     missed = task.step.words.missed

@@ -8,37 +8,27 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.programs.schema import OutcomeClass
-from rtc.protocol.advice import NOTHING, Advice, Alternative, Texts, by_person, fill_in, in_order
-from rtc.protocol.messages import Validity, WorldChange
+from rtc.protocol.advice import NOTHING, Advice, Alternative, by_person, fill_in, in_order
+from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
 from workers.analyzer import failure_words, what_is_left
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
 from workers.analyzer.world_changes import Changes
+from workers.mechanisms import joined
 from workers.mechanisms.collision_advice import about
 from workers.planning import trust
-from workers.planning.lines_of_sight import hiders
 from workers.tasks.analyze_task import AnalyzeTask
 
+#: placeholder of advice -> what stands for it; stop reason -> what clears it, where its class of failures does not help
+ADVICE = joined(lambda mechanism: mechanism.advice)
+CURES = joined(lambda mechanism: mechanism.cures)
 SHORT_M = 0.003  # the direction of a shorter way means nothing
-
-
-FAR = [0.0, 0.0, -1000.0, 0.0, 0.0, 0.0, 1.0]  # pose of what is before nothing
-
-
 AWAY_CM = 5.0  # by how much an arm is to move away from what it has pressed on
-
-
 BACK, SLOT, LET_GO = "leave_back", "leave_slot", "leave_held"  # rows of `clears`
-
-
 DOUBTFUL = (Validity.SUSPECT, Validity.INVALID)
-
-
 IN_SLOT_M = 0.010  # a shorter way in a slot frees nothing, and one that ends nearer to the bottom may press on it
-
-
 BACKWARDS = 0.7  # cosine of the angle between the way of a hand and its tool axis from which on it went back
 
 
@@ -64,7 +54,10 @@ def what_clears(
     again: Advice = []
     rest = [Alternative(sentences=[left], instead=True)] if (left := what_is_left.sentence(task)) else []
     if not asked:
-        own += [_felt(task, reason) or failure.clears, by_person(*_higher_limit(task))]
+        own += [
+            (CURES[reason](task, about) if reason in CURES else []) or failure.clears,
+            by_person(*_higher_limit(task)),
+        ]
         again = [] if askew else failure.again  # the fingers close no further
         again = [_the_rest(one, rest) if rest and one.again else one for one in again]
     if asked or reason is StopReason.HALT:
@@ -76,10 +69,8 @@ def what_clears(
         cures |= dict.fromkeys(of_held, _seen(task, str(task.evaluation.held)))
     if any("{target_cure}" in one.sentences for one in again):
         again = fill_in(again, {"target_cure": cures.pop(f"{target}.frame", [NOTHING])})
-    out_first = [Alternative(sentences=failure_words.out_first(task))]
     todo = in_order(*own, *cures.values(), again)
-    own_texts: Texts = {"out_first": out_first, "found_at": failure_words.found_at(task)}
-    return fill_in(todo, {**failure_words.texts(task, reason), **own_texts})
+    return fill_in(todo, {**failure_words.texts(task, reason), **{name: of(task) for name, of in ADVICE.items()}})
 
 
 def _seen(task: AnalyzeTask, body: str) -> Advice:
@@ -90,44 +81,6 @@ def _seen(task: AnalyzeTask, body: str) -> Advice:
 def _the_rest(one: Alternative, rest: Advice) -> Alternative:
     """The rest of a relative sentence in the place of that sentence."""
     return replace(one, sentences=[*one.sentences, *rest[0].sentences], again=False, instead=True)
-
-
-def _felt(task: AnalyzeTask, reason: StopReason) -> Advice:
-    """The advice if cameras do not see a body where the class of the failure does not help. In a hand, the fingers tell
-    whether it is there; mounted on another body, it is where that is."""
-    body = task.evaluation.body
-    if reason is StopReason.NOT_SEEN and body and (cover := _uncovered(task, body)):
-        return cover
-    if reason is StopReason.NOT_SEEN and (carrier := task.query.bodies.get(body)) and _unlocated(task, carrier):
-        return fill_in(task.program.clears.get("carrier", []), {"carrier": carrier})
-    if reason is not StopReason.NOT_SEEN or not body or not task.query.held_by(body):
-        return []
-    return trust.remedy(task.query, f"{body}.grasp", {"grasp": task.program.clears.get("unseen_in_hand", [])})
-
-
-def _uncovered(task: AnalyzeTask, body: str) -> Advice:
-    """How to take away what is before a body, if a camera then sees it: a door is opened, an arm goes away."""
-    query, clears, cameras = task.query, task.program.clears, task.step.cameras
-    if query.held_by(body):
-        return []
-    for name in hiders(query, cameras, body)[1]:
-        door = any(thing.name == name and thing.hinge is not None for thing in query.cell.objects)
-        if door:
-            gone = WorldChange(key=f"{name}.frame", value=FAR)
-            row = "before_it" if query.held_by(name) else "closed"
-        elif name in query.model.arms and not query.holding(name):
-            gone = WorldChange(key=f"{name}.joints", value=list(query.cell.arm(name).home_rad))
-            row = "arm_before_it"
-        else:
-            continue
-        if hiders(query.after([gone]), cameras, body)[0]:
-            return fill_in(clears.get(row, []), {**about(query, name), "before": name})
-    return []
-
-
-def _unlocated(task: AnalyzeTask, carrier: str) -> bool:
-    """Whether a camera may find the body that something is mounted on, and has not looked for it."""
-    return task.query.world.get(f"{carrier}.sighting") is None and bool(task.query.cameras(carrier))
 
 
 def _higher_limit(task: AnalyzeTask) -> list[str]:

@@ -10,11 +10,9 @@ from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import ReflexItem
 from rtc.protocol.units import figure
-from workers.analyzer import sighting
-from workers.analyzer.post_conditions import distance_off_m, pressing_n, seen_as_believed, squeezed, turned_rad
+from workers.analyzer.post_conditions import pressing_n, squeezed
 from workers.conditions import reflexes
 from workers.mechanisms import joined
-from workers.planning import in_seat
 from workers.tasks.analyze_task import AnalyzeTask
 
 OF_MECHANISMS = joined(lambda mechanism: mechanism.texts)  # placeholder -> its text
@@ -25,7 +23,7 @@ def what_happened(task: AnalyzeTask, reason: StopReason, failure: OutcomeClass, 
     """The failure in words. `asked`: the reflex of the command that has ended the step."""
     words = [_stopped_as_requested(asked, task) if asked else fill_in(_message(failure, task), task, reason)]
     words.append(reflexes.describe_action(task.report))
-    if reason is StopReason.OUT_OF_RANGE and seen_as_believed(task):
+    if reason is StopReason.OUT_OF_RANGE and task.seen_as_believed:
         words.append("it is where it is believed to be")
     if reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT) and not squeezed(task):
         words.append(task.evaluation.remark)
@@ -49,10 +47,12 @@ def fill_in(message: str, task: AnalyzeTask, reason: StopReason) -> str:
 
 
 def texts(task: AnalyzeTask, reason: StopReason) -> dict[str, str]:
-    """The texts of the placeholders, by name."""
+    """The texts of the placeholders, by name. Where a mechanism says nothing, its text is the common one."""
     evaluation, report = task.evaluation, task.report
+    own = {name: text(task) for name, text in OF_MECHANISMS.items()}
     least, most = evaluation.width_m or (0.0, 0.0)
     return {
+        **own,
         "reason": reason.value,
         "measured": "?" if report.measured is None else figure(report.measured),
         "limit": "the" if report.limit is None else figure(report.limit),
@@ -67,42 +67,20 @@ def texts(task: AnalyzeTask, reason: StopReason) -> dict[str, str]:
         "point": evaluation.context.grasp_point,
         "width": f"{report.hand_width_m * 1000:.1f}",
         "wanted": f"{least * 1000:.0f} to {most * 1000:.0f}",
-        "off": f"{distance_off_m(task) * 1000:.1f}",
-        "turned": f"{math.degrees(turned_rad(task)):.1f}",
-        "speed": sighting.speed_in_words(report.sighting),
+        "off": f"{task.off_m * 1000:.1f}",
+        "turned": f"{math.degrees(task.turned_rad):.1f}",
         "jam": _jam(report),
         "excess": _excess(task),
         "grip": figure(task.context.limits.grip_force_n or 0.0),
         "short": _short(task),
         "until": task.context.until.sentence if task.context.until else "the condition",
-        **{name: text(task) for name, text in OF_MECHANISMS.items()},
+        **{name: text for name, text in own.items() if text},
     }
-
-
-def out_first(task: AnalyzeTask) -> list[str]:
-    """Sentences before a held body can go elsewhere: a second hand lets go of it, or it leaves the slot that it is
-    still in. Empty if neither is needed."""
-    query, body = task.query, task.evaluation.body
-    arm = query.held_by(body) if body else ""
-    if not arm or query.hinge(body) is not None:
-        return []
-    if sharing := query.sharers(arm):
-        return [f"RELEASE {body} WITH {hand_in_words(sharing[0])}"]
-    seat = query.slot_at(query.frame(body))
-    return [in_seat.way_out_in_words(query, arm, seat)] if seat else []
-
-
-def found_at(task: AnalyzeTask) -> list[str]:
-    """The sentence that checks a body where it was seen, which is not the seat of the sentence. Empty if no hand and no
-    seat has it, or if it was believed to be elsewhere."""
-    query, body = task.query, task.evaluation.body
-    place = hand_in_words(query.held_by(body)) or query.seat(body) if body and seen_as_believed(task) else ""
-    return [f"VERIFY {body} AT {place}"] if place else []
 
 
 def _short(task: AnalyzeTask) -> str:
     """How far from its goal a motion has ended, and with what force; empty without a goal or near it."""
-    off_m, force_n = distance_off_m(task), pressing_n(task)
+    off_m, force_n = task.off_m, pressing_n(task)
     if off_m <= task.values["position_m"]:
         return ""
     pressing = f", and pressed with {figure(force_n)} N" if force_n and task.report.reason is StopReason.TIMEOUT else ""

@@ -10,10 +10,10 @@ from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.world.facts import TRUSTED
 from rtc.world.spread import even, widened
-from workers.analyzer import flat_grip
 from workers.analyzer.world_changes import EFFECTS, Changes, perhaps_taken
 from workers.mechanisms import each
 from workers.planning import pose_spread, shared_hold
+from workers.tasks import flat_grip
 from workers.tasks.analyze_task import AnalyzeTask
 
 UNTURNED_RAD = 1e-6  # a smaller angle is of the arithmetic: the value stays

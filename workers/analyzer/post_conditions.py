@@ -6,28 +6,13 @@ import math
 
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import Condition
-from rtc.sensing import rest
 from rtc.spatial import geometry
-from workers.analyzer import sighting
 from workers.conditions import reflexes
 from workers.mechanisms import each, joined
 from workers.tasks.analyze_task import AnalyzeTask
 
-SEEN = "sighted"  # effect of steps that look
-
-
-MOVES = "moves"  # finding of a look that needs the body at rest
-
-
-VAGUE = "vague"  # finding of a look that has measured the body worse than it is known
-
-
 ENDS = "ends"  # word of a step that the condition of UNTIL ends
-
-
 UNMET = "unmet"  # finding of a step that has reached its end before the condition of UNTIL was true
-
-
 #: effect of a step of a mechanism -> what is wrong with it
 VIOLATED = joined(lambda mechanism: mechanism.violated)
 HAS_REACHED = each(lambda mechanism: mechanism.has_reached)
@@ -53,23 +38,14 @@ def violated(task: AnalyzeTask) -> str:
     if evaluation.width_m is not None:
         least, most = evaluation.width_m
         return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
-    vague = evaluation.step.words.effect == SEEN and sighting.is_vague(task)
-    if evaluation.body_pose is not None:
-        return "" if not _is_displaced(task) else VAGUE if vague else "displaced"
-    if evaluation.step.words.effect == SEEN and report.reason is StopReason.GOAL and report.sighting is None:
-        return "unseen"
-    if evaluation.step.figures.at_rest and report.sighting is not None and rest.moves(report.sighting.velocity):
-        return MOVES
-    if vague and report.reason is StopReason.FOUND:
-        return VAGUE
     within_m = evaluation.step.figures.within_m
     if within_m is not None:  # instead of the tolerance of the program
-        there = distance_off_m(task) <= within_m or any(has_reached(task) for has_reached in HAS_REACHED)
+        there = task.off_m <= within_m or any(has_reached(task) for has_reached in HAS_REACHED)
         return "" if there else "elsewhere"
     pressed = evaluation.step.figures.press_n is not None  # it ends where the obstacle is
     if report.reason is StopReason.GOAL and evaluation.goal_pose is not None and not pressed:
         turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)
-        if distance_off_m(task) > task.values["position_m"] or turned > task.values["angle_rad"]:
+        if task.off_m > task.values["position_m"] or turned > task.values["angle_rad"]:
             return "off_goal"
     return ""
 
@@ -101,49 +77,12 @@ def unmoved_joint(task: AnalyzeTask) -> str:
     return names[max(still, key=needed.__getitem__)] if still else ""
 
 
-def dropped(task: AnalyzeTask) -> bool:
-    """Whether a camera has found the object that the arm of this command should hold elsewhere."""
-    evaluation, holder = task.evaluation, task.context.arm
-    if evaluation.step.words.effect != SEEN or task.report.sighting is None or not holder:
-        return False
-    return task.query.held_by(evaluation.body) == holder and not sighting.is_in_hand(task, holder)
-
-
-def _is_displaced(task: AnalyzeTask) -> bool:
-    """Whether a sensed body is not where it should be."""
-    figures = task.step.figures
-    return distance_off_m(task) > (figures.within_m or 0.0) or turned_rad(task) > (figures.within_rad or 0.0)
-
-
 def is_held_askew(task: AnalyzeTask) -> bool:
     """Whether the fingers have closed on the held object, but not to its width: to close them again does not help."""
     evaluation, report = task.evaluation, task.report
     if not evaluation.held or evaluation.width_m is None or report.reason is not StopReason.GOAL:
         return False
     return report.hand_width_m > evaluation.width_m[1]
-
-
-def seen_as_believed(task: AnalyzeTask) -> bool:
-    """Whether a camera that looked for a body in another place has seen it where it is believed to be."""
-    sighting, figures = task.report.sighting, task.step.figures
-    if sighting is None or task.evaluation.body_pose is None:
-        return False
-    believed = task.query.pose(task.evaluation.body)
-    near = geometry.distance(sighting.pose, believed) <= (figures.within_m or 0.0)
-    return near and geometry.angle(sighting.pose, believed) <= (figures.within_rad or 0.0)
-
-
-def distance_off_m(task: AnalyzeTask) -> float:
-    place, sighting = task.evaluation.body_pose, task.report.sighting
-    if place is not None:
-        return geometry.distance(sighting.pose, place) if sighting is not None else 0.0
-    goal = task.evaluation.goal_pose
-    return geometry.distance(task.report.tcp_pose, goal) if goal is not None and task.report.tcp_pose else 0.0
-
-
-def turned_rad(task: AnalyzeTask) -> float:
-    place, sighting = task.evaluation.body_pose, task.report.sighting
-    return geometry.angle(sighting.pose, place) if place is not None and sighting is not None else 0.0
 
 
 def squeezed(task: AnalyzeTask) -> bool:

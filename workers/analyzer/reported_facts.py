@@ -20,8 +20,8 @@ from rtc.world.model import initial_facts, location, problem
 from rtc.world.spread import even
 from workers.analyzer import impossible
 from workers.mechanisms import each
-from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
+from workers.tasks import seated
 
 Changes = list[WorldChange]
 Values = Mapping[str, float]
@@ -84,10 +84,10 @@ SPREADS: dict[str, Callable[[Values], list[float]]] = {
 def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes:
     """Changes of seat, grasp or seated objects that follow from a new frame."""
     if any(seat.name == thing for seat in query.cell.seats):
-        return _moved_with(thing, frame, query)
+        return seated.content(query, thing, frame)
     if query.held_by(thing):
         return _in_hand(thing, frame, query, values)
-    seat = seat_at(frame, query, values["seated_m"], values["seated_rad"])
+    seat = seated.seat_at(frame, query, values["seated_m"], values["seated_rad"])
     inside = [t.name for t in query.cell.objects if seat and t.name != thing and query.seat(t.name) == seat]
     if inside:
         raise _refused(
@@ -134,53 +134,6 @@ def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Chang
         WorldChange(key=f"{thing}.held_by", value=arm),
         WorldChange(key=f"{thing}.grasp", value=grasp, spread=SPREADS["frame"](values)),
     ]
-
-
-def _moved_with(seat: str, frame: Any, query: WorldQuery) -> Changes:
-    """Frames of the objects in this seat, which move with it."""
-    changes = []
-    for thing in query.cell.objects:
-        if query.seat(thing.name) == seat and moves_with(thing.name, seat, frame, query):
-            key = f"{thing.name}.frame"
-            inside = geometry.relative(query.seat_frame(seat), query.frame(thing.name))
-            fact = query.world.get(key)
-            changes.append(
-                WorldChange(
-                    key=key,
-                    value=geometry.normalise(geometry.compose(frame, inside)).tolist(),
-                    validity=fact.validity if fact else Validity.VALID,
-                    spread=fact.spread if fact else None,
-                )
-            )
-    return changes
-
-
-def moves_with(thing: str, seat: str, frame: Any, query: WorldQuery) -> bool:
-    """Whether an object in a seat moves with it when the seat is at this frame.
-
-    An object whose own place is known better than that of the seat was measured by itself. It stays where it is while
-    the seat is within its former spread: then the seat has not moved, it is only known better.
-    """
-    if query.held_by(thing):
-        return False
-    fact, surveyed = query.world.get(f"{thing}.frame"), query.cell.object(thing).surveyed_spread
-    if fact is None or fact.spread is None:
-        return True  # stated to be exact, as its seat is
-    was = query.spread(f"{seat}.frame")
-    if query.world.get(f"{seat}.frame") is None and surveyed is not None:
-        was = surveyed  # the survey of the object is that of its seat
-    if max(fact.spread[:3]) >= max(was[:3]):
-        return True
-    before = query.seat_frame(seat)
-    return any(abs(error) > bound for error, bound in zip(pose_spread.error_of(before, frame), was, strict=True))
-
-
-def seat_at(frame: Any, query: WorldQuery, within_m: float, within_rad: float = math.pi) -> str:
-    """The seat whose seated pose is nearest within both tolerances; empty if there is none."""
-    places = {seat.name: query.seated_pose(seat.name) for seat in query.cell.seats}
-    away_m = {name: geometry.distance(frame, place) for name, place in places.items()}
-    near = [name for name, at in places.items() if away_m[name] <= within_m and geometry.angle(frame, at) <= within_rad]
-    return min(near, key=lambda name: away_m[name], default="")
 
 
 def _whole(_: str, value: Any, query: WorldQuery, values: Values) -> Changes:

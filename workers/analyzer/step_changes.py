@@ -8,7 +8,6 @@ from rtc.programs.schema import OutcomeClass
 from rtc.protocol.messages import EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
-from workers.analyzer.post_conditions import seen_as_believed
 from workers.analyzer.world_changes import Changes
 from workers.planning import segments
 from workers.tasks.analyze_task import AnalyzeTask
@@ -78,7 +77,7 @@ def pressed_on(task: AnalyzeTask) -> Changes:
 def touched_object_changes(task: AnalyzeTask, failure: OutcomeClass) -> Changes:
     """After a failure the touched object is suspect until it is sensed again (R151)."""
     thing = task.context.object
-    if not thing or thing == task.evaluation.held or seen_as_believed(task):
+    if not thing or thing == task.evaluation.held or task.seen_as_believed:
         return []
     pressed = task.report.peak_force_n > task.values["touched_n"] or not task.query.seat(thing)
     if "object" in failure.suspect or ("if_touched" in failure.suspect and pressed):

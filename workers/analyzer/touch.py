@@ -16,18 +16,13 @@ from rtc.world.spread import EXACT, Spread, even, widened
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.flat_grip import ABOUT_APPROACH, ABOUT_BAR, ASKEW_RAD, CLOSING, HALF_TURN, Found
 
-Found = tuple[Array, list[float]]  # frame, spread
-
-# Axes of a grasp point: y = closing direction, z = approach. A held bar can be tilted about x and z.
-CLOSING, ABOUT_BAR, ABOUT_APPROACH = 1, 3, 5
 ALONG_BAR = (1.0, 0.0, 0.0)
 CENTRED_M = 0.001  # uncertainty of the centre between two fingers
-ASKEW_RAD = 0.012  # uncertainty of a bar's tilt derived from the hand width
 STRAIGHT_RAD = 0.005  # the sign of a smaller tilt cannot be measured
 # Minimum fraction of a tilted bar's torque that determines the sign. An arm that gives way has shown -0.3.
 TWIST = 0.5
-HALF_TURN = geometry.from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, math.pi])  # about the approach
 NO_TORQUE_NM = 0.02
 FREE_M, FREE_RAD = 0.04, 0.25  # how far a closing hand moves and turns a free module: up to 34 mm and 12 deg in physics
 

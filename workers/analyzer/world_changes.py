@@ -12,11 +12,11 @@ from rtc.protocol.messages import Validity, WorldChange
 from rtc.spatial import geometry
 from rtc.world.spread import widened
 from workers.analyzer import touch
-from workers.analyzer.sighting import sighted
 from workers.mechanisms import joined
 from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.flat_grip import Found
 
 Changes = list[WorldChange]
 
@@ -64,7 +64,7 @@ def perhaps_taken(task: AnalyzeTask) -> Changes:
     ]
 
 
-def _its_seat(task: AnalyzeTask, found: touch.Found | None, validity: Validity) -> Changes:
+def _its_seat(task: AnalyzeTask, found: Found | None, validity: Validity) -> Changes:
     if found is None:
         return []
     key = f"{task.query.seat(task.context.object)}.frame"
@@ -97,7 +97,7 @@ def landed(task: AnalyzeTask, validity: Validity) -> Changes:
     return [] if found is None else _seen(task, found, validity)
 
 
-def _seen(task: AnalyzeTask, found: touch.Found, validity: Validity) -> Changes:
+def _seen(task: AnalyzeTask, found: Found, validity: Validity) -> Changes:
     frame, spread = found
     key = f"{task.context.object}.frame"
     return [WorldChange(key=key, value=frame.tolist(), validity=validity, spread=spread)]
@@ -169,11 +169,6 @@ def verified(task: AnalyzeTask, validity: Validity) -> Changes:
     ]
 
 
-def unseen(task: AnalyzeTask, validity: Validity) -> Changes:
-    """The cameras have not found the body: another way to locate it is chosen until one of them does."""
-    return [WorldChange(key=f"{task.evaluation.body}.sighting", value=None)]
-
-
 def handed(task: AnalyzeTask, validity: Validity) -> Changes:
     """The operator will move the arm: until it has rested again, no one knows where it is."""
     return [WorldChange(key=f"{task.context.arm}.joints", keep_value=True, validity=Validity.SUSPECT)]
@@ -196,8 +191,6 @@ EFFECTS: dict[str, Callable[[AnalyzeTask, Validity], Changes]] = {
     "pinched": pinched,
     "passed": passed,
     "landed": landed,
-    "sighted": sighted,
-    "unseen": unseen,
     "handed": handed,
     "pointed": pointed,
     **joined(lambda mechanism: mechanism.effects),

@@ -25,7 +25,6 @@ from rtc.protocol.primitive import HandMotion, HoldStill
 from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.protocol.units import in_words
 from rtc.world.model import World
-from workers.binder import look
 from workers.binder.operated import bind_operated
 from workers.conditions import installed_phases, prediction, sharing
 from workers.conditions.prediction import Expected
@@ -84,7 +83,7 @@ def _bound(task: BindTask) -> BoundStep:
     return ACTIONS[known[step.do]](task)
 
 
-# --- hand, rest, cameras ---------------------------------------------------------------------------------
+# --- hand, rest ------------------------------------------------------------------------------------------
 
 
 def bind_hand(task: BindTask) -> BoundStep:
@@ -152,10 +151,6 @@ def bind_still(task: BindTask) -> BoundStep:
         start_joints=list(query.joints(task.arm)),
     )
     return assemble.of_arm(ruled, HoldStill(duration_s=duration_s), evaluation, Expected(duration_s))
-
-
-def bind_look(task: BindTask) -> BoundStep:
-    return look.bind(task.under(task.data.step.stop))
 
 
 # --- steps that move nothing -----------------------------------------------------------------------------
@@ -251,7 +246,6 @@ ACTIONS: dict[str, Action] = {
     "assign": bind_assignment,
     "stated": bind_stated_facts,
     "procedure": bind_procedure,
-    "look": bind_look,
     "answered": bind_answer,
     "operated": bind_operated,
     **joined(lambda mechanism: mechanism.actions),

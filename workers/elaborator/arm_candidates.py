@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeVar
 
 import msgspec
 
@@ -39,7 +38,8 @@ def candidates(
     """One candidate per arm and grasp point that the sentence allows, nearest first. Raises Refused."""
     thing = _thing(program, parsed, query.cell)
     parsed = _with_place(program, scripts, parsed, query)
-    target = None if parsed.target in (None, *BOLT_STATES) else _part(query.cell.seats, parsed.target, "seat")
+    seated = parsed.target not in (None, *BOLT_STATES)
+    target = suggestions.part(query.cell.seats, parsed.target or "", "seat") if seated else None
     arms = _arms(program, scripts, parsed, query, thing)
     points = two_arms.free_points(query, parsed, thing, _points(program, scripts, parsed, thing))
     allowed = []
@@ -76,7 +76,7 @@ def _thing(program: ElaboratorProgram, parsed: ParsedCommand, cell: cells.Cell) 
     if parsed.object is None:
         return None
     try:
-        return _part(cell.objects, parsed.object, "object")
+        return suggestions.part(cell.objects, parsed.object, "object")
     except Refused as unknown:
         hands = any(check.missing == "object" for row in program.branches[parsed.verb] for check in row.when)
         if parsed.hand is not None or not hands:
@@ -130,7 +130,7 @@ def _arms(
     if parsed.hand is not None:
         if parsed.hand == BOTH_ARMS:
             return [two_arms.both_arms(program, scripts, parsed, query)]
-        return [_part(cell.arms, parsed.hand, "arm")]
+        return [suggestions.part(cell.arms, parsed.hand, "arm")]
     able = [name for arms in ARMS for name in arms(query, thing)] if thing else []
     if able:
         return [arm for arm in cell.arms if arm.name in able]
@@ -152,14 +152,4 @@ def _points(
         return [None]
     if parsed.grasp_point is None:
         return [*thing.grasp_points] or [None]
-    return [_part(thing.grasp_points, parsed.grasp_point, "grasp point", of=thing.name)]
-
-
-T = TypeVar("T", parts.Arm, parts.Object, parts.Seat, parts.GraspPoint)
-
-
-def _part(choices: list[T], name: str, what: str, of: str = "") -> T:
-    found = next((part for part in choices if part.name == name), None)
-    if found is None:
-        raise suggestions.unknown(what, name, [part.name for part in choices], of=of)
-    return found
+    return [suggestions.part(thing.grasp_points, parsed.grasp_point, "grasp point", of=thing.name)]

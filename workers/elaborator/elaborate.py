@@ -14,6 +14,7 @@ import msgspec
 
 from rtc.language.hands import hand_in_words
 from rtc.programs import attributes, expressions
+from rtc.programs.extension_names import CAMERA
 from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
@@ -33,7 +34,6 @@ from workers.elaborator import (
     as_tested,
     command_fields,
     exact_arms,
-    look,
     make_way,
     no_script,
     other_motion,
@@ -48,6 +48,7 @@ from workers.elaborator import (
     what_is_left,
 )
 from workers.elaborator.backtrack import Planned, can_be_seen
+from workers.elaborator.figures import with_figures
 from workers.elaborator.script_checks import (
     CHECKS,
     a_look_makes_room,
@@ -70,6 +71,7 @@ from workers.elaborator.script_steps import (
     with_seats,
 )
 from workers.elaborator.sentence_of import sentence_of
+from workers.mechanisms import joined
 from workers.planning import trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -77,6 +79,9 @@ from workers.tasks import object_attributes
 from workers.tasks.candidate import TaskCandidate
 
 WRITES_OF_RESERVE = ("active_arm", "active_object", "its_seat")  # what a piece of script may find out
+
+#: role in the resources of a script -> its candidates, if no arm works for it
+CANDIDATES = joined(lambda mechanism: mechanism.candidates)
 
 INPUT = ElaboratorInput
 NEEDS_WORLD = True
@@ -204,8 +209,11 @@ def _elaborated(
     branches = [branch for branch in branches if fits_sentence(branch, parsed)] or branches
     candidates: list[TaskCandidate] = []
     for by_camera in sorted({only_looks(scripts[branch.script]) for branch in branches}):
-        find = look.candidates if by_camera else arm_candidates.candidates
-        candidates += find(program, scripts, parsed, limits, query)
+        if by_camera:
+            found = CANDIDATES[CAMERA](program, parsed, limits, query)
+            candidates += map(with_figures, found)
+        else:
+            candidates += arm_candidates.candidates(program, scripts, parsed, limits, query)
     unstated: list[Refusal] = []
     options = ranked(branches, candidates, scripts, unstated)
     if not options and unstated:

@@ -37,11 +37,13 @@ def of_partner(candidate: TaskCandidate) -> TaskCandidate:
 
 
 def with_figures(candidate: TaskCandidate) -> TaskCandidate:
-    """The candidate with all its figures. Raises Refused if the command-object table has no row for it."""
-    program, parsed, query, thing = candidate.program, candidate.parsed, candidate.query, candidate.thing
-    arm, point, target = candidate.hand, candidate.point, candidate.target
+    """The candidate with all its figures; of a camera those of its sentence, and the attributes of the object. Raises
+    Refused if the command-object table has no row for it."""
+    program, parsed, query, point = candidate.program, candidate.parsed, candidate.query, candidate.point
+    arm = candidate.hand
+    thing, target = (candidate.thing, candidate.target) if arm is not None else (None, None)
     figures: dict[str, float] = msgspec.structs.asdict(query.cell.numbers)
-    of_object = object_attributes.figures(program, query, thing)
+    of_object = object_attributes.figures(program, query, candidate.thing)
     figures |= _table(program, parsed.verb, thing, query, figures | of_object) | of_object
     if arm is not None:
         figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": query.hand_width(arm.name)}

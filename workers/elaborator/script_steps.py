@@ -15,11 +15,11 @@ from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece, Scri
 from rtc.protocol.messages import ScriptContext, Step, StepFigures, StepWords, Trim, TrimOffer
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.conditions import reflexes
-from workers.elaborator import look, surrender
+from workers.elaborator import surrender
 from workers.elaborator.backtrack import FRAME, GRASP
 from workers.elaborator.figures import of_partner
 from workers.elaborator.script_options import ScriptOption
-from workers.mechanisms import each
+from workers.mechanisms import each, joined
 from workers.planning import segments, suggestions
 from workers.tasks.candidate import TaskCandidate
 
@@ -32,6 +32,8 @@ class Compiled:
     attributes: dict[str, list[str]]  # that a script and its pieces use, by script
 
 
+#: performer of a step -> the cameras that look for a body
+PERFORMERS = joined(lambda mechanism: mechanism.performers)
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
 FIGURES = frozenset(StepFigures.__struct_fields__)
 ENDS = "ends"  # word of a step that UNTIL ends; another one that watches it may end otherwise too
@@ -58,8 +60,8 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
         reason = reflexes.reason_of(until)
         assert reason is not None, until  # others were refused
         expect = [reason] if word == ENDS else [*expect, reason]
-    camera, body = look.camera_for(step, candidate, body), body or candidate.body
-    cameras = [] if camera is None else [camera.name, *look.further_cameras(step, candidate, body, camera)]
+    body = body or candidate.body
+    cameras = PERFORMERS[step.who](step, candidate, body) if step.who in PERFORMERS else []
     return Step(
         do=step.do,
         label=candidate.fill_in(step.label.replace("{body}", body).replace("{camera}", " and ".join(cameras))),

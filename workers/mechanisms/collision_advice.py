@@ -13,7 +13,7 @@ from rtc.protocol.causes import Collides
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal
 from workers.mechanisms import each
-from workers.planning import in_seat, predicted_sighting, trust
+from workers.planning import in_seat, lines_of_sight, trust
 from workers.planning.scenes import CLEARANCE_M, clearance_of
 from workers.planning.world_query import WorldQuery
 
@@ -123,7 +123,7 @@ def _gain_m(query: WorldQuery, key: str) -> float:
     body = key.rpartition(".")[0]
     known_m = trust.off_m(query, body, query.spread(key))
     cameras = [camera.name for camera in query.cameras(body)]
-    seen, _ = predicted_sighting.sighting(query, cameras, body, PICTURES)
+    seen, _ = lines_of_sight.sighting(query, cameras, body, PICTURES)
     return known_m if seen is None else max(0.0, known_m - trust.sees_within_m(query, body, seen))
 
 

@@ -2,7 +2,8 @@
 
 elaborate.py states figures, needs, anchors and refusals of scripts; bind.py makes primitives of steps; assess.py says
 what a report changes in the world and what is wrong with it; predict.py foretells a report; advice.py says how a
-blocked way is cleared. What a mechanism does not state is empty. No folder of a mechanism imports another.
+blocked way is cleared, and what to do after a failure. What a mechanism does not state is empty. No folder of a
+mechanism imports another.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from typing import Any
 
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
-from rtc.protocol.advice import Texts
-from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Validity, WorldChange
+from rtc.protocol.advice import Advice, Texts
+from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Limits, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import Primitive
+from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial.geometry import Array
 from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import AnalyzeTask
@@ -28,9 +30,11 @@ from workers.tasks.unmet import UnmetPrecondition
 Changes = list[WorldChange]
 Thing = parts.Object | parts.Seat
 Need = Callable[[TaskCandidate], UnmetPrecondition | None]
+Candidates = Callable[[ElaboratorProgram, ParsedCommand, Limits, WorldQuery], list[TaskCandidate]]
 Check = Callable[[ScriptFile, TaskCandidate], None]
 Stated = Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]
 Touch = Callable[[WorldQuery, str, EvaluationContext], Callable[[Array], bool] | None]
+About = Callable[[WorldQuery, str], Texts]  # texts about a body
 Report = Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]
 
 
@@ -43,6 +47,10 @@ class Mechanism:
     figures: Callable[[TaskCandidate], dict[str, float]] | None = None
     #: the arms that are tried for an object when the sentence names none; empty: those that the stage would try
     arms: Callable[[WorldQuery, parts.Object], list[str]] | None = None
+    #: role in the resources of a script -> the candidates of a script in which this performs, and no arm
+    candidates: Mapping[str, Candidates] = field(default_factory=dict)
+    #: performer of a step (`who`) -> the names that perform it for a body; the first one reports
+    performers: Mapping[str, Callable[[ScriptStep, TaskCandidate, str], list[str]]] = field(default_factory=dict)
     needs: Mapping[str, Need] = field(default_factory=dict)
     anchors: Mapping[str, Callable[[TaskCandidate], Anchor]] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
@@ -56,8 +64,13 @@ class Mechanism:
     effects: Mapping[str, Callable[[AnalyzeTask, Validity], Changes]] = field(default_factory=dict)
     violated: Mapping[str, Callable[[AnalyzeTask], str]] = field(default_factory=dict)
     after_failure: Mapping[str, Callable[[AnalyzeTask, bool], Changes]] = field(default_factory=dict)
-    #: placeholder of messages -> its text
+    #: effect of a step that has succeeded -> (what was found, what the outcome of the command states)
+    found: Mapping[str, Callable[[AnalyzeTask], tuple[str, str]]] = field(default_factory=dict)
+    #: placeholder of messages -> its text; empty: the common one
     texts: Mapping[str, Callable[[AnalyzeTask], str]] = field(default_factory=dict)
+    #: stop reason -> what clears it, where its class of failures does not help; placeholder of advice -> its sentences
+    cures: Mapping[StopReason, Callable[[AnalyzeTask, About], Advice]] = field(default_factory=dict)
+    advice: Mapping[str, Callable[[AnalyzeTask], Advice | list[str]]] = field(default_factory=dict)
     #: what is left of a relative sentence: the amount, empty for nothing; None: the step is not of this mechanism
     left: Callable[[AnalyzeTask], str | None] | None = None
     #: whether a step has ended where it should, although the hand is elsewhere
@@ -80,4 +93,4 @@ class Mechanism:
     reports: Mapping[type, Report] = field(default_factory=dict)
     #: advice: row of `clears` for a motion of this arm that a body blocks (empty: not of it); texts about a body
     way: Callable[[Refusal, WorldQuery, str, str], str] | None = None
-    about: Callable[[WorldQuery, str], Texts] | None = None
+    about: About | None = None

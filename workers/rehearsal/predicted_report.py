@@ -18,7 +18,6 @@ from rtc.protocol.primitive import (
     HandMotion,
     HoldStill,
     JointTrajectory,
-    Look,
     Operated,
     Primitive,
     TimeAbove,
@@ -28,7 +27,6 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.prediction import closes_on_m
 from workers.mechanisms import each, joined
-from workers.planning.predicted_sighting import sighting
 from workers.planning.world_query import WorldQuery
 from workers.tasks.report import at_rest, curve, predicate_of, replaced
 
@@ -224,34 +222,10 @@ def _joints_at(query: WorldQuery, arm: str, pose: Array) -> list[float]:
     return [float(angle) for angle in found]
 
 
-# --- cameras -----------------------------------------------------------------------------------------------
-
-
-def _of_look(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
-    expected, look = reason in (StopReason.GOAL, StopReason.FOUND), made.trajectory
-    assert isinstance(look, Look)
-    seen, why = None, ""
-    if expected:
-        follows = look.duration_s is not None
-        seen, why = sighting(query, made.performers, evaluation.body, look.pictures, follows=follows)
-    if reason is StopReason.FOUND and seen is None:
-        reason = StopReason.NOT_SEEN
-    return EndReport(
-        primitive=made.id,
-        performer=made.performer,
-        reason=reason,
-        at_s=0.0,
-        duration_s=evaluation.predicted_s,
-        sighting=seen,
-        message=why,
-    )
-
-
 REPORTS: dict[type, Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]] = {
     JointTrajectory: _of_path,
     HandMotion: _of_hand,
     HoldStill: _of_rest,
     Operated: _of_operator,
-    Look: _of_look,
     **joined(lambda mechanism: mechanism.reports),
 }

@@ -30,3 +30,28 @@ class AnalyzeTask:
             return thing.grasp_point(self.context.grasp_point)
         frame = self.query.frame(thing.name)
         return min(thing.grasp_points, key=lambda one: geometry.distance(tcp, geometry.compose(frame, one.frame.pose)))
+
+    @property
+    def off_m(self) -> float:
+        """How far the hand is from its goal, or what a camera has seen from the place where it should be."""
+        place, sighting = self.evaluation.body_pose, self.report.sighting
+        if place is not None:
+            return geometry.distance(sighting.pose, place) if sighting is not None else 0.0
+        goal, tcp = self.evaluation.goal_pose, self.report.tcp_pose
+        return geometry.distance(tcp, goal) if goal is not None and tcp else 0.0
+
+    @property
+    def turned_rad(self) -> float:
+        """By how much what a camera has seen is turned against the place where it should be."""
+        place, sighting = self.evaluation.body_pose, self.report.sighting
+        return geometry.angle(sighting.pose, place) if place is not None and sighting is not None else 0.0
+
+    @property
+    def seen_as_believed(self) -> bool:
+        """Whether a camera that looked for a body in another place has seen it where it is believed to be."""
+        sighting, figures = self.report.sighting, self.step.figures
+        if sighting is None or self.evaluation.body_pose is None:
+            return False
+        believed = self.query.pose(self.evaluation.body)
+        near = geometry.distance(sighting.pose, believed) <= (figures.within_m or 0.0)
+        return near and geometry.angle(sighting.pose, believed) <= (figures.within_rad or 0.0)

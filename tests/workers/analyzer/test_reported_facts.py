@@ -11,8 +11,9 @@ from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
 from rtc.wording.advice import in_one_line
 from tests.workers.refusals import refusal_of
-from workers.analyzer.reported_facts import changes_from, seat_at
+from workers.analyzer.reported_facts import changes_from
 from workers.planning.world_query import WorldQuery
+from workers.tasks.seated import seat_at
 
 VALUES = {
     "reach_m": 5.0,

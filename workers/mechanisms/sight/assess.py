@@ -13,21 +13,24 @@ from typing import Any
 
 import numpy as np
 
-from rtc.protocol.messages import Validity, WorldChange
+from rtc.model.cells import parts
+from rtc.protocol.messages import Fact, Validity, WorldChange
 from rtc.protocol.outcomes import Sighting, StopReason
 from rtc.sensing import rest
-from rtc.spatial import geometry
+from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
-from rtc.world.spread import even, widened
-from workers.analyzer import flat_grip, joined, touch
-from workers.analyzer.reported_facts import seat_at
+from rtc.world.spread import EXACT, Spread, even, widened
 from workers.planning import pose_spread, trust
 from workers.planning.world_query import WorldQuery
+from workers.tasks import flat_grip, seated
 from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.flat_grip import Found
 
 Changes = list[WorldChange]
 
 IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the middle between the fingers
+#: findings of a look: the body moves, it is known better, it is not between the fingers of the hand that holds it
+MOVES, VAGUE, DROPPED = "moves", "vague", "dropped"
 OLD_S = 2.0  # an older sighting is not trusted, unless a hand has held the body since
 WIDEST_RAD = math.pi
 
@@ -49,9 +52,9 @@ def sighted(task: AnalyzeTask, validity: Validity) -> Changes:
         return [WorldChange(key=change.key, keep_value=True, validity=validity), evidence]
     changes = [change, evidence]
     if task.query.cell.mounted(body):
-        return [*changes, *joined.mounted(task.query, change)]
+        return [*changes, *_mounted(task.query, change)]
     if task.query.is_seat(body):
-        return [*changes, *joined.content(task.query, body, frame, spread, validity)]
+        return [*changes, *seated.content(task.query, body, frame, spread, validity)]
     if holder:
         return [*changes, *_in_hand(task.query, body, frame, spread, validity)]
     return [*changes, *_seated(task, frame, spread, validity)]
@@ -70,7 +73,43 @@ def is_vague(task: AnalyzeTask) -> bool:
     return better and all(abs(d) <= a + b for d, a, b in zip(off, seen, known, strict=True))
 
 
-def vagueness_in_words(sighting: Sighting) -> str:
+def wrong_sighting(task: AnalyzeTask) -> str:
+    """What is wrong with what the cameras have seen; empty: nothing."""
+    report, figures, holder = task.report, task.step.figures, task.context.arm
+    vague = is_vague(task)
+    if task.evaluation.body_pose is not None:
+        if task.off_m > (figures.within_m or 0.0) or task.turned_rad > (figures.within_rad or 0.0):
+            return VAGUE if vague else "displaced"
+    elif report.reason is StopReason.GOAL and report.sighting is None:
+        return "unseen"
+    elif figures.at_rest and report.sighting is not None and rest.moves(report.sighting.velocity):
+        return MOVES
+    elif vague and report.reason is StopReason.FOUND:
+        return VAGUE
+    if report.sighting is None or not holder or task.query.held_by(task.evaluation.body) != holder:
+        return ""
+    return "" if _is_in_hand(task, holder) else DROPPED
+
+
+def after_failure(task: AnalyzeTask, _: bool) -> Changes:
+    """The body was seen, but the look was stopped, or the body moves or is not in the hand."""
+    wrong = wrong_sighting(task) if task.report.reason in task.step.expect else ""
+    return sighted(task, Validity.VALID) if wrong in ("", MOVES, DROPPED) else []
+
+
+def unseen(task: AnalyzeTask, _: Validity) -> Changes:
+    """The cameras have not found the body: another way to locate it is chosen until one of them does."""
+    return [WorldChange(key=f"{task.evaluation.body}.sighting", value=None)]
+
+
+def in_words(task: AnalyzeTask) -> str:
+    """The message of a look that has measured the body worse than it is known; empty: the message of the report."""
+    sighting = task.report.sighting
+    vague = sighting is not None and task.report.reason in task.step.expect and wrong_sighting(task) == VAGUE
+    return _vagueness(sighting) if sighting is not None and vague else ""
+
+
+def _vagueness(sighting: Sighting) -> str:
     degrees, tags = math.degrees(trust.deviations(sighting)[1]), ", ".join(map(str, sighting.tags))
     return f"not well enough: two attitudes, some {degrees:.0f} deg apart, fit tags {tags}; its pose is known better"
 
@@ -127,18 +166,13 @@ def _is_elsewhere(task: AnalyzeTask, sighting: Sighting) -> bool:
     return any(abs(error) > bound for error, bound in zip(off, bounds, strict=True))
 
 
-def doubt_in_words(task: AnalyzeTask) -> str:
-    """That the pose of the body is suspect although it was seen; empty if it is not."""
-    doubt = _doubt(task, task.report.sighting) if task.report.sighting is not None else ""
-    return f"the pose of {task.evaluation.body} is suspect: {doubt}" if doubt else ""
-
-
-def speed_in_words(sighting: Sighting | None) -> str:
+def speed_in_words(task: AnalyzeTask) -> str:
+    sighting = task.report.sighting
     metres, radians = rest.speeds(sighting.velocity if sighting is not None else None)
     return f"{1e3 * metres:.1f} mm/s, {math.degrees(radians):.1f} deg/s"
 
 
-def is_in_hand(task: AnalyzeTask, arm: str) -> bool:
+def _is_in_hand(task: AnalyzeTask, arm: str) -> bool:
     """Whether the body is between the fingers of the arm, as the camera has seen it."""
     assert task.report.sighting is not None
     return _is_at(task.query, task.query.tcp(arm), task.evaluation.body, geometry.normalise(task.report.sighting.pose))
@@ -149,7 +183,7 @@ def _is_at(query: WorldQuery, tcp: Array, thing: str, frame: Array) -> bool:
     return min((geometry.distance(tcp, point) for point in points), default=math.inf) <= IN_HAND_M
 
 
-def _between_pads(task: AnalyzeTask, arm: str, frame: Array, spread: list[float]) -> touch.Found:
+def _between_pads(task: AnalyzeTask, arm: str, frame: Array, spread: list[float]) -> Found:
     """Where a body is that a hand has been seen to hold: it may have turned flat between the pads since."""
     query, body, tcp = task.query, task.evaluation.body, task.query.tcp(arm)
     if query.sharers(arm) or not _is_at(query, tcp, body, frame):
@@ -182,7 +216,7 @@ def _seated(task: AnalyzeTask, frame: Array, spread: list[float], validity: Vali
     thing, play_m = task.evaluation.body, task.step.figures.play_m or 0.0
     if task.query.cell.object(thing).fixed or task.query.hinge(thing) is not None:
         return []
-    seat = seat_at(frame, task.query, task.step.figures.seated_m or 0.0)
+    seat = seated.seat_at(frame, task.query, task.step.figures.seated_m or 0.0)
     if any(task.query.seat(other.name) == seat for other in task.query.cell.objects if seat and other.name != thing):
         seat = ""
     changes = [WorldChange(key=f"{thing}.seat", value=seat, validity=validity)]
@@ -194,11 +228,90 @@ def _seated(task: AnalyzeTask, frame: Array, spread: list[float], validity: Vali
     return [*changes, WorldChange(key=f"{seat}.frame", value=place, validity=validity, spread=wider)]
 
 
-def in_words(task: AnalyzeTask) -> str:
-    """What the camera has seen, against what was believed; empty without a sighting."""
+def _mounted(query: WorldQuery, body: WorldChange) -> Changes:
+    """What is mounted on a body is where the body has it, after this change of the body's frame.
+
+    What was measured by itself, as well as the body or better, stays where it is, if the body has it there as far as
+    both are known. Of an object with a hinge the angle counts from the hinge on the body in either case. One in a hand
+    turns about that hinge to where the hand has it.
+    """
+    changes: Changes = []
+    after, name = query.after([body]), body.key.rpartition(".")[0]
+    for part in query.cell.mounted(name):
+        key = f"{part.name}.frame"
+        fact, place = query.world.get(key), _in_place(after, part, query.angle(part.name))
+        surveyed = (isinstance(part, parts.Object) and part.surveyed_spread) or EXACT
+        on_body = pose_spread.spread_at(body.spread or EXACT, geometry.relative(after.frame(name), place))
+        spread = widened(on_body, surveyed)
+        validity = fact.validity if fact is not None and body.validity is Validity.VALID else body.validity
+        if isinstance(part, parts.Object) and query.held_by(part.name):
+            changes += _hinge_in_hand(after, part, spread)
+            continue
+        if fact is not None and _is_known_there(after, part, fact, spread, surveyed):
+            changes.append(WorldChange(key=key, value=fact.value, validity=fact.validity, spread=fact.spread))
+            continue
+        place = geometry.normalise(place)
+        changes.append(WorldChange(key=key, value=place.tolist(), validity=validity, spread=spread))
+        if isinstance(part, parts.Seat):
+            changes += seated.content(query, part.name, place, spread, validity)
+    return changes
+
+
+def _hinge_in_hand(query: WorldQuery, part: parts.Object, spread: list[float]) -> Changes:
+    """A held object with a hinge: its hand has the bar, and the body has the hinge. It is unsure by as much as they
+    disagree."""
+    grasp = query.grasp(part.name)
+    if part.hinge is None or grasp is None:
+        return []
+    bar = hinges.bar((point.frame.xyz for point in part.grasp_points), grasp)
+    where = geometry.transform_point(query.frame(part.name), bar)
+    place = hinges.at_hand(query.mount(part), part.hinge.axis, part.hinge.range_rad, bar, where)
+    inside = geometry.relative(query.tcp(query.held_by(part.name)), place)
+    off_m = float(np.linalg.norm(geometry.transform_point(place, bar) - where))
+    lever_m = float(np.linalg.norm(np.cross(part.hinge.axis, bar)))
+    spread = widened(spread, even(off_m, off_m / lever_m))
+    values = {"frame": place, "grasp": inside}
+    return [
+        WorldChange(
+            key=f"{part.name}.{name}",
+            value=geometry.normalise(pose).tolist(),
+            validity=query.world.facts[f"{part.name}.{name}"].validity,
+            spread=spread,
+        )
+        for name, pose in values.items()
+    ]
+
+
+def _in_place(query: WorldQuery, part: parts.Seat | parts.Object, angle: float) -> Array:
+    """The frame of a part on its body; of one with a hinge at this angle (rad), of a bolt as far out as it is."""
+    home = query.mount(part)
+    if isinstance(part, parts.Object) and part.hinge is not None:
+        return hinges.turned(home, part.hinge.axis, angle)
+    if isinstance(part, parts.Object) and part.thread is not None:
+        out_m = part.thread.pitch_m * query.turns(part.name)
+        return geometry.compose(home, (0.0, 0.0, out_m, 0.0, 0.0, 0.0, 1.0))
+    return home
+
+
+def _is_known_there(
+    query: WorldQuery, part: parts.Seat | parts.Object, fact: Fact, spread: Spread, surveyed: Spread
+) -> bool:
+    """Whether a part was measured by itself where its body has it, and at least as well."""
+    own = fact.spread
+    if own is None or list(own) == list(surveyed) or max(own[:3]) > max(spread[:3]):
+        return False
+    hinge = part.hinge if isinstance(part, parts.Object) else None
+    angle = hinges.angle_of(query.mount(part), hinge.axis, fact.value) if hinge is not None else 0.0
+    place = _in_place(query, part, angle)
+    off = pose_spread.error_of(place, fact.value)
+    return all(abs(error) <= bound for error, bound in zip(off, widened(spread, own), strict=True))
+
+
+def found(task: AnalyzeTask) -> tuple[str, str]:
+    """(what the camera has seen, against what was believed; that the pose is suspect although it was seen)."""
     sighting, body = task.report.sighting, task.evaluation.body
     if sighting is None:
-        return ""
+        return "", ""
     seats = {seat.name for seat in task.query.cell.seats}
     before = task.query.seat_frame(body) if body in seats else task.query.frame(body)
     off_mm, turned_deg = (
@@ -211,5 +324,6 @@ def in_words(task: AnalyzeTask) -> str:
     words += f"+- {1e3 * metres:.1f} mm, {math.degrees(radians):.2f} deg by tags "
     words += f"{', '.join(map(str, sighting.tags))}{cameras}, {sighting.error_px:.2f} px off, "
     words += f"{1e3 * sighting.age_s:.0f} ms old" + ", ambiguous attitude" * sighting.ambiguous
-    doubt = _doubt(task, sighting)
-    return words + (f"; its pose is suspect: {doubt}" if doubt else "")
+    if not (doubt := _doubt(task, sighting)):
+        return words, ""
+    return f"{words}; its pose is suspect: {doubt}", f"the pose of {body} is suspect: {doubt}"

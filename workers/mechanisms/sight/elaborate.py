@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
-from rtc.programs.extension_names import CAMERA
-from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
+from rtc.programs.schema import ElaboratorProgram, ScriptStep
 from rtc.protocol import causes
 from rtc.protocol.advice import Advice, fill_in
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
-from workers.elaborator.figures import with_figures
 from workers.planning import sight, suggestions, trust
 from workers.planning.world_query import WorldQuery
-from workers.tasks import object_attributes
 from workers.tasks.candidate import TaskCandidate
 
 MAX_FURTHER = 3  # maximum number of cameras beside the best one
 
 
 def candidates(
-    program: ElaboratorProgram,
-    scripts: Mapping[str, ScriptFile],
-    parsed: ParsedCommand,
-    limits: Limits,
-    query: WorldQuery,
+    program: ElaboratorProgram, parsed: ParsedCommand, limits: Limits, query: WorldQuery
 ) -> list[TaskCandidate]:
     """A camera that the sentence names looks in any case; else those that can see the body where it is believed.
 
@@ -44,42 +35,31 @@ def candidates(
         raise suggestions.unknown("object or seat", name, known)
     if not sight.tags(cell, name):
         raise _without_tags(program, query, name)
-    target = next((one for one in cell.seats if one.name == parsed.target), None)
-    if parsed.target is not None and target is None:
-        raise suggestions.unknown("seat", parsed.target, [one.name for one in cell.seats])
-    cameras = _cameras(program, parsed, query, name)
-    alone = TaskCandidate(query, program, parsed, limits, None, None, None, None, {})
-    figures = with_figures(alone).figures | object_attributes.figures(program, query, thing)
+    target = None if parsed.target is None else suggestions.part(cell.seats, parsed.target, "seat")
     return [
-        TaskCandidate(query, program, parsed, limits, None, thing, None, target, figures, camera, seat)
-        for camera in cameras
+        TaskCandidate(query, program, parsed, limits, None, thing, None, target, {}, camera, seat)
+        for camera in _cameras(program, parsed, query, name)
     ]
 
 
-def camera_for(step: ScriptStep, candidate: TaskCandidate, body: str) -> parts.Camera | None:
-    """The camera that looks for the body and reports; empty `body`: the object. None: it is not a step of a camera."""
-    if step.who != CAMERA:
-        return None
-    return candidate.camera if body in ("", candidate.body) else candidate.query.cameras(body)[0]
-
-
-def further_cameras(step: ScriptStep, candidate: TaskCandidate, body: str, camera: parts.Camera) -> list[str]:
-    """The other cameras that can see the body, if the sentence names none: together they measure its distance better.
-    Only one camera can follow a body."""
-    if "duration_s" in step.args or candidate.parsed.performer is not None:
+def cameras(step: ScriptStep, candidate: TaskCandidate, body: str) -> list[str]:
+    """The camera that looks for the body and reports, and others that can see it, if the sentence names none: together
+    they measure its distance better. Only one camera can follow a body."""
+    query = candidate.query
+    camera = candidate.camera if body == candidate.body else query.cameras(body)[0]
+    if camera is None:
         return []
-    return [other.name for other in candidate.query.cameras(body) if other.name != camera.name][:MAX_FURTHER]
+    alone = "duration_s" in step.args or candidate.parsed.performer is not None
+    others = [] if alone else [other.name for other in query.cameras(body) if other.name != camera.name]
+    return [camera.name, *others[:MAX_FURTHER]]
 
 
 def _cameras(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery, body: str) -> list[parts.Camera]:
-    known = {camera.name: camera for camera in query.cell.cameras}
-    if parsed.performer is None:
-        if not (able := query.cameras(body)):
-            raise _unseen(program, query, body, list(known))
-        return able
-    if parsed.performer not in known:
-        raise suggestions.unknown("camera", parsed.performer, known)
-    return [known[parsed.performer]]
+    if parsed.performer is not None:
+        return [suggestions.part(query.cell.cameras, parsed.performer, "camera")]
+    if not (able := query.cameras(body)):
+        raise _unseen(program, query, body, [camera.name for camera in query.cell.cameras])
+    return able
 
 
 def _without_tags(program: ElaboratorProgram, query: WorldQuery, body: str) -> Refused:

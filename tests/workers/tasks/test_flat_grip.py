@@ -11,10 +11,10 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.messages import WorldChange
 from rtc.spatial import geometry
 from rtc.world.model import World, initial_facts
-from workers.analyzer import flat_grip
 from workers.planning import pose_spread
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
+from workers.tasks import flat_grip
 
 SERVICING = CellModel(Cell.load("servicing"))
 DRIVER, ARM, WIDTH_M, PAD_M = "POWER-DRIVER", "RIGHT-ARM", 0.030, 0.020

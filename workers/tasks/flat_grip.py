@@ -10,12 +10,17 @@ from __future__ import annotations
 import math
 
 from rtc.spatial import geometry
-from rtc.spatial.geometry import Floats
+from rtc.spatial.geometry import Array, Floats
 from rtc.world.spread import Spread
-from workers.analyzer.touch import ABOUT_APPROACH, ABOUT_BAR, ASKEW_RAD, HALF_TURN, Found
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
+Found = tuple[Array, list[float]]  # frame, spread
+
+# Axes of a grasp point: y = closing direction, z = approach. A held bar can be tilted about x and z.
+CLOSING, ABOUT_BAR, ABOUT_APPROACH = 1, 3, 5
+ASKEW_RAD = 0.012  # uncertainty of a bar's tilt derived from the hand width
+HALF_TURN = geometry.from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, math.pi])  # about the approach
 OTHER_FACE_RAD = 0.5  # a bar that may be turned by more may lie between the pads with other faces
 
 

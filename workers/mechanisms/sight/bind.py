@@ -14,29 +14,30 @@ from rtc.sensing import optics
 from rtc.sensing.windows import windows
 from workers.planning import sight, suggestions
 from workers.tasks import assemble
-from workers.tasks.bind_task import RuledTask, refused_program
+from workers.tasks.bind_task import BindTask, RuledTask, refused_program
 
 
-def bind(task: RuledTask) -> BoundStep:
+def bind_look(task: BindTask) -> BoundStep:
     """Figures of the step: `pictures`, or `duration_s` to follow the body every `every_s`. Raises Refused."""
-    cameras, body, values = _cameras(task), task.data.step.body, task.values
+    ruled = task.under(task.data.step.stop)
+    cameras, body, values = _cameras(ruled), ruled.data.step.body, ruled.values
     follows_s = values.get("duration_s")
     evaluation = EvaluationContext(
-        context=task.data.context,
-        step=task.data.step,
-        predicted_s=_lasts_s(task, _in_turn(task, cameras), body) if follows_s is None else follows_s,
+        context=ruled.data.context,
+        step=ruled.data.step,
+        predicted_s=_lasts_s(ruled, _in_turn(ruled, cameras), body) if follows_s is None else follows_s,
         body=body,
-        body_pose=_place(task),
+        body_pose=_place(ruled),
     )
     look = Look(
-        tags=_tags(task, body),
-        believed=task.query.pose(body).tolist(),
+        tags=_tags(ruled, body),
+        believed=ruled.query.pose(body).tolist(),
         pictures=round(values["pictures"]) if follows_s is None else 1,
         duration_s=follows_s,
-        every_s=values["every_s"] if follows_s is None else _followed_every_s(task),
+        every_s=values["every_s"] if follows_s is None else _followed_every_s(ruled),
         cameras=cameras[1:],
     )
-    return assemble.of_camera(task, look, cameras[0], evaluation)
+    return assemble.of_camera(ruled, look, cameras[0], evaluation)
 
 
 def _followed_every_s(task: RuledTask) -> float:
