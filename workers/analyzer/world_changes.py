@@ -169,11 +169,6 @@ def verified(task: AnalyzeTask, validity: Validity) -> Changes:
     ]
 
 
-def handed(task: AnalyzeTask, validity: Validity) -> Changes:
-    """The operator will move the arm: until it has rested again, no one knows where it is."""
-    return [WorldChange(key=f"{task.context.arm}.joints", keep_value=True, validity=Validity.SUSPECT)]
-
-
 def pointed(task: AnalyzeTask, validity: Validity) -> Changes:
     """The operator has brought the hand to the grasp point: the object is where the hand shows it (R149)."""
     found = touch.at_grasp_point(task, task.values["pointed_m"], task.values["pointed_rad"])
@@ -191,7 +186,6 @@ EFFECTS: dict[str, Callable[[AnalyzeTask, Validity], Changes]] = {
     "pinched": pinched,
     "passed": passed,
     "landed": landed,
-    "handed": handed,
     "pointed": pointed,
     **joined(lambda mechanism: mechanism.effects),
 }

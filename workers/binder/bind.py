@@ -25,7 +25,6 @@ from rtc.protocol.primitive import HandMotion, HoldStill
 from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.protocol.units import in_words
 from rtc.world.model import World
-from workers.binder.operated import bind_operated
 from workers.conditions import installed_phases, prediction, sharing
 from workers.conditions.prediction import Expected
 from workers.mechanisms import joined
@@ -247,7 +246,6 @@ ACTIONS: dict[str, Action] = {
     "stated": bind_stated_facts,
     "procedure": bind_procedure,
     "answered": bind_answer,
-    "operated": bind_operated,
     **joined(lambda mechanism: mechanism.actions),
 }
 PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "grasp_plan": grasp_plan}

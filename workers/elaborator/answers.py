@@ -21,9 +21,10 @@ from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
 from rtc.spatial import geometry
 from rtc.world import spread
 from rtc.world.facts import TRUSTED
-from workers.elaborator import command_fields, strategies
+from workers.elaborator import strategies
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
+from workers.tasks import command_fields
 
 RESOURCES = "RESOURCES"
 ENTRY, SCRIPT = "-ENTRY", "-SCRIPT"  # GRASP-ENTRY: the entry of the dictionary; INSERT-SCRIPT: the script

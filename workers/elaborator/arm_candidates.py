@@ -18,11 +18,11 @@ from rtc.spatial import geometry
 from rtc.world.model import BOLT_STATES
 from workers.elaborator import two_arms
 from workers.elaborator.figures import with_figures
-from workers.elaborator.script_options import fits_sentence
 from workers.mechanisms import each
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.candidate import TaskCandidate
+from workers.tasks.command_fields import fits_sentence
 from workers.tasks.scripts import lets_go_first
 
 ARMS = each(lambda mechanism: mechanism.arms)

@@ -33,7 +33,6 @@ from rtc.world.model import location
 from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.elaborator import anchors
 from workers.elaborator.anchors import ANCHORS
-from workers.elaborator.sentence_of import sentence_of
 from workers.mechanisms.collision_advice import advise_on_collision
 from workers.planning import axes, in_seat, scenes, segments, shared_hold, suggestions, trust
 from workers.planning.motion.request import PlanningRequest
@@ -43,6 +42,7 @@ from workers.planning.step_target import target_of
 from workers.tasks.anchor import Anchor
 from workers.tasks.candidate import TaskCandidate
 from workers.tasks.scripts import lets_go_first
+from workers.tasks.sentence_of import sentence_of
 
 MAX_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
 FRAME, GRASP = "frame", "grasp"  # attributes that cameras sense

@@ -32,7 +32,6 @@ from workers.elaborator import (
     answers,
     arm_candidates,
     as_tested,
-    command_fields,
     exact_arms,
     make_way,
     no_script,
@@ -41,7 +40,6 @@ from workers.elaborator import (
     set_fact,
     stages,
     strategies,
-    surrender,
     taken_along,
     teach,
     tested_advice,
@@ -56,10 +54,11 @@ from workers.elaborator.script_checks import (
     why_unsure_grasp,
     why_unsure_place,
 )
-from workers.elaborator.script_options import ScriptOption, fits_sentence, in_words, only_looks, ranked
+from workers.elaborator.script_options import ScriptOption, in_words, only_looks, ranked
 from workers.elaborator.script_steps import (
     FIRST_SKILL,
     Compiled,
+    by_operator,
     context_for,
     lost_arms,
     names_by_role,
@@ -70,13 +69,13 @@ from workers.elaborator.script_steps import (
     trims_for,
     with_seats,
 )
-from workers.elaborator.sentence_of import sentence_of
 from workers.mechanisms import joined
 from workers.planning import trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
-from workers.tasks import object_attributes
+from workers.tasks import command_fields, object_attributes
 from workers.tasks.candidate import TaskCandidate
+from workers.tasks.sentence_of import sentence_of
 
 WRITES_OF_RESERVE = ("active_arm", "active_object", "its_seat")  # what a piece of script may find out
 
@@ -206,7 +205,7 @@ def _elaborated(
     _refuse_unmeasured(parsed, query)
     if parsed.kind == "data":
         return _of_data(program, scripts[branches[0].script], parsed, query, owners, saved)
-    branches = [branch for branch in branches if fits_sentence(branch, parsed)] or branches
+    branches = [branch for branch in branches if command_fields.fits_sentence(branch, parsed)] or branches
     candidates: list[TaskCandidate] = []
     for by_camera in sorted({only_looks(scripts[branch.script]) for branch in branches}):
         if by_camera:
@@ -283,7 +282,7 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list
         first = other_motion.offered(first, options[0], unasked[0])
     if first.reason is RefusalReason.INFEASIBLE:
         candidate = options[0].candidate
-        first = first.offering(surrender.by_operator(compiled.program, compiled.scripts, candidate))
+        first = first.offering(by_operator(compiled, candidate))
     if len(options) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
         raise Refused(first)
     others = "; ".join(notes[1:4]) if len(notes) > 1 else ""

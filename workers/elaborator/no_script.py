@@ -8,7 +8,7 @@ from rtc.programs.schema import Branch, ElaboratorProgram
 from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
-from workers.elaborator import command_fields
+from workers.tasks import command_fields
 
 
 def refused_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refused:

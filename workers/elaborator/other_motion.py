@@ -15,8 +15,9 @@ from rtc.programs.schema import ScriptFile
 from rtc.protocol.advice import fill_in
 from rtc.protocol.messages import Script
 from rtc.protocol.outcomes import Refusal
-from workers.elaborator.script_options import ScriptOption, fits_sentence
-from workers.elaborator.sentence_of import PATHS, sentence_of
+from workers.elaborator.script_options import ScriptOption
+from workers.tasks.command_fields import fits_sentence
+from workers.tasks.sentence_of import PATHS, sentence_of
 
 Scripts = Mapping[str, ScriptFile]
 

@@ -11,12 +11,13 @@ from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
 from workers.conditions import reflexes
-from workers.elaborator import anchors, command_fields, done_already, preconditions, two_arms
+from workers.elaborator import anchors, done_already, preconditions, two_arms
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.mechanisms import MECHANISMS
 from workers.planning import trust
 from workers.planning.scenes import clearance_of
+from workers.tasks import command_fields
 from workers.tasks.candidate import TaskCandidate
 
 

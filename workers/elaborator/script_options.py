@@ -12,9 +12,8 @@ from rtc.plugins import registry
 from rtc.programs import attributes, expressions
 from rtc.programs.schema import Branch, BranchCondition, ScriptFile
 from rtc.protocol.outcomes import Refusal
-from rtc.protocol.sentence import ParsedCommand
-from workers.elaborator import command_fields, no_script
-from workers.tasks import object_attributes
+from workers.elaborator import no_script
+from workers.tasks import command_fields, object_attributes
 from workers.tasks.candidate import TaskCandidate
 
 
@@ -63,7 +62,9 @@ def _score(option: ScriptOption) -> float:
 
 
 def _unstated(branch: Branch, candidate: TaskCandidate) -> Refusal | None:
-    if not (names := attributes.of_conditions(branch.when)) or not fits_sentence(branch, candidate.parsed):
+    if not (names := attributes.of_conditions(branch.when)) or not command_fields.fits_sentence(
+        branch, candidate.parsed
+    ):
         return None
     why = object_attributes.why_unstated(candidate.program, candidate.query, candidate.thing, names)
     return None if why is None else msgspec.structs.replace(why, message=f"{branch.script}: {why.message}")
@@ -79,24 +80,8 @@ def only_looks(script: ScriptFile) -> bool:
     return "camera" in script.resources and "active_arm" not in script.resources
 
 
-def fits_sentence(branch: Branch, parsed: ParsedCommand) -> bool:
-    """Whether the conditions on the sentence alone hold."""
-    return all(_holds_for(check, parsed) for check in branch.when)
-
-
-def _holds_for(check: BranchCondition, parsed: ParsedCommand) -> bool:
-    if check.given and command_fields.field(parsed, check.given) is None:
-        return False
-    if check.missing and command_fields.field(parsed, check.missing) is not None:
-        return False
-    for path, value in check.equals.items():
-        if command_fields.field(parsed, path) != value:
-            return False
-    return not check.differs or all(command_fields.field(parsed, p) != v for p, v in check.differs.items())
-
-
 def holds(check: BranchCondition, candidate: TaskCandidate) -> bool:
-    if not _holds_for(check, candidate.parsed):
+    if not command_fields.holds_for(check, candidate.parsed):
         return False
     if check.of is None:
         return True

@@ -15,9 +15,9 @@ from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece, Scri
 from rtc.protocol.messages import ScriptContext, Step, StepFigures, StepWords, Trim, TrimOffer
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.conditions import reflexes
-from workers.elaborator import surrender
 from workers.elaborator.backtrack import FRAME, GRASP
 from workers.elaborator.figures import of_partner
+from workers.elaborator.preconditions import NEEDS
 from workers.elaborator.script_options import ScriptOption
 from workers.mechanisms import each, joined
 from workers.planning import segments, suggestions
@@ -34,6 +34,7 @@ class Compiled:
 
 #: performer of a step -> the cameras that look for a body
 PERFORMERS = joined(lambda mechanism: mechanism.performers)
+INSTEAD = each(lambda mechanism: mechanism.instead)
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
 FIGURES = frozenset(StepFigures.__struct_fields__)
 ENDS = "ends"  # word of a step that UNTIL ends; another one that watches it may end otherwise too
@@ -260,8 +261,14 @@ def context_for(
         fits={entry.n: entry.fits for entry in entries if entry.fits},
         if_drifting=next((entry.n for entry in script.trimming_stack if entry.drift and entry.n in known), 0),
         offers=_offers(compiled, script, entries),
-        by_operator=surrender.by_operator(compiled.program, compiled.scripts, candidate),
+        by_operator=by_operator(compiled, candidate),
     )
+
+
+def by_operator(compiled: Compiled, candidate: TaskCandidate) -> str:
+    """The sentence that asks a mechanism for what the script does not achieve; empty if none does it."""
+    asked = (instead(compiled.program, compiled.scripts, candidate, NEEDS) for instead in INSTEAD)
+    return next(filter(None, asked), "")
 
 
 def names_by_role(candidate: TaskCandidate) -> dict[str, list[str]]:

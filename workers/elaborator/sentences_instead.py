@@ -18,9 +18,9 @@ from rtc.protocol.causes import Collides, TooUncertain
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, Quantity
 from workers.elaborator.script_steps import Compiled
-from workers.elaborator.sentence_of import relative_amount, sentence_of
 from workers.elaborator.tested_advice import AdviceTest
 from workers.planning.world_query import WorldQuery
+from workers.tasks.sentence_of import relative_amount, sentence_of
 
 ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.NO_SCRIPT, RefusalReason.SUSPECT)
 ATTITUDE = "POSE-DURING-MOTION"  # MAINTAIN that protects nothing but what is carried

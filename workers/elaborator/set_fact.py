@@ -19,11 +19,12 @@ from rtc.protocol.sentence import ParsedCommand
 from rtc.protocol.spelling import nearest
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from workers.elaborator import command_fields, preconditions, strategies, teach
+from workers.elaborator import preconditions, strategies, teach
 from workers.mechanisms import joined
 from workers.mechanisms.mechanism import Stated, Thing
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
+from workers.tasks import command_fields
 
 
 def script(

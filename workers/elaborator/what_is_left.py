@@ -12,8 +12,8 @@ import msgspec
 from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile, ScriptStep
 from rtc.protocol.messages import Step
-from workers.elaborator.sentence_of import relative_amount, sentence_of
 from workers.tasks.candidate import TaskCandidate
+from workers.tasks.sentence_of import relative_amount, sentence_of
 
 LEFT = "{left}"  # in the sentence: the amount that is left, without its sign
 

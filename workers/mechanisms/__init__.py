@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TypeVar
 
-from workers.mechanisms import bolts, hinges, sight
+from workers.mechanisms import bolts, hinges, operator, sight
 from workers.mechanisms.mechanism import Mechanism
 
-MECHANISMS: tuple[Mechanism, ...] = (hinges.MECHANISM, bolts.MECHANISM, sight.MECHANISM)
+MECHANISMS: tuple[Mechanism, ...] = (hinges.MECHANISM, bolts.MECHANISM, sight.MECHANISM, operator.MECHANISM)
 
 Key = TypeVar("Key")
 Part = TypeVar("Part")

@@ -31,6 +31,7 @@ Changes = list[WorldChange]
 Thing = parts.Object | parts.Seat
 Need = Callable[[TaskCandidate], UnmetPrecondition | None]
 Candidates = Callable[[ElaboratorProgram, ParsedCommand, Limits, WorldQuery], list[TaskCandidate]]
+Instead = Callable[[ElaboratorProgram, Mapping[str, ScriptFile], TaskCandidate, Mapping[str, Need]], str]
 Check = Callable[[ScriptFile, TaskCandidate], None]
 Stated = Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]
 Touch = Callable[[WorldQuery, str, EvaluationContext], Callable[[Array], bool] | None]
@@ -51,6 +52,8 @@ class Mechanism:
     candidates: Mapping[str, Candidates] = field(default_factory=dict)
     #: performer of a step (`who`) -> the names that perform it for a body; the first one reports
     performers: Mapping[str, Callable[[ScriptStep, TaskCandidate, str], list[str]]] = field(default_factory=dict)
+    #: the sentence that asks someone else for what no script has achieved; empty: none
+    instead: Instead | None = None
     needs: Mapping[str, Need] = field(default_factory=dict)
     anchors: Mapping[str, Callable[[TaskCandidate], Anchor]] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()

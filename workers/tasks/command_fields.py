@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from rtc.model.cells.cell import Cell
-from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
+from rtc.programs.schema import ActsOn, Branch, BranchCondition, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import SHARED_AXES, Constraint, ParsedCommand, Quantity
@@ -58,6 +58,22 @@ def field(parsed: ParsedCommand, path: str) -> Any:
         if value is None:
             return None
     return value or None
+
+
+def fits_sentence(branch: Branch, parsed: ParsedCommand) -> bool:
+    """Whether the conditions on the sentence alone hold."""
+    return all(holds_for(check, parsed) for check in branch.when)
+
+
+def holds_for(check: BranchCondition, parsed: ParsedCommand) -> bool:
+    if check.given and field(parsed, check.given) is None:
+        return False
+    if check.missing and field(parsed, check.missing) is not None:
+        return False
+    for path, value in check.equals.items():
+        if field(parsed, path) != value:
+            return False
+    return not check.differs or all(field(parsed, p) != v for p, v in check.differs.items())
 
 
 def in_words(path: str) -> str:
