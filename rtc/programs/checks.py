@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from typing import Any, NamedTuple
 
 from rtc.model.cells.parts import Numbers
-from rtc.plugins import registry
-from rtc.programs import attributes, expressions, extension_names, plugin_fields, recovery, splice
+from rtc.programs import attributes, expressions, extension_names, named_algorithms, plugin_fields, recovery, splice
 from rtc.programs.schema import (
     AnalyzerProgram,
     BinderProgram,
@@ -66,7 +65,7 @@ def _elaborator(program: ElaboratorProgram) -> Problems:
     if problems := list(splice.problems(program)):
         yield from problems
         return
-    yield from _phases(program.phases)
+    yield from named_algorithms.problems(program)
     yield from plugin_fields.problems(program)
     scripts = {script.script for script in program.scripts}
     of_object = attributes.figures(program)
@@ -197,7 +196,7 @@ def _path(step: ScriptStep, place: str) -> Problems:
 
 
 def _binder(program: BinderProgram) -> Problems:
-    yield from _phases(program.phases)
+    yield from named_algorithms.problems(program)
     yield from _values(program.values, "values")
     for name, row in program.stop_classes.items():
         yield from _values(row.values, f"stop_classes.{name}.values")
@@ -225,7 +224,7 @@ def _stop_row(stop: StopRow, where: str) -> Problems:
 
 
 def _analyzer(program: AnalyzerProgram) -> Problems:
-    yield from _phases(program.phases)
+    yield from named_algorithms.problems(program)
     yield from _trimmers(program)
     for name, failure in program.classes.items():
         again, pressing = ("target_cure", "out_first", "found_at"), ("away", "leave")
@@ -251,12 +250,7 @@ def _text_of(row: str | Advice) -> str:
 
 
 def _trimmers(program: AnalyzerProgram) -> Problems:
-    """Trimmers that nothing provides, and tables that no trimmer reads."""
-    for n, name in enumerate(program.trimmers):
-        if name not in recovery.BUILT_IN:
-            yield from known(
-                "trimmer", name, {*recovery.BUILT_IN, *registry.names(registry.TRIMMERS)}, f"trimmers[{n}]"
-            )
+    """Tables that no trimmer reads, and names in them that do not exist."""
     if recovery.RULES in program.trimmers and not program.rules:
         yield "trimmers", "rules choose nothing without a section `rules`"
     if recovery.SEARCH in program.trimmers and program.search is None:
@@ -348,11 +342,6 @@ def valueless(expression: str) -> str:
 def known(kind: str, name: str, names: Collection[str], place: str) -> Problems:
     if name not in names:
         yield place, unknown(kind, name, filter(None, names))
-
-
-def _phases(names: Sequence[str]) -> Problems:
-    for n, name in enumerate(names):
-        yield from known("phase", name, registry.names(registry.PHASES), f"phases[{n}]")
 
 
 CHECKS: dict[type[Any], Callable[[Any], Problems]] = {

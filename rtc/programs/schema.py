@@ -28,6 +28,21 @@ class ProgramPart(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     """Base of all parts of a program: an unknown field is an error."""
 
 
+OWN = "own"  # rtc's own algorithm, among those that a program names
+Named = Annotated[list[str], Meta(min_length=1)]  # algorithms, see `rtc.programs.named_algorithms`
+
+
+class Algorithms(ProgramPart, frozen=True, kw_only=True):
+    """Who plans the motions of a job, in this order: the first that finds a result is followed (R103, R104)."""
+
+    planners: Named = msgspec.field(default_factory=lambda: [OWN])  # of free ways to joint values
+    ik: Named = msgspec.field(default_factory=lambda: [OWN])  # of postures for a pose
+    timing: Named = msgspec.field(default_factory=lambda: [OWN])  # of a path
+
+
+OWN_ALONE = Algorithms()
+
+
 # --- elaborator ----------------------------------------------------------------------------------------
 
 
@@ -160,7 +175,7 @@ class ActsOn(ProgramPart, frozen=True, kw_only=True):
     about: str  # the same as text
 
 
-class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True, dict=True):
+class ElaboratorProgram(Algorithms, frozen=True, kw_only=True, dict=True):
     decision_tree: list[Branch]
     command_object_table: list[TableRow]
     scripts: list[ScriptFile]
@@ -175,6 +190,8 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True, dict=True):
     repairs: list[str] = []  # sentences that a TEST tries before a refused one; see workers/rehearsal/repairs.py
     instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
     cannot: dict[str, str] = {}  # verb that no script can perform -> the reason
+    grasp_planners: Named = msgspec.field(default_factory=lambda: [OWN])  # whose grasp points are tried, in this order
+    evaluators: list[str] = []  # of installed packages: the option with the lowest sum of their scores comes first
     phases: list[str] = []  # of installed packages, in this order; each product passes through them
     needs: dict[str, Advice] = {}  # registered condition of the world -> what makes it true
     settable: dict[str, SettableAttribute] = {}  # attribute that SET may change -> form of its value
@@ -232,7 +249,7 @@ class StopClass(ProgramPart, frozen=True, kw_only=True):
     values: dict[str, Expression] = {}  # speed_m_s, force_n, contact_n ..., over the numbers of the cell
 
 
-class BinderProgram(ProgramPart, frozen=True, kw_only=True):
+class BinderProgram(Algorithms, frozen=True, kw_only=True):
     actions: dict[str, str]  # `do` of a step -> registered algorithm
     stop_classes: dict[str, StopClass]
     hand: dict[str, str]  # `op` of a hand (open, close) -> stop class
@@ -306,7 +323,7 @@ class AnalyzerProgram(ProgramPart, frozen=True, kw_only=True):
     outcomes: dict[str, dict[StopReason, str]]  # row (see compatibility.row_of) -> stop reason -> failure class
     derived: dict[str, dict[str, StopReason]] = {}  # row -> defect of a nominal end -> stop reason that it counts as
     classes: dict[str, OutcomeClass]
-    trimmers: Annotated[list[str], Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["stack"])
+    trimmers: Named = msgspec.field(default_factory=lambda: ["stack"])
     """Who chooses a trim, in this order: `stack`, `rules`, `search`, or the name of an installed package."""
     rules: list[TrimRule] = []
     search: SearchModel | None = None

@@ -98,6 +98,9 @@ ENTRIES = {
     **{"rtc.phases": ("ODD", "phase"), "rtc.trimmers": ("ODD", "choose"), "rtc.ik": ("ODD", "solve")},
     **{"rtc.timing": ("ODD", "times"), "rtc.control_laws": ("odd", "Law")},
 }
+_PLANNED = "planners: [ODD, own]\nik: [ODD, own]\ntiming: [ODD, own]"
+#: kind of worker -> what its program names besides a phase
+NAMED = {"elaborator": f"{_PLANNED}\nevaluators: [ODD]", "binder": _PLANNED, "analyzer": "trimmers: [ODD, stack]"}
 SLOW = ("loop", "sleep", "library")
 PLACES = ("item", "score", "plan", "phase", "trim", "ik", "time")
 DEEDS: list[list[Any]] = [
@@ -192,8 +195,12 @@ class Doors:
         self.noticed = Noticed()
         self._pids = self.pids()
         self._ways = 0
-        for kind in ("elaborator", "binder", "analyzer"):
-            self._load(kind, "phases: [ODD]" + ("\ntrimmers: [ODD, stack]" if kind == "analyzer" else ""))
+        self._name_all()
+
+    def _name_all(self) -> None:
+        """Load programs that name the package wherever it can act."""
+        for kind, more in NAMED.items():
+            self._load(kind, f"phases: [ODD]\n{more}")
 
     def _load(self, kind: str, body: str, name: str = "odd.yaml") -> Any:
         request = uuid.uuid4().hex
@@ -210,8 +217,7 @@ class Doors:
         report = " REPORT ODD" if place == "item" else ""
         answer = self.peer.outcome(SENTENCE.format(distance) + report)
         self.mode.write_text("")
-        for kind in ("elaborator", "binder", "analyzer"):  # a failed first job has rolled them back
-            self._load(kind, "phases: [ODD]" + ("\ntrimmers: [ODD, stack]" if kind == "analyzer" else ""))
+        self._name_all()  # a failed first job has rolled them back
         if not answer:
             return f"{place} {deed}: no answer in {ANSWER_S:g} s; live: {self._live()}"
         named = answer.startswith(("succeeded", "halted")) or "ODD" in answer

@@ -27,6 +27,7 @@ PREFERS = "def score(option):\n    return float(option.candidate.point.name != {
 @pytest.mark.parametrize("point", ["HANDLE-A", "HANDLE-B"])
 def test_an_evaluator_ranks_the_ways_to_do_a_command(install: Install, bench, point: str) -> None:  # noqa: F811
     install(registry.EVALUATORS, "prefers", "score", PREFERS.format(point))
+    bench.load("elaborator", "evaluators: [prefers]")
     assert bench.elaborate("GRASP MACS-NEW WITH RIGHT-ARM").context.grasp_point == point
 
 
@@ -52,7 +53,7 @@ def test_fields_of_a_package_reach_it(install: Install, bench) -> None:  # noqa:
     wear = "def score(option):\n    option.branch.extra['x-wear']\n    return 0.0\n"
     install(registry.EVALUATORS, "wear", "score", wear)
     install(registry.TRIMMERS, "calm", "choose", "def choose(data, entries):\n    return None\n")
-    bench.load("elaborator", branch)
+    bench.load("elaborator", f"{branch}\nevaluators: [wear]")
     bench.load("elaborator", step + "\n")
     assert bench.elaborate("STOW RIGHT-ARM").context.script == "stow"  # the evaluator has found its field
     bench.load("elaborator", "script: stow\ncase: 1\nuses: [hand]\nsteps: [{do: piece, name: wait}]")
@@ -156,6 +157,7 @@ def test_a_sensor_adds_marks_to_a_picture(install: Install, cell: Cell, camera: 
 @pytest.mark.parametrize("code", ["raise SystemExit(1)", "return float('nan')", "return 'x'", "return None"])
 def test_an_evaluator_that_fails_is_named(install: Install, bench, code: str) -> None:  # noqa: F811
     install(registry.EVALUATORS, "EVIL", "score", f"def score(option):\n    {code}\n")
+    bench.load("elaborator", "evaluators: [EVIL]")
     with pytest.raises(PluginError, match="evaluator EVIL"):
         bench.elaborate("STOW RIGHT-ARM")
 

@@ -1,4 +1,4 @@
-"""Planners, solvers, timings and grasp planners of installed packages: used where they help, and never trusted."""
+"""Planners, solvers, timings and grasp planners of installed packages: used where they are named, and never trusted."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ from contextlib import nullcontext
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from rtc.model.cells.cell import Cell
 from rtc.model.robot.kinematics import ArmModel
 from rtc.plugins import registry
 from rtc.plugins.guard import PluginError
+from rtc.programs.schema import Algorithms
 from rtc.protocol.outcomes import ProgramError, Refused
-from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from tests.plugins.toy_packages import Install
 from tests.workers.planning.motion.test_plan import behind_a_wall, setting  # noqa: F401
+from workers.planning.motion import ik, sampled_way, timings
 from workers.planning.motion import path as paths
-from workers.planning.motion import sampled_way
 from workers.planning.motion.plan import plan_joint_motion
-from workers.planning.motion.timing import SpeedLimits, time_path
+from workers.planning.motion.request import PlanningRequest
+from workers.planning.motion.timing import NO_SPEED_LIMITS, SpeedLimits, Timed
 
 THROUGH = "def plan(request, goal):\n    return [request.start, 0.5 * (request.start + goal), goal]\n"
 
@@ -30,23 +33,29 @@ def without_samples(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(sampled_way, name, 0)
 
 
+def asking(planner: str, case: tuple[PlanningRequest, Array]) -> tuple[PlanningRequest, Array]:
+    """The case with this planner, and ours after it."""
+    request, goal = case
+    return replace(request, algorithms=Algorithms(planners=[planner, "own"])), goal
+
+
 def test_a_colliding_path_of_a_planner_is_not_accepted(install, right, cell, setting, monkeypatch):  # noqa: F811
     """Its way leads straight through the wall; the search has no samples, so no way is found."""
     without_samples(monkeypatch)
     install(registry.PLANNERS, "straight", "plan", THROUGH)
     with pytest.raises(Refused) as refused:
-        plan_joint_motion(*behind_a_wall(cell, right, setting))
+        plan_joint_motion(*asking("straight", behind_a_wall(cell, right, setting)))
     assert refused.value.refusal.cause.body_b == "WALL slab"
 
 
-def test_a_free_path_of_a_planner_is_used_before_a_search(install, right, cell, setting, monkeypatch):  # noqa: F811
+def test_a_free_path_of_a_planner_is_used(install, right, cell, setting, monkeypatch):  # noqa: F811
     """It hands on what a search has found before, as corners."""
     request, goal = behind_a_wall(cell, right, setting)
     found = sampled_way.find_sampled_way(request, request, [goal], sampled_way.guides(request, goal))
     corners = [list(map(float, q)) for q in found.path.knots]
     without_samples(monkeypatch)
     install(registry.PLANNERS, "recalls", "plan", f"def plan(request, goal):\n    return {corners}\n")
-    motion = plan_joint_motion(request, goal)
+    motion = plan_joint_motion(*asking("recalls", (request, goal)))
     assert motion.notes[-1].startswith("planner recalls: tested: free")
 
 
@@ -71,21 +80,22 @@ def test_a_planner_that_gives_no_way_is_passed_over(install, right, cell, settin
     request, goal = behind_a_wall(cell, right, setting)
     given = [*map(list, request.joints.values()), right.limits.upper.tolist(), right.base_pose.tolist()]
     with pytest.raises(Refused) as refused:
-        plan_joint_motion(request, goal)
+        plan_joint_motion(*asking("poor", (request, goal)))
     assert refused.value.refusal.effort.samples == 0
     assert given == [*map(list, request.joints.values()), right.limits.upper.tolist(), right.base_pose.tolist()]
 
 
-def test_a_solver_is_asked_when_ours_finds_nothing(install: Install, cell: Cell) -> None:
-    """It returns one posture that reaches the target, and one that does not."""
+def test_a_posture_of_a_solver_counts_if_it_reaches_the_pose(install: Install, cell: Cell) -> None:
+    """It returns one posture that reaches the target, and one that does not. Then ours is asked."""
     arm = ArmModel.of(cell, "RIGHT-ARM")
     q = np.array(cell.arm("RIGHT-ARM").home_rad)
     code = f"def solve(arm, target, near):\n    return [{q.tolist()}, {(q + 0.3).tolist()}]\n"
     install(registry.IK, "toy", "solve", code)
-    found = arm._added_ik(arm.fk(q), q, 0.0)
-    assert [one.tolist() for one in found] == [q.tolist()]
-    far = geometry.make_pose([50.0, 0.0, 0.0], geometry.LEVEL)
-    assert arm.ik(far, q) == []
+    found = ik.solutions(["toy"], arm, arm.fk(q), q)
+    assert [one.tolist() for one in found.found] == [q.tolist()]
+    other = arm.fk(q + 0.1)
+    assert ik.solutions(["toy"], arm, other, q).found == []
+    assert len(ik.solutions(["toy", "own"], arm, other, q).found) == len(arm.ik(other, q)) > 0
 
 
 SLOW = """
@@ -93,39 +103,40 @@ from dataclasses import replace
 import numpy as np
 def time(arm, path, pace, load):
     from workers.planning.motion import timing
-    own = timing._slowed(arm, timing._time_line(arm, path, pace))
+    own = timing.slowed(arm, timing._time_line(arm, path, pace))
     return {expression}
 """
 
 
-def test_a_timing_is_used_and_slowed_to_the_limits_of_the_arm(install: Install, right: ArmModel) -> None:
-    start = right.middle
-    path = paths.joint_line(start, start + 0.4)
-    own = time_path(right, path, SpeedLimits(10.0, 100.0))
+def timed_by(name: str, setting: PlanningRequest, pace: SpeedLimits = NO_SPEED_LIMITS) -> Timed:  # noqa: F811
+    """A line in joint space, timed by this timing alone."""
+    request = replace(setting, pace=pace, algorithms=Algorithms(timing=[name]))
+    return timings.time_path(request, paths.joint_line(setting.arm.middle, setting.arm.middle + 0.4))[0]
+
+
+def test_a_timing_is_used_and_slowed_to_the_limits_of_the_arm(install: Install, setting) -> None:  # noqa: F811
+    own = timed_by("own", setting, SpeedLimits(10.0, 100.0))
     install(registry.TIMING, "hasty", "time", SLOW.format(expression="timing.slower(own, 0.5)"))
-    hasty = time_path(right, path, SpeedLimits(10.0, 100.0))
-    assert hasty.duration_s >= 0.99 * own.duration_s
+    assert timed_by("hasty", setting, SpeedLimits(10.0, 100.0)).duration_s >= 0.99 * own.duration_s
     install(registry.TIMING, "calm", "time", SLOW.format(expression="timing.slower(own, 3.0)"))
-    assert time_path(right, path, SpeedLimits(10.0, 100.0)).duration_s == pytest.approx(3 * own.duration_s, rel=0.01)
+    calm = timed_by("calm", setting, SpeedLimits(10.0, 100.0))
+    assert calm.duration_s == pytest.approx(3 * own.duration_s, rel=0.01)
 
 
-def test_a_timing_off_the_path_is_refused(install: Install, right: ArmModel) -> None:
-    start = right.middle
-    path = paths.joint_line(start, start + 0.4)
+def test_a_timing_off_the_path_is_refused(install: Install, setting) -> None:  # noqa: F811
     bump = "np.outer(np.sin(np.pi * own.time_s / own.duration_s) ** 3, [0.3, 0, 0, 0, 0, 0])"
     bent = SLOW.format(expression=f"replace(own, positions=own.positions + {bump})")
     install(registry.TIMING, "bent", "time", bent)
     with pytest.raises(Refused):
-        time_path(right, path)
+        timed_by("bent", setting)
 
 
 @pytest.mark.parametrize("expression", ["own.time_s * 1e-300", "own.time_s * 0.2"])
-def test_a_timing_whose_velocities_hide_its_speed_is_refused(install: Install, right: ArmModel, expression) -> None:
+def test_a_timing_whose_velocities_hide_its_speed_is_refused(install: Install, setting, expression) -> None:  # noqa: F811
     """Its velocities are those of a slower motion: it leaps from knot to knot."""
-    path = paths.joint_line(right.middle, right.middle + 0.4)
     install(registry.TIMING, "hasty", "time", SLOW.format(expression=f"replace(own, time_s={expression})"))
     with pytest.raises((Refused, PluginError), match="timing hasty"):
-        time_path(right, path, SpeedLimits())
+        timed_by("hasty", setting, SpeedLimits())
 
 
 GRASPS = """
@@ -192,7 +203,7 @@ def test_a_solver_that_fails_is_named(install: Install, cell: Cell, code: str, f
     install(registry.IK, "EVIL", "solve", f"def solve(arm, target, near):\n    {code}\n")
     before = q.copy()
     with pytest.raises(PluginError, match="IK solver EVIL") if fails else nullcontext():
-        assert arm._added_ik(arm.fk(q), q, 0.0) == []
+        assert ik.solutions(["EVIL"], arm, arm.fk(q), q).found == []
     assert q.tolist() == before.tolist()
 
 
@@ -206,10 +217,10 @@ def test_a_solver_that_fails_is_named(install: Install, cell: Cell, code: str, f
         "replace(own, velocities=own.velocities[:, :2])",
     ],
 )
-def test_a_timing_that_returns_no_timing_is_named(install: Install, right: ArmModel, expression: str) -> None:
+def test_a_timing_that_returns_no_timing_is_named(install: Install, setting, expression: str) -> None:  # noqa: F811
     install(registry.TIMING, "EVIL", "time", SLOW.format(expression=expression))
     with pytest.raises(PluginError, match="timing EVIL"):
-        time_path(right, paths.joint_line(right.middle, right.middle + 0.4))
+        timed_by("EVIL", setting)
 
 
 def test_a_grasp_planner_that_ends_its_process_is_refused_with_the_cell(install: Install) -> None:

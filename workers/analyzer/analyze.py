@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import msgspec
 
+from rtc.programs import named_algorithms
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
@@ -88,8 +89,7 @@ def compile(program: bytes) -> AnalyzerProgram:
             raise ProgramError(f"$.values: no {name}")
     for name in OF_CELL & document.values.keys():
         raise ProgramError(f"$.values.{name}: it is one of the cell's `numbers`; state it there")
-    trimmers.refuse_unknown(document)
-    installed_phases.refuse_unknown(document.phases)
+    named_algorithms.refuse_missing(document)
     return document
 
 

@@ -15,20 +15,13 @@ from rtc.plugins.guard import PluginError
 from rtc.programs import expressions
 from rtc.programs.compatibility import row_of
 from rtc.programs.recovery import RESERVE, RULES, SEARCH, STACK, Failure, Offers, matching, searched
-from rtc.programs.schema import AnalyzerProgram, Bounds
+from rtc.programs.schema import Bounds
 from rtc.protocol.messages import TrimOffer
-from rtc.protocol.outcomes import ProgramError, StopReason
+from rtc.protocol.outcomes import StopReason
 from workers.conditions import reflexes
 from workers.tasks.analyze_task import AnalyzeTask
 
 NAMELESS = TrimOffer(skill="")  # an entry of the sentence (AND TRY)
-
-
-def refuse_unknown(program: AnalyzerProgram) -> None:
-    """Raises ProgramError if a trimmer is not one that this process can call."""
-    for name in program.trimmers:
-        if name not in BUILT_IN and (why := registry.why_missing(registry.TRIMMERS, name)):
-            raise ProgramError(f"$.trimmers: {name}: {why}")
 
 
 def chosen(task: AnalyzeTask, reason: StopReason, failure: str) -> tuple[list[int], str]:

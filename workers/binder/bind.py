@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from rtc.language.hands import hand_in_words
-from rtc.programs import expressions
+from rtc.programs import expressions, named_algorithms
 from rtc.programs.extension_names import PERFORMERS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram
@@ -50,7 +50,7 @@ MIN_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 def compile(program: bytes) -> BinderProgram:
     """Check the program. Raises ProgramError."""
     document = decode(program, BinderProgram)
-    installed_phases.refuse_unknown(document.phases)
+    named_algorithms.refuse_missing(document)
     return document
 
 
@@ -58,7 +58,7 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     """Bind the step to the current world."""
     assert cell is not None
     assert world is not None
-    query = WorldQuery(cell, world, seed_of(command_of(data.primitive_id)), data.moving)
+    query = WorldQuery(cell, world, seed_of(command_of(data.primitive_id)), data.moving, compiled)
     try:
         step = step_target.counted_from_now(data.step, query, data.context.object)
         bound = _bound(BindTask(compiled, query, msgspec.structs.replace(data, step=step)))
@@ -233,7 +233,8 @@ def open_hand(task: BindTask) -> BoundStep:
 
 def grasp_plan(task: BindTask) -> BoundStep:
     """Bindings of the plan, with joint values solved again for objects that have moved since planning."""
-    return BoundStep(bindings=replan.replan(task.query, task.arm, task.data.bindings), note="the plan")
+    bindings, notes = replan.replan(task.query, task.arm, task.data.bindings)
+    return BoundStep(bindings=bindings, note="; ".join(("the plan", *notes)))
 
 
 Action = Callable[[BindTask], BoundStep]

@@ -11,16 +11,9 @@ from typing import Any, TypeVar, cast
 from rtc.plugins import registry
 from rtc.plugins.guard import PluginError
 from rtc.protocol import wire
-from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 
 Product = TypeVar("Product")
-
-
-def refuse_unknown(names: Iterable[str]) -> None:
-    """Raises ProgramError if a phase is not one that this process can call."""
-    for name in names:
-        if why := registry.why_missing(registry.PHASES, name):
-            raise ProgramError(f"$.phases: {name}: {why}")
 
 
 def applied(names: Iterable[str], data: Any, product: Product) -> Product:

@@ -9,7 +9,7 @@ import msgspec
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
-from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.programs.schema import OWN, ElaboratorProgram, ScriptFile
 from rtc.protocol.advice import by_sentence
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, Refused
@@ -35,7 +35,8 @@ def candidates(
     limits: Limits,
     query: WorldQuery,
 ) -> list[TaskCandidate]:
-    """One candidate per arm and grasp point that the sentence allows, nearest first. Raises Refused."""
+    """One candidate per arm and grasp point that the sentence allows. The points of the first grasp planner that the
+    program names come first; those of one, nearest first. Raises Refused."""
     thing = _thing(program, parsed, query.cell)
     parsed = _with_place(program, scripts, parsed, query)
     seated = parsed.target not in (None, *BOLT_STATES)
@@ -51,7 +52,7 @@ def candidates(
                     query, program, parsed, limits, arm, about, point, target, {}, None, None, partner, meeting
                 )
                 allowed.append(with_figures(made))
-    return sorted(allowed, key=_far)
+    return sorted(allowed, key=lambda one: (_rank(program, one.point), _far(one)))
 
 
 def _with_place(
@@ -144,12 +145,20 @@ def _points(
     parsed: ParsedCommand,
     thing: parts.Object | None,
 ) -> list[parts.GraspPoint | None]:
-    """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
+    """The grasp point named in the sentence; else those of the grasp planners that the program names, in their order;
+    [None] if no script of the verb uses a grasp point."""
     if thing is None:
         return [None]
     chosen = [scripts[row.script] for row in program.branches[parsed.verb] if fits_sentence(row, parsed)]
     if not any("grasp_point" in script.uses for script in chosen):
         return [None]
     if parsed.grasp_point is None:
-        return [*thing.grasp_points] or [None]
+        ranked = sorted(thing.grasp_points, key=lambda point: _rank(program, point))
+        return [point for point in ranked if (point.planner or OWN) in program.grasp_planners] or [None]
     return [suggestions.part(thing.grasp_points, parsed.grasp_point, "grasp point", of=thing.name)]
+
+
+def _rank(program: ElaboratorProgram, point: parts.GraspPoint | None) -> int:
+    """The place of its grasp planner in the program; one that only the sentence names has no rival."""
+    planner, named = (point.planner if point else "") or OWN, program.grasp_planners
+    return named.index(planner) if planner in named else 0

@@ -35,6 +35,7 @@ from workers.elaborator import anchors
 from workers.elaborator.anchors import ANCHORS
 from workers.mechanisms.collision_advice import advise_on_collision
 from workers.planning import axes, in_seat, scenes, segments, shared_hold, suggestions, trust
+from workers.planning.motion import ik
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
@@ -173,12 +174,13 @@ def _search(
 ) -> Solved:
     """`sensed`: bodies whose poses are measured before the script begins, so that their spread does not count."""
     request = _request(script, candidate, sensed)
-    ways = list(_ways(script, candidate, lines, request))
+    solvers: dict[str, None] = {}
+    ways = list(_ways(script, candidate, lines, request, solvers))
     if not ways:
         raise _unreachable(script, candidate, lines, request)
     lines_too = any(step.to and step.space != "move_joint" for step in steps)
     straight = _straight(script, candidate, request) if lines_too else request
-    notes: list[str] = []
+    notes: list[str] = list(solvers)
     first: Refusal | None = None
     has_left = False
     its_ranks = (False, False)
@@ -258,32 +260,38 @@ def _request(script: ScriptFile, candidate: TaskCandidate, sensed: set[str]) -> 
 
 
 def _ways(
-    script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], request: PlanningRequest
+    script: ScriptFile,
+    candidate: TaskCandidate,
+    lines: dict[str, Anchor],
+    request: PlanningRequest,
+    solvers: dict[str, None],
 ) -> Iterator[dict[str, list[float]]]:
-    """Joint values for all lines with `solve`: each branch of the first line, and for the others the nearest branch."""
+    """Joint values for all lines with `solve`: each branch of the first line, and for the others the nearest branch.
+    Notes on who has solved are added to `solvers`."""
     wanted = [line for line in script.plan if line.solve]
     if not wanted:
         yield {}
         return
     first, *others = wanted
+
+    def branches(anchor: Anchor, near: list[float]) -> list[list[float]]:
+        pose = _world(candidate, anchor)
+        found = ik.solutions(request.algorithms.ik, request.arm, pose, near, request.margin_rad)
+        solvers.update(dict.fromkeys(found.notes))
+        return [q.tolist() for q in found.found]
+
     given = lines[first.name].joints
-    heads = [given] if given is not None else _branches(candidate, lines[first.name], request, request.start.tolist())
+    heads = [given] if given is not None else branches(lines[first.name], request.start.tolist())
     for head in heads:
         joints = {first.name: head}
         for line in others:
             anchor = lines[line.name]
             near = joints.get(line.near, head)
-            found = [anchor.joints] if anchor.joints is not None else _branches(candidate, anchor, request, near)[:1]
+            found = [anchor.joints] if anchor.joints is not None else branches(anchor, near)[:1]
             if found:
                 joints[line.name] = found[0]
         if len(joints) == len(wanted):
             yield joints
-
-
-def _branches(
-    candidate: TaskCandidate, anchor: Anchor, request: PlanningRequest, near: list[float]
-) -> list[list[float]]:
-    return [q.tolist() for q in request.arm.ik(_world(candidate, anchor), near, request.margin_rad)]
 
 
 def _world(candidate: TaskCandidate, anchor: Anchor) -> list[float]:
@@ -297,8 +305,9 @@ def _unreachable(
 ) -> Refused:
     for line in script.plan:
         if line.solve and lines[line.name].joints is None:
-            why = request.arm.why_no_ik(_world(candidate, lines[line.name]), request.margin_rad)
-            if why is not None:
+            pose, solvers = _world(candidate, lines[line.name]), request.algorithms.ik
+            if not ik.solutions(solvers, request.arm, pose, None, request.margin_rad).found:
+                why = ik.why_none(solvers, request.arm, pose, request.margin_rad)
                 return Refused(_where(why, line.name, words=""))
     message = f"{candidate.arm.name} cannot reach the postures of the plan in one chain"
     return Refused.because(RefusalReason.INFEASIBLE, message)

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc.language.hands import hand_in_words
-from rtc.programs import attributes, expressions
+from rtc.programs import attributes, expressions, named_algorithms
 from rtc.programs.extension_names import CAMERA
 from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
@@ -90,7 +90,7 @@ NEEDS_CELL = True
 def compile(program: bytes) -> Compiled:
     """Check and index the program. Raises ProgramError."""
     document = spliced(decode(program, ElaboratorProgram))
-    installed_phases.refuse_unknown(document.phases)
+    named_algorithms.refuse_missing(document)
     pieces = {piece.skill: piece for piece in document.pieces}
     used = {s.script: attributes.of_script(s, pieces) for s in document.scripts}
     return Compiled(document, {s.script: s for s in document.scripts}, pieces, used)
@@ -102,7 +102,7 @@ def run(
     """Choose and plan the script for a command. `advise`: search a sentence for an arm in the way of a refused one."""
     assert cell is not None
     assert world is not None
-    query = WorldQuery(cell, world, seed_of(data.command), data.moving)
+    query = WorldQuery(cell, world, seed_of(data.command), data.moving, compiled.program)
     try:
         as_tested.refuse_stale(data.rests_on, world)
         if data.saved is not None:
@@ -388,6 +388,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
     stands_for = names_by_role(candidate)
     in_reserve = any(entry.n > RESERVE for entry in entries)
+    own = (*option.grasp_planner, *planned.notes)
     writes = [*script.writes, *(WRITES_OF_RESERVE if in_reserve else ())]
     return Script(
         context=context_for(compiled, script, option, candidate, entries),
@@ -398,5 +399,5 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
         resources=list(dict.fromkeys([*names_of(script.resources, stands_for, held), *others, *cameras])),
         writes=list(dict.fromkeys([*names_of(writes, stands_for, held), *others, *with_seats(candidate, doubtful)])),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
-        notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out, *in_words(options)],
+        notes=[*notes, *(f"{option.name}: {note}" for note in own), *left_out, *in_words(options)],
     )

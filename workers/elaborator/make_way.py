@@ -18,6 +18,7 @@ from rtc.protocol.messages import Limits, WorldChange
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial.geometry import Floats
 from workers.planning import scenes
+from workers.planning.motion import ik
 from workers.planning.motion.plan import find_joint_way
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.world_query import WorldQuery
@@ -54,7 +55,9 @@ def _leaves(query: WorldQuery, arm: str) -> Iterator[tuple[str, str, Floats]]:
     for place in query.places:
         joints: Floats | None = place.joints_rad(arm)
         if joints is None and (frame := place.poses.get(arm)) is not None:
-            joints = next(iter(model.ik(frame.pose.tolist(), query.joints(arm), _margin_rad(query))), None)
+            pose, near = frame.pose.tolist(), query.joints(arm)
+            found = ik.solutions(query.algorithms.ik, model, pose, near, _margin_rad(query)).found
+            joints = next(iter(found), None)
         if joints is not None:
             yield "way_place", place.name, joints
 

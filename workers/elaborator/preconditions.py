@@ -12,6 +12,7 @@ from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from workers.mechanisms import joined
 from workers.planning import shared_hold, trust
+from workers.planning.motion import ik
 from workers.planning.world_query import WorldQuery
 from workers.tasks.candidate import TaskCandidate
 from workers.tasks.unmet import UnmetPrecondition
@@ -198,4 +199,4 @@ def _reaches(query: WorldQuery, thing: str, seat: str) -> bool:
     if arm not in query.model.arms or grasp is None:
         return True
     tcp = geometry.compose(query.seated_pose(seat), geometry.inverse(grasp))
-    return bool(query.model.arms[arm].ik(tcp.tolist()))
+    return bool(ik.solutions(query.algorithms.ik, query.model.arms[arm], tcp.tolist()).found)

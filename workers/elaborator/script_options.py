@@ -10,7 +10,8 @@ import msgspec
 
 from rtc.plugins import registry
 from rtc.programs import attributes, expressions
-from rtc.programs.schema import Branch, BranchCondition, ScriptFile
+from rtc.programs.named_algorithms import acted
+from rtc.programs.schema import OWN, Branch, BranchCondition, ScriptFile
 from rtc.protocol.outcomes import Refusal
 from workers.elaborator import no_script
 from workers.tasks import command_fields, object_attributes
@@ -25,6 +26,12 @@ class ScriptOption(NamedTuple):
     def name(self) -> str:
         point = self.candidate.point.name if self.candidate.point else ""
         return " ".join(filter(None, (self.branch.script, *self.candidate.roles.values(), point)))
+
+    @property
+    def grasp_planner(self) -> tuple[str, ...]:
+        """The note on whose grasp point it is, if the program leaves a choice."""
+        point, named = self.candidate.point, self.candidate.program.grasp_planners
+        return acted(registry.GRASP_PLANNERS, point.planner or OWN, named) if point else ()
 
 
 def ranked(
@@ -50,11 +57,11 @@ def ranked(
 
 
 def _score(option: ScriptOption) -> float:
-    """The sum of all evaluators of installed packages; the lowest one comes first. Raises PluginError."""
+    """The sum of the evaluators of the program; the lowest one comes first. Raises PluginError."""
     total = 0.0
-    for name, score in registry.installed(registry.EVALUATORS).items():
+    for name in option.candidate.program.evaluators:
         with registry.guarded(registry.EVALUATORS, name):
-            one = float(score(option))
+            one = float(registry.installed(registry.EVALUATORS)[name](option))
             if not math.isfinite(one):
                 raise ValueError(f"its score of {option.name} is {one}")
         total += one
@@ -72,7 +79,10 @@ def _unstated(branch: Branch, candidate: TaskCandidate) -> Refusal | None:
 
 def in_words(options: list[ScriptOption]) -> list[str]:
     """The ranking, where there was a choice (R70). Other notes have the reasons against those before the chosen one."""
-    return [f"candidates by rank: {', '.join(one.name for one in options)}"] if len(options) > 1 else []
+    if len(options) < 2:
+        return []
+    rank = " and ".join(("rank", *(f"evaluator {name}" for name in options[0].candidate.program.evaluators)))
+    return [f"candidates by {rank}: {', '.join(one.name for one in options)}"]
 
 
 def only_looks(script: ScriptFile) -> bool:

@@ -145,4 +145,5 @@ def planning_request(
         margin_rad=margin_rad,
         load=query.load(arm) if carries else None,
         seed=query.seed,
+        algorithms=query.algorithms,
     )

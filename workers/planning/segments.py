@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from rtc.programs.schema import OWN
 from rtc.protocol.advice import by_person
 from rtc.protocol.causes import OtherBranch
 from rtc.protocol.messages import PlannedPath
@@ -21,6 +22,7 @@ from rtc.spatial.geometry import Array, Floats
 from workers.planning import curves
 from workers.planning.motion import ik, path_reuse
 from workers.planning.motion.carry import plan_carry
+from workers.planning.motion.ik import Posture
 from workers.planning.motion.path import poses_through
 from workers.planning.motion.plan import (
     Motion,
@@ -82,15 +84,21 @@ def plan_segment(request: PlanningRequest, space: str, target: Target, known: Pl
 # --- joint space -----------------------------------------------------------------------------------------
 
 
-def _goal(request: PlanningRequest, target: Target) -> Array:
+def _goal(request: PlanningRequest, target: Target) -> Posture:
     if target.joints is not None:
-        return np.asarray(target.joints, dtype=float)
+        return Posture(np.asarray(target.joints, dtype=float))
     assert target.pose is not None
-    return ik.choose(request.arm, target.pose, request.start, test=free_posture(request), margin_rad=request.margin_rad)
+    test, solvers = free_posture(request), request.algorithms.ik
+    return ik.choose(request.arm, target.pose, request.start, test=test, margin_rad=request.margin_rad, solvers=solvers)
 
 
 def _timed_joint(request: PlanningRequest, target: Target, known: PlannedPath | None) -> Motion:
-    goal = _goal(request, target)
+    goal, notes = _goal(request, target)
+    motion = _timed_joint_to(request, target, goal, known)
+    return replace(motion, notes=[*notes, *motion.notes]) if notes else motion
+
+
+def _timed_joint_to(request: PlanningRequest, target: Target, goal: Array, known: PlannedPath | None) -> Motion:
     if target.via:
         return in_time(request, _through(request, target, goal))
     if known is None:
@@ -102,13 +110,15 @@ def _timed_joint(request: PlanningRequest, target: Target, known: PlannedPath | 
 
 
 def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first: bool) -> FreeSegment:
-    goal, found = _goal(request, target), None
+    goal, found = _goal(request, target).joints, None
     if target.via:
         _through(request, target, goal)
     elif _is_there(request, goal):
         refuse_if(request.arm.why_not_within(goal, request.margin_rad))
     else:
-        found = find_joint_way(request, goal) if detours else find_direct_way(request, goal, with_room=first)
+        ours_first = request.algorithms.planners[0] == OWN
+        direct = ours_first and not detours
+        found = find_direct_way(request, goal, with_room=first) if direct else find_joint_way(request, goal)
     return FreeSegment(goal, goal, found)
 
 
@@ -118,7 +128,7 @@ def _through(request: PlanningRequest, target: Target, goal: Array) -> FreeWay:
     for n, via in enumerate(target.via, 1):
         now = replace(request, joints={**request.joints, request.arm.name: postures[-1]})
         try:
-            postures.append(_goal(now, via))
+            postures.append(_goal(now, via).joints)
         except Refused as refused:
             message = f"{refused} (via point {n})"
             raise Refused(msgspec.structs.replace(refused.refusal, message=message, where=f"via point {n}")) from None

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from rtc.model.cells import parts
+from rtc.programs.schema import OWN_ALONE, Algorithms
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.primitive import Load, Primitive
 from rtc.spatial import geometry
@@ -26,14 +27,23 @@ UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ba
 class WorldQuery(Facts):
     """The facts of one world view, read with the models of the cell.
 
-    `seed`: of the sampling planner in this job. `moving`: the primitives that other arms execute now.
+    `seed`: of the sampling planner in this job. `moving`: the primitives that other arms execute now. `algorithms`:
+    who plans, as the program of the job names them.
     """
 
-    def __init__(self, model: CellModel, world: World, seed: int = 0, moving: Sequence[Primitive] = ()) -> None:
+    def __init__(
+        self,
+        model: CellModel,
+        world: World,
+        seed: int = 0,
+        moving: Sequence[Primitive] = (),
+        algorithms: Algorithms = OWN_ALONE,
+    ) -> None:
         super().__init__(model.cell, world)
         self.model = model
         self.seed = seed
         self.moving = moving
+        self.algorithms = algorithms
         self._tcps: dict[str, Array] = {}
         self._cameras: dict[str, list[parts.Camera]] = {}
         arms = {arm for primitive in moving for arm in primitive.paths}
@@ -50,7 +60,7 @@ class WorldQuery(Facts):
 
     def after(self, changes: Iterable[WorldChange]) -> WorldQuery:
         """The same query in the world after these changes."""
-        return WorldQuery(self.model, self.world.overlay(changes), self.seed, self.moving)
+        return WorldQuery(self.model, self.world.overlay(changes), self.seed, self.moving, self.algorithms)
 
     def joints(self, arm: str) -> list[float]:
         """Joint values as last reported (rad); the home position before any report. Of a moving arm: at its goal."""

@@ -13,6 +13,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.binding_names import POSE_OF_JOINTS
+from workers.planning.motion import ik
 from workers.planning.world_query import WorldQuery
 
 MOVED_M = 0.0005  # smaller displacements need no replanning
@@ -43,12 +44,13 @@ def _planned_before(why: Refusal) -> Refusal:
     return msgspec.structs.replace(why, message=message, clears=[*again_after(AGAIN), *why.clears])
 
 
-def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding]:
-    """Joint values (rad), nearest to the old ones, for each pose planned for this arm that is elsewhere now. Raises
-    Refused."""
-    model = query.model.arms[arm]
+def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> tuple[dict[str, Binding], list[str]]:
+    """Joint values (rad), nearest to the old ones, for each pose planned for this arm that is elsewhere now; and which
+    solver has found them, if the program leaves a choice. Raises Refused."""
+    model, solvers = query.model.arms[arm], query.algorithms.ik
     margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
     replanned: dict[str, Binding] = {}
+    notes: dict[str, None] = {}
     for name, planned in bindings.items():
         old = bindings.get(name.removesuffix(POSE_OF_JOINTS))
         if not name.endswith(POSE_OF_JOINTS) or planned.pose is None or old is None or old.joints is None:
@@ -59,10 +61,9 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
         was = model.fk(old.joints)
         if geometry.distance(wanted, was) < MOVED_M and geometry.angle(wanted, was) < MOVED_RAD:
             continue
-        found = model.ik(wanted, old.joints, margin_rad)
-        if not found:
-            why = model.why_no_ik(wanted, margin_rad)
-            assert why is not None
-            raise Refused(_planned_before(why))
-        replanned[name.removesuffix(POSE_OF_JOINTS)] = Binding(joints=found[0].tolist(), arm=planned.arm)
-    return replanned
+        postures = ik.solutions(solvers, model, wanted, old.joints, margin_rad)
+        if not postures.found:
+            raise Refused(_planned_before(ik.why_none(solvers, model, wanted, margin_rad)))
+        replanned[name.removesuffix(POSE_OF_JOINTS)] = Binding(joints=postures.found[0].tolist(), arm=planned.arm)
+        notes |= dict.fromkeys(postures.notes)
+    return replanned, list(notes)

@@ -228,7 +228,8 @@ def _with_added_grasps(thing: Object, cell: Cell) -> Object:
     for name, plan in registry.installed(registry.GRASP_PLANNERS).items():
         try:
             with registry.guarded(registry.GRASP_PLANNERS, name):
-                points += _grasp_points(plan(copy.deepcopy(thing), copy.deepcopy(cell)))
+                added = _grasp_points(plan(copy.deepcopy(thing), copy.deepcopy(cell)))
+            points += [msgspec.structs.replace(point, planner=name) for point in added]
         except PluginError as error:
             raise ProgramError(f"{error}, for {thing.name}") from None
     return msgspec.structs.replace(thing, grasp_points=points)

@@ -193,6 +193,7 @@ class GraspPoint(CellPart, frozen=True, kw_only=True):
     round: bool = (
         False  # a round bar along tool x: the hand takes it at the angle about it nearest to its home attitude
     )
+    planner: str = ""  # the grasp planner that has added it when the cell was read; empty: the file has it
 
 
 class Seat(CellPart, frozen=True, kw_only=True):

@@ -19,7 +19,6 @@ import pinocchio as pin
 
 from rtc.model.cells import cell as cells
 from rtc.model.robot import boxes, numeric_ik, puma_ik
-from rtc.plugins import registry
 from rtc.protocol import causes
 from rtc.protocol.advice import ANOTHER_ARM, by_person
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason
@@ -31,8 +30,6 @@ PROJECTED_RAD = 1e-3  # its greatest error
 DAMPING = 1e-6  # of its steps near singularities
 MOVES, MOVE_DAMPING = 4, 1e-3  # number of steps of `moved_by`, and their damping
 SAME_BRANCH_RAD = 1.5  # a larger change of a joint in `moved_by` is another branch
-ADDED_POSTURES = 64  # of an installed solver, for one pose
-REACHED_M, REACHED_RAD = 1e-4, 1e-3  # tolerance of a posture from an installed solver
 WHOLE_M, MIN_WEIGHT = 0.6, 1.0 / 3.0  # a joint that moves the hand by this much per rad, or more, has the weight 1
 SLIDE_MARGIN = 0.1  # m per rad: the margin of a joint that slides, 5 mm for 3 deg
 KEPT_MARGINS = 64  # maximum number of margins whose bounds are kept
@@ -223,23 +220,6 @@ class ArmModel:
         singularities. For an arm with more than six joints they are samples of an infinite number.
         """
         reference = np.asarray(near, dtype=float) if near is not None else self.middle
-        return self._ik(target, reference, margin_rad) or self._added_ik(target, reference, margin_rad)
-
-    def _added_ik(self, target: Floats, reference: Array, margin_rad: float) -> list[Array]:
-        """What solvers of installed packages find (`rtc.ik`), as far as it reaches the target within the limits."""
-        found = []
-        for name, solve in registry.installed(registry.IK).items():
-            with registry.guarded(registry.IK, name):
-                answer = solve(self, np.array(target, dtype=float), reference.copy())
-                postures = [np.array(raw, dtype=float) for raw in itertools.islice(answer, ADDED_POSTURES)]
-            for q in postures:
-                if q.shape == reference.shape and np.isfinite(q).all() and self.limit_margin_rad(q) >= margin_rad:
-                    pose = self.fk(q)
-                    off = geometry.distance(pose, target) > REACHED_M or geometry.angle(pose, target) > REACHED_RAD
-                    found += [] if off else [q]
-        return found
-
-    def _ik(self, target: Floats, reference: Array, margin_rad: float) -> list[Array]:
         if self._closed_form is None:
             found = self._chain.solutions(self._goal(target), reference, self.margins(margin_rad))
             if not found:

@@ -19,10 +19,11 @@ from rtc.protocol.causes import Collides, OutOfReach
 from rtc.protocol.outcomes import Refusal, Refused, refuse_if
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
+from workers.planning.motion import timings
 from workers.planning.motion.path import Path, poses_through, task_curve, task_line
 from workers.planning.motion.plan import Motion
 from workers.planning.motion.request import PlanningRequest
-from workers.planning.motion.timing import Timed, slower, time_path
+from workers.planning.motion.timing import Timed, slower
 
 SLACK_M = 0.0003  # tolerance of the distance of bodies that are near at the start
 ASIDE_M = (0.01, 0.03, 0.06, 0.12, 0.2)  # how far a curve goes aside of the line that is not free
@@ -58,11 +59,11 @@ def plan_carry(request: PlanningRequest, goal_pose: Floats, *, around: bool = Fa
 def _carried(request: PlanningRequest, partner: ArmModel, way: Path, notes: list[str]) -> Motion:
     """The motion on this way. Raises Refused."""
     arm = request.arm
-    timed = time_path(arm, way, request.pace, request.load)
+    timed, words = timings.time_path(request, way)
     leads, follows = carry_along(arm, timed, partner, request.joints[partner.name], request.margin_rad)
     refuse_if(_fault(request, partner, leads.positions, follows.positions))
     goal = way.knots[-1]
-    return Motion(way, leads, goal, arm.fk(goal), notes, partner=follows)
+    return Motion(way, leads, goal, arm.fk(goal), [*notes, *words], partner=follows)
 
 
 def _detours(start: Array, goal: Array) -> Iterator[tuple[float, list[Array]]]:

@@ -53,6 +53,10 @@ class Path:
     def length(self) -> float:
         return float(self.s[-1])
 
+    @property
+    def is_a_point(self) -> bool:
+        return bool(np.abs(self.knots - self.knots[0]).max() < 1e-9)
+
     def joints_at(self, s: Array) -> Array:
         """Joints, [len(s)][joints]."""
         if self.curve is not None:

@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from rtc.programs.schema import OWN
 from rtc.protocol.messages import PlannedPath
 from rtc.spatial.geometry import Floats
 from workers.planning.motion.blended import Blended
@@ -27,9 +28,9 @@ DIGEST_BYTES = 12
 def request_digest(request: PlanningRequest, space: str, goal: Floats) -> bytes:
     """The digest of a request for a way of this arm to `goal` (rad, or a pose of the tcp in world axes).
 
-    The pace is left out: the way does not depend on it.
+    The pace is left out: the way does not depend on it. Planners are added if there is a choice of them.
     """
-    asked = (
+    asked: tuple[Any, ...] = (
         request.world.cell_digest,
         request.arm.name,
         space,
@@ -39,6 +40,8 @@ def request_digest(request: PlanningRequest, space: str, goal: Floats) -> bytes:
         request.scene,
         request.path_constraints,
     )
+    if request.algorithms.planners != [OWN]:
+        asked = (*asked, request.algorithms.planners)
     return hashlib.blake2b(_encoder.encode(asked), digest_size=DIGEST_BYTES).digest()
 
 

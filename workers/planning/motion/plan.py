@@ -16,12 +16,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.model.robot.collision_scene import in_hands
+from rtc.programs.schema import OWN
 from rtc.protocol.causes import Collides, TooLong
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial.geometry import Array, Floats
 from workers.planning import axes
-from workers.planning.motion import added_planners
 from workers.planning.motion import path as paths
+from workers.planning.motion import planners, timings
 from workers.planning.motion.path import Path
 from workers.planning.motion.request import (
     FreeWay,
@@ -34,7 +35,7 @@ from workers.planning.motion.request import (
     obstacle,
 )
 from workers.planning.motion.sampled_way import find_sampled_way, find_way_aside, guides, rounded
-from workers.planning.motion.timing import Timed, slower, time_path
+from workers.planning.motion.timing import Timed, slower
 
 MORE_M = (0.020, 0.008)  # clearance of a freely chosen way beyond that of the request, where there is room
 BACK_M = (0.05, 0.10, 0.15)  # lines back along the tool, to leave what is near
@@ -90,10 +91,18 @@ def plan_joint_motion(request: PlanningRequest, goal: Floats, before: Path | Non
 
 
 def find_joint_way(request: PlanningRequest, goal: Floats, before: Path | None = None) -> FreeWay:
-    """The path of `plan_joint_motion`, without its timing."""
+    """The path of `plan_joint_motion`, without its timing. What the arm may touch at the start is left on our lines,
+    whatever planners the program names."""
     goal = np.asarray(goal, dtype=float)
     request = before_contact(request, goal)
     refuse_if(request.arm.why_not_within(goal, request.margin_rad))
+    if request.algorithms.planners == [OWN] or may_touch_at_start(request):
+        return _our_way(request, goal, before)
+    return planners.find_way(request, goal, lambda: _our_way(request, goal, before))
+
+
+def _our_way(request: PlanningRequest, goal: Array, before: Path | None) -> FreeWay:
+    """The way of rtc's own planner. Raises Refused."""
     direct = paths.joint_line(request.start, goal)
     if is_soon_free(_wider(request, MORE_M[0]), direct):
         return FreeWay(direct, [DIRECT])
@@ -253,10 +262,6 @@ def _generate_and_test(request: PlanningRequest, goal: Array, direct: Path, befo
         for way in lines:
             if is_free(request, way):
                 return FreeWay(way, [*notes, "with less room: free"])
-    added, asked = added_planners.find_way(request, goal, rounded)
-    notes += asked
-    if added is not None:
-        return FreeWay(added.path, notes)
     sampled = find_sampled_way(request, roomy, [goal], by_way_of)
     if isinstance(sampled, FreeWay):
         return FreeWay(sampled.path, [*notes, *sampled.notes])
@@ -340,6 +345,6 @@ def slowed_to(motion: Motion, takes_s: float) -> Motion:
 
 def in_time(request: PlanningRequest, found: FreeWay) -> Motion:
     """The way as a motion, timed at the pace of the request. Raises Refused for a load that is too heavy for it."""
-    timed = time_path(request.arm, found.path, request.pace, request.load)
+    timed, notes = timings.time_path(request, found.path)
     goal = found.path.knots[-1]
-    return Motion(found.path, timed, goal, request.arm.fk(goal), found.notes)
+    return Motion(found.path, timed, goal, request.arm.fk(goal), [*found.notes, *notes])

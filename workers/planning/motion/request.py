@@ -13,6 +13,7 @@ from rtc.model.robot.collision import CollisionWorld, PathCollision
 from rtc.model.robot.collision_scene import AS_BUILT, Scene
 from rtc.model.robot.kinematics import ArmModel
 from rtc.model.robot.scene_state import Collision
+from rtc.programs.schema import OWN_ALONE, Algorithms
 from rtc.protocol.outcomes import Refusal
 from rtc.protocol.primitive import Load
 from rtc.spatial.geometry import Array, Floats
@@ -35,6 +36,7 @@ class PlanningRequest(msgspec.Struct, frozen=True, eq=False):
     margin_rad: float = 0.0  # minimum distance from every joint limit
     load: Load | None = None  # in the hand
     seed: int = 0  # of the sampling planner: the same request has the same path
+    algorithms: Algorithms = OWN_ALONE  # who plans
     partner: ArmModel | None = None  # a second arm that holds the same object and moves with it
 
     @property

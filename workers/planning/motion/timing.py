@@ -11,15 +11,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from rtc.model.robot import quintic
 from rtc.model.robot.kinematics import ArmModel
-from rtc.plugins import registry
 from rtc.protocol.knots import Knots
-from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import JointTrajectory, Load
 from rtc.spatial.geometry import Array
 from workers.planning.motion.blended import Blended
@@ -37,10 +35,6 @@ GRID = 61  # grid points of the curve solver
 CORNER_GRID = 4  # grid points between the edges of two rounded corners
 GRID_STEP = 1e-7  # minimum distance of two grid points, as a share of the path's length
 STILL = 1e-8  # a joint that turns less than this along the path has no speed limit
-ON_PATH = 2000  # points of the path with which a timing of an installed package is compared
-ADDED_KNOTS, BETWEEN_KNOTS = 10_000, 4  # that it may have; intervals of a piece in which its speed is looked at
-LEAST_S = 1e-6  # between its knots
-END_RAD = 1e-6  # tolerance of its ends, also rad/s and rad/s^2
 TOLERANCE = 1.03  # of the tcp's speed limit on a curve
 BETWEEN = 0.98  # of the tcp's speed limit at the points of the grid; the rest is a reserve between them
 SAMPLES = 33  # path samples at which limits are evaluated, at most for a line in joint space
@@ -108,12 +102,9 @@ def time_path(arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, lo
 
     `load`: in the hand. Raises Refused if the arm cannot hold it against gravity everywhere on the path.
     """
-    if np.abs(path.knots - path.knots[0]).max() < 1e-9:
+    if path.is_a_point:
         return _zero_length(path)
     torques = Torques.of(arm, load)
-    if (added := _added(arm, path, pace, load)) is not None:
-        excess = torques.excess(added.sampled)
-        return slower(added, math.sqrt(max(1.0, excess)))
     curved = isinstance(path.curve, Blended) or (path.space == "joint" and path.curve is not None)
     timed = _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace)
     excess = torques.excess(timed.sampled)
@@ -123,66 +114,6 @@ def time_path(arm: ArmModel, path: Path, pace: SpeedLimits = NO_SPEED_LIMITS, lo
     timed = _time_curve(arm, path, pace, torques) if curved else _time_line(arm, path, pace, 1 / excess)
     excess = torques.excess(timed.sampled)
     return slower(timed, math.sqrt(max(1.0, excess)))
-
-
-def _added(arm: ArmModel, path: Path, pace: SpeedLimits, load: Load | None) -> Timed | None:
-    """The timing of an installed package (`rtc.timing`), slowed to the limits of the arm; None: there is none.
-
-    Raises Refused if its knots are not on the path from end to end, or it is faster than the pace."""
-    for name, time in registry.installed(registry.TIMING).items():
-        with registry.guarded(registry.TIMING, name):
-            timed = _converted(time(arm, path, pace, load), len(arm.limits.lower))
-        if timed is None:
-            continue
-        fine = path.at(np.linspace(0.0, path.length, ON_PATH))[0]
-        off = max(float(np.abs(fine - q).max(axis=1).min()) for q in (*timed.positions, *_midway(timed)))
-        ends = np.abs(timed.positions[[0, -1]] - path.knots[[0, -1]]).max()
-        rests = max(np.abs(timed.velocities[[0, -1]]).max(), np.abs(timed.accelerations[[0, -1]]).max())
-        speed_m_s = _fastest_m_s(arm, timed)
-        step_rad = float(np.abs(np.diff(fine, axis=0)).max())
-        right = off <= step_rad and max(ends, rests) <= END_RAD and speed_m_s <= pace.speed_m_s + 1e-6
-        if not right:  # false for nan too
-            words = f"{off:.3g} rad off the path, ends {ends:.3g} rad off, tcp speed {speed_m_s:.3g} m/s"
-            message = f"the timing {name} is not one of this path: {words}"
-            raise Refused.because(RefusalReason.INFEASIBLE, message, clears=f"uninstall {name}")
-        return _slowed(arm, timed)
-    return None
-
-
-def _converted(answer: Any, dof: int) -> Timed | None:
-    """What a package has returned, as arrays of the right shapes. Raises ValueError and others."""
-    if answer is None:
-        return None
-    if answer.space not in ("joint", "task"):
-        raise ValueError("its space is neither joint nor task")
-    parts = (answer.time_s, answer.positions, answer.velocities, answer.accelerations)
-    time_s, *rows = (np.array(part, dtype=float) for part in parts)
-    knots = time_s.size
-    if not 2 <= knots <= ADDED_KNOTS or time_s.ndim != 1 or any(row.shape != (knots, dof) for row in rows):
-        raise ValueError(f"expected are 2 to {ADDED_KNOTS} knots of {dof} joints")
-    if (
-        not all(np.isfinite(part).all() for part in (time_s, *rows))
-        or time_s[0] != 0.0
-        or np.diff(time_s).min() < LEAST_S
-    ):
-        raise ValueError("expected are finite figures, at times that begin with 0 and rise")
-    return Timed(answer.space, time_s, *rows)
-
-
-def _fastest_m_s(arm: ArmModel, timed: Timed) -> float:
-    """Greatest speed of the tcp at the knots and between them: velocities and times need not fit each other."""
-    knots = len(timed.time_s)
-    index = np.arange(BETWEEN_KNOTS * (knots - 1) + 1) / BETWEEN_KNOTS
-    found = timed.at(np.interp(index, np.arange(knots), timed.time_s))
-    return float(arm.tcp_speeds(found[:, 0], found[:, 1]).max())
-
-
-def _midway(timed: Timed) -> Array:
-    """The postures in the middle between two knots, [knots - 1][joints]."""
-    h = np.diff(timed.time_s)[:, None]
-    q, v, a = timed.positions, timed.velocities, timed.accelerations
-    middle: Array = 0.5 * (q[:-1] + q[1:]) + 5 / 32 * h * (v[:-1] - v[1:]) + h * h / 64 * (a[:-1] + a[1:])
-    return middle
 
 
 def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0) -> Timed:
@@ -211,7 +142,7 @@ def _time_line(arm: ArmModel, path: Path, pace: SpeedLimits, share: float = 1.0)
     q, slope, bend = path.at(along)
     accelerations = bend * along_v[:, None] ** 2 + slope * along_a[:, None]
     timed = _at_rest(Timed(path.space, time_s, q, slope * along_v[:, None], accelerations), path)
-    return timed if exact else _slowed(arm, timed)
+    return timed if exact else slowed(arm, timed)
 
 
 def _samples(path: Path) -> int:
@@ -246,7 +177,7 @@ def _time_curve(arm: ArmModel, path: Path, pace: SpeedLimits, torques: Torques |
     timed = _at_rest(Timed(path.space, time_s, q, slope * speed, bend * speed**2 + slope * change), path)
     # In a narrow corner the tcp may be faster than at the points of the grid.
     fastest_m_s = float(arm.tcp_speeds(q[::2], timed.velocities[::2]).max())
-    return _slowed(arm, slower(timed, max(1.0, fastest_m_s / (TOLERANCE * pace.speed_m_s))))
+    return slowed(arm, slower(timed, max(1.0, fastest_m_s / (TOLERANCE * pace.speed_m_s))))
 
 
 def _grid(path: Path) -> Array:
@@ -278,7 +209,7 @@ def _at_rest(timed: Timed, path: Path) -> Timed:
     return timed
 
 
-def _slowed(arm: ArmModel, timed: Timed) -> Timed:
+def slowed(arm: ArmModel, timed: Timed) -> Timed:
     """The motion slowed to satisfy the arm's limits between the knots too; the arm refuses violations."""
     points = quintic.control_points(timed.time_s, timed.positions, timed.velocities, timed.accelerations)
     faster = quintic.most_beyond(points.velocities, arm.limits.velocity)

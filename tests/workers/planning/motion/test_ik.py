@@ -23,13 +23,13 @@ def refuse_elbow(side):
 
 def test_the_nearest_branch_is_taken(right, home):
     target = level(0.65, -0.885, 0.6)
-    assert np.allclose(choose(right, target, home["RIGHT-ARM"]), right.ik(target, home["RIGHT-ARM"])[0])
+    assert np.allclose(choose(right, target, home["RIGHT-ARM"]).joints, right.ik(target, home["RIGHT-ARM"])[0])
 
 
 def test_a_branch_that_fails_the_test_is_passed_over(right, home):
     target = level(0.65, -0.885, 0.6)
-    nearest = choose(right, target, home["RIGHT-ARM"])
-    other = choose(right, target, home["RIGHT-ARM"], test=refuse_elbow("up"))
+    nearest = choose(right, target, home["RIGHT-ARM"]).joints
+    other = choose(right, target, home["RIGHT-ARM"], test=refuse_elbow("up")).joints
     assert nearest[2] < -np.pi / 2 < other[2]
     assert geometry.distance(right.fk(other), target) < 1e-9
 

@@ -51,7 +51,7 @@ def with_joints(setting, *xyz):
 
 
 def goal_at(setting, *xyz):
-    return choose(setting.arm, level(*xyz), setting.start, test=free_posture(setting))
+    return choose(setting.arm, level(*xyz), setting.start, test=free_posture(setting)).joints
 
 
 def holding(cell, right, joints, thing="MACS-NEW"):

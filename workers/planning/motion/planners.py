@@ -1,47 +1,60 @@
-"""Path planners of installed packages (`rtc.planners`), asked before the search by sampling. Pure if they are.
+"""Who finds a free way to joint values: the planners of the program, one after the other. Pure if they are.
 
     function(request: PlanningRequest, goal: Array) -> way-points (rad, [points][joints]) from start to goal, or None
 
-A planner cannot make a colliding path accepted: its corners are rounded and judged as those of our own search.
+A planner of a package (`rtc.planners`) cannot make a colliding path accepted: its corners are rounded and judged as
+those of our own search.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from rtc.plugins import registry
 from rtc.plugins.guard import PluginError
+from rtc.programs.schema import OWN
+from rtc.protocol.advice import by_person
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial.geometry import Array
-from workers.planning.motion.path import Path
 from workers.planning.motion.request import FreeWay, PlanningRequest
+from workers.planning.motion.sampled_way import rounded
 
 MOST_CORNERS, MOST_RAD = 1_000, 300.0  # way-points of one planner, and the way of the joint that turns most
 END_RAD = 1e-6  # tolerance of the first and last way-point, and beyond a joint limit
 
-Judge = Callable[[PlanningRequest, list[Array]], Path | None]  # the rounded way, if it is free
 
+def find_way(request: PlanningRequest, goal: Array, own: Callable[[], FreeWay]) -> FreeWay:
+    """The free way of the first planner that finds one, with a note on each that was asked. `own`: ours.
 
-def find_way(request: PlanningRequest, goal: Array, judge: Judge) -> tuple[FreeWay | None, list[str]]:
-    """The first free way of a planner, in the order of their names; and a note for each that was asked."""
+    Raises Refused: with the problem of ours, or without that if the program does not name it."""
     notes: list[str] = []
-    for name, plan in registry.installed(registry.PLANNERS).items():
-        corners, problem = _corners(name, plan, request, goal)
-        way = judge(request, corners) if corners else None
-        notes.append(f"planner {name}: {problem or ('tested: free' if way is not None else 'tested: not free')}")
-        if way is not None:
-            return FreeWay(way, notes), notes
-    return None, notes
+    problem: Refused | None = None
+    for name in request.algorithms.planners:
+        if name != OWN:
+            corners, why = _corners(name, request, goal)
+            way = rounded(request, corners) if corners else None
+            notes.append(f"planner {name}: {why or ('tested: free' if way is not None else 'tested: not free')}")
+            if way is not None:
+                return FreeWay(way, notes)
+            continue
+        try:
+            found = own()
+            return FreeWay(found.path, [*notes, *found.notes])
+        except Refused as refused:
+            notes.append(f"planner {OWN}: {refused}")
+            problem = refused
+    clears = by_person(f"a program whose `planners` name {OWN} too")
+    raise problem or Refused.because(RefusalReason.INFEASIBLE, "; ".join(notes), clears=clears)
 
 
-def _corners(name: str, plan: Any, request: PlanningRequest, goal: Array) -> tuple[list[Array], str]:
+def _corners(name: str, request: PlanningRequest, goal: Array) -> tuple[list[Array], str]:
     """The way-points of one planner, or why they are none."""
     try:
         with registry.guarded(registry.PLANNERS, name):
-            found = plan(_copied(request), goal.copy())
+            found = registry.installed(registry.PLANNERS)[name](_copied(request), goal.copy())
             if found is None:
                 return [], "found no way"
             points = np.asarray(found, dtype=float)
