@@ -32,9 +32,9 @@ from workers.analyzer.step_changes import (
     touched_object_changes,
 )
 from workers.analyzer.world_changes import EFFECTS, Changes
-from workers.conditions import installed_phases, reflexes, sharing
+from workers.conditions import installed_phases, reflexes
 from workers.mechanisms import each, joined
-from workers.planning import in_seat, trust
+from workers.planning import in_seat, shared_hold, trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import AnalyzeTask
@@ -232,7 +232,7 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
         changes=changes,
         clears=clears,
         remark="; ".join(filter(None, (_swinging(task, reason), _all_done(task, reason)))),
-        by_operator=sharing.offer(task.query, task.context) if may else "",
+        by_operator=shared_hold.offer(task.query, task.context) if may else "",
         compared=comparison.unexpected(task),
     )
 

@@ -25,11 +25,11 @@ from rtc.protocol.primitive import HandMotion, HoldStill
 from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.protocol.units import in_words
 from rtc.world.model import World
-from workers.conditions import installed_phases, prediction, sharing
+from workers.conditions import installed_phases, prediction
 from workers.conditions.prediction import Expected
 from workers.mechanisms import joined
 from workers.mechanisms.collision_advice import advise_on_collision
-from workers.planning import step_target, suggestions
+from workers.planning import shared_hold, step_target, suggestions
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 from workers.tasks import assemble, replan, targets
@@ -67,7 +67,7 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
         arm, limits, leaves = data.step.arm or data.context.arm, data.context.limits, data.step.words.leaves == "seat"
         advised = advise_on_collision(refused.refusal, query, arm, compiled.clears, limits, leaves_seat=leaves)
         infeasible = advised.reason is RefusalReason.INFEASIBLE
-        return advised.offering(sharing.offer(query, data.context) if infeasible else "")
+        return advised.offering(shared_hold.offer(query, data.context) if infeasible else "")
     except expressions.ExpressionError as error:
         lacking = "a figure that the step needs must be in the script, the program or the cell"
         return refused_program(str(error), lacking).refusal

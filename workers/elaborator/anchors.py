@@ -12,15 +12,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
-from rtc.model.cells import parts
-from rtc.protocol import causes
-from rtc.protocol.advice import ANOTHER_ARM, by_person, fill_in
+from rtc.protocol.advice import fill_in
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
 from workers.mechanisms import joined
 from workers.planning import suggestions
-from workers.planning.world_query import WorldQuery
-from workers.tasks.anchor import Anchor, refused
+from workers.tasks.anchor import Anchor, named, refused
 from workers.tasks.candidate import TaskCandidate
 
 ALONG_BAR = (1.0, 0.0, 0.0)  # tool x
@@ -101,12 +98,6 @@ def _before(candidate: TaskCandidate) -> Anchor:
     return replace(inside, pose=geometry.translate(inside.pose, out_m * np.asarray(candidate.target.way_out)).tolist())
 
 
-def meeting(candidate: TaskCandidate) -> Anchor:
-    """The pose of the first arm at the place where the second one takes the object."""
-    assert candidate.meeting is not None
-    return named(candidate, candidate.meeting.name)
-
-
 def here(candidate: TaskCandidate) -> Anchor:
     """The tcp pose when the command is planned (world frame)."""
     arm = candidate.arm.name
@@ -120,37 +111,6 @@ def _wrong_units(candidate: TaskCandidate, slides: list[int], lengths: list[int]
     arm = candidate.arm
     wrong = next(n for n in range(len(arm.joints)) if (n in slides) != (n in lengths))
     return f"{arm.joints[wrong]} of {arm.name} {'slides: its value is a length' if wrong in slides else 'turns'}"
-
-
-def place(query: WorldQuery, name: str) -> parts.Place:
-    """The place of the cell, or the taught one, with this name. Raises Refused if there is none."""
-    own = next((place for place in query.cell.places if place.name == name), None)
-    if (found := own or next((place for place in query.taught_places if place.name == name), None)) is not None:
-        return found
-    if any(thing.name == name for thing in query.cell.objects):
-        message = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
-        raise Refused.because(RefusalReason.NAME, message, nearest=[name], clears="use one of the two forms")
-    raise suggestions.unknown("place", name, (place.name for place in query.places))
-
-
-def named(candidate: TaskCandidate, name: str) -> Anchor:
-    """The pose or the joint values of a named place, for this arm."""
-    there = place(candidate.query, name)
-    joints = there.joints_rad(candidate.arm.name)
-    if joints is not None:
-        return Anchor(joints=joints)
-    frame = there.poses.get(candidate.arm.name)
-    if frame is not None:
-        return Anchor(pose=frame.pose.tolist())
-    able = sorted({*there.poses, *there.joints_deg})
-    raise Refused.because(
-        RefusalReason.INFEASIBLE,
-        f"{candidate.arm.name} has no posture for {name}; {', '.join(able)} can",
-        where=name,
-        expected=able,
-        clears=[ANOTHER_ARM, *by_person(f"a place that {candidate.arm.name} can go to")],
-        cause=causes.NoPosture(arm=candidate.arm.name, place=name),
-    )
 
 
 def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor:
@@ -184,7 +144,6 @@ ANCHORS: dict[str, Callable[[TaskCandidate], Anchor]] = {
     "destination": destination,
     "stow": stow,
     "seat": seat,
-    "meeting": meeting,
     "here": here,
     **joined(lambda mechanism: mechanism.anchors),
 }

@@ -2,101 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Sequence
 
 import msgspec
 
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
-from rtc.programs.schema import OWN, ElaboratorProgram, ScriptFile
+from rtc.programs.schema import OWN, ElaboratorProgram
 from rtc.protocol.advice import by_sentence
-from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.protocol.sentence import BOTH_ARMS, Destination, ParsedCommand
 from rtc.spatial import geometry
 from rtc.world.model import BOLT_STATES
-from workers.elaborator import two_arms
 from workers.elaborator.figures import with_figures
 from workers.mechanisms import each
 from workers.planning import suggestions
-from workers.planning.world_query import WorldQuery
-from workers.tasks.candidate import TaskCandidate
+from workers.tasks.candidate import AskedTask, TaskCandidate
 from workers.tasks.command_fields import fits_sentence
 from workers.tasks.scripts import lets_go_first
 
-ARMS = each(lambda mechanism: mechanism.arms)
+ARMS, PARTNERS = each(lambda mechanism: mechanism.arms), each(lambda mechanism: mechanism.partners)
+POINTS = each(lambda mechanism: mechanism.points)
 
 
-def candidates(
-    program: ElaboratorProgram,
-    scripts: Mapping[str, ScriptFile],
-    parsed: ParsedCommand,
-    limits: Limits,
-    query: WorldQuery,
-) -> list[TaskCandidate]:
+def candidates(asked: AskedTask) -> list[TaskCandidate]:
     """One candidate per arm and grasp point that the sentence allows. The points of the first grasp planner that the
     program names come first; those of one, nearest first. Raises Refused."""
-    thing = _thing(program, parsed, query.cell)
-    parsed = _with_place(program, scripts, parsed, query)
+    thing, asked = _thing(asked), _with_place(asked)
+    program, parsed, query = asked.program, asked.parsed, asked.query
     seated = parsed.target not in (None, *BOLT_STATES)
     target = suggestions.part(query.cell.seats, parsed.target or "", "seat") if seated else None
-    arms = _arms(program, scripts, parsed, query, thing)
-    points = two_arms.free_points(query, parsed, thing, _points(program, scripts, parsed, thing))
+    arms, points = _arms(asked, thing), _points(asked, thing)
     allowed = []
     for arm in arms:
-        about = thing or _shared(program, scripts, parsed, query, arm)
-        for partner, meeting in two_arms.seconds(query, parsed, arm):
-            for point in points:
-                made = TaskCandidate(
-                    query, program, parsed, limits, arm, about, point, target, {}, None, None, partner, meeting
-                )
-                allowed.append(with_figures(made))
+        about = thing or _shared(asked, arm)
+        pairs = [pair for partners in PARTNERS for pair in partners(asked, arm)] or [(None, None)]
+        for (partner, meeting), point in itertools.product(pairs, points):
+            made = TaskCandidate(
+                query, program, parsed, asked.limits, arm, about, point, target, {}, None, None, partner, meeting
+            )
+            allowed.append(with_figures(made))
     return sorted(allowed, key=lambda one: (_rank(program, one.point), _far(one)))
 
 
-def _with_place(
-    program: ElaboratorProgram, scripts: Mapping[str, ScriptFile], parsed: ParsedCommand, query: WorldQuery
-) -> ParsedCommand:
+def _with_place(asked: AskedTask) -> AskedTask:
     """The sentence, with its target as the destination if it is a place and a script of the verb goes to places.
 
     Raises Refused for a target that is neither a seat nor a place."""
-    if parsed.target is None or parsed.target in (seats := [seat.name for seat in query.cell.seats]):
-        return parsed
-    uses = {name for row in program.branches[parsed.verb] for name in scripts[row.script].uses}
-    if not {"place", "target"} <= uses:
-        return parsed
+    query, target = asked.query, asked.parsed.target
+    if target is None or target in (seats := [seat.name for seat in query.cell.seats]):
+        return asked
+    if not {"place", "target"} <= {name for script in asked.of_verb for name in script.uses}:
+        return asked
     places = [place.name for place in query.places]
-    if parsed.target not in places:
-        raise suggestions.unknown("place or seat", parsed.target, [*places, *seats])
-    return msgspec.structs.replace(parsed, target=None, place=Destination(name=parsed.target))
+    if target not in places:
+        raise suggestions.unknown("place or seat", target, [*places, *seats])
+    return asked._replace(parsed=msgspec.structs.replace(asked.parsed, target=None, place=Destination(name=target)))
 
 
-def _thing(program: ElaboratorProgram, parsed: ParsedCommand, cell: cells.Cell) -> parts.Object | None:
+def _thing(asked: AskedTask) -> parts.Object | None:
     """The object of the sentence. Raises Refused; if the verb also takes a hand alone, arms are expected as well."""
+    parsed, cell = asked.parsed, asked.query.cell
     if parsed.object is None:
         return None
     try:
         return suggestions.part(cell.objects, parsed.object, "object")
     except Refused as unknown:
-        hands = any(check.missing == "object" for row in program.branches[parsed.verb] for check in row.when)
+        hands = any(check.missing == "object" for row in asked.program.branches[parsed.verb] for check in row.when)
         if parsed.hand is not None or not hands:
             raise
         raise _neither_object_nor_hand(unknown.refusal, parsed, cell) from None
 
 
-def _shared(
-    program: ElaboratorProgram,
-    scripts: Mapping[str, ScriptFile],
-    parsed: ParsedCommand,
-    query: WorldQuery,
-    arm: parts.Arm,
-) -> parts.Object | None:
+def _shared(asked: AskedTask, arm: parts.Arm) -> parts.Object | None:
     """What this arm and another one hold, for a verb with a script that lets go of it first; None without one."""
-    if parsed.object is not None or not query.sharers(arm.name):
+    query = asked.query
+    if asked.parsed.object is not None or not query.sharers(arm.name):
         return None
-    rows = program.branches[parsed.verb]
-    leaves = any(lets_go_first(scripts[row.script], of_object=True) for row in rows)
+    leaves = any(lets_go_first(script, of_object=True) for script in asked.of_verb)
     return query.cell.object(query.holding(arm.name)) if leaves else None
 
 
@@ -119,43 +104,30 @@ def _far(candidate: TaskCandidate) -> float:
     return geometry.distance(candidate.arm.base.pose, goal)
 
 
-def _arms(
-    program: ElaboratorProgram,
-    scripts: Mapping[str, ScriptFile],
-    parsed: ParsedCommand,
-    query: WorldQuery,
-    thing: parts.Object | None,
-) -> list[parts.Arm]:
+def _arms(asked: AskedTask, thing: parts.Object | None) -> list[parts.Arm]:
     """The arm named in the sentence; else those that a mechanism names; else those that hold the object; else all."""
-    cell = query.cell
-    if parsed.hand is not None:
-        if parsed.hand == BOTH_ARMS:
-            return [two_arms.both_arms(program, scripts, parsed, query)]
-        return [suggestions.part(cell.arms, parsed.hand, "arm")]
-    able = [name for arms in ARMS for name in arms(query, thing)] if thing else []
-    if able:
-        return [arm for arm in cell.arms if arm.name in able]
+    query, hand = asked.query, asked.parsed.hand
+    if hand not in (None, BOTH_ARMS):
+        return [suggestions.part(query.cell.arms, hand or "", "arm")]
+    able = [name for arms in ARMS for name in arms(asked)]
     holder = query.held_by(thing.name) if thing else ""
-    return [arm for arm in cell.arms if not holder or arm.name == holder]
+    return [arm for arm in query.cell.arms if arm.name in (able or [holder or arm.name])]
 
 
-def _points(
-    program: ElaboratorProgram,
-    scripts: Mapping[str, ScriptFile],
-    parsed: ParsedCommand,
-    thing: parts.Object | None,
-) -> list[parts.GraspPoint | None]:
-    """The grasp point named in the sentence; else those of the grasp planners that the program names, in their order;
-    [None] if no script of the verb uses a grasp point."""
-    if thing is None:
+def _points(asked: AskedTask, thing: parts.Object | None) -> Sequence[parts.GraspPoint | None]:
+    """The grasp point named in the sentence; else those of the grasp planners that the program names, in their order,
+    which a mechanism finds of use; [None] if no script of the verb uses a grasp point."""
+    program, parsed = asked.program, asked.parsed
+    chosen = [asked.scripts[row.script] for row in program.branches[parsed.verb] if fits_sentence(row, parsed)]
+    if thing is None or not any("grasp_point" in script.uses for script in chosen):
         return [None]
-    chosen = [scripts[row.script] for row in program.branches[parsed.verb] if fits_sentence(row, parsed)]
-    if not any("grasp_point" in script.uses for script in chosen):
-        return [None]
-    if parsed.grasp_point is None:
-        ranked = sorted(thing.grasp_points, key=lambda point: _rank(program, point))
-        return [point for point in ranked if (point.planner or OWN) in program.grasp_planners] or [None]
-    return [suggestions.part(thing.grasp_points, parsed.grasp_point, "grasp point", of=thing.name)]
+    if parsed.grasp_point is not None:
+        return [suggestions.part(thing.grasp_points, parsed.grasp_point, "grasp point", of=thing.name)]
+    ranked = sorted(thing.grasp_points, key=lambda point: _rank(program, point))
+    points = [point for point in ranked if (point.planner or OWN) in program.grasp_planners]
+    for of_use in POINTS:
+        points = of_use(asked, points)
+    return points or [None]
 
 
 def _rank(program: ElaboratorProgram, point: parts.GraspPoint | None) -> int:

@@ -31,7 +31,6 @@ from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array
 from rtc.world.model import location
 from workers.conditions.binding_names import POSE_OF_JOINTS
-from workers.elaborator import anchors
 from workers.elaborator.anchors import ANCHORS
 from workers.mechanisms.collision_advice import advise_on_collision
 from workers.planning import axes, in_seat, scenes, segments, shared_hold, suggestions, trust
@@ -40,7 +39,7 @@ from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
 from workers.planning.step_target import target_of
-from workers.tasks.anchor import Anchor
+from workers.tasks.anchor import Anchor, named
 from workers.tasks.candidate import TaskCandidate
 from workers.tasks.scripts import lets_go_first
 from workers.tasks.sentence_of import sentence_of
@@ -106,7 +105,7 @@ def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor]:
             lines[line.name] = _moved(anchor, line, candidate)
     for name, place in zip(candidate.vias, candidate.parsed.through, strict=True):
         with _AtPlace(f"THROUGH {place}", words=f"THROUGH {place}"):
-            lines[name] = anchors.named(candidate, place)
+            lines[name] = named(candidate, place)
     return lines
 
 

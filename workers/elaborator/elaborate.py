@@ -33,12 +33,12 @@ from workers.elaborator import (
     arm_candidates,
     as_tested,
     exact_arms,
+    in_turn,
     make_way,
     no_script,
     other_motion,
     sentences_instead,
     set_fact,
-    stages,
     strategies,
     taken_along,
     teach,
@@ -74,7 +74,7 @@ from workers.planning import trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 from workers.tasks import command_fields, object_attributes
-from workers.tasks.candidate import TaskCandidate
+from workers.tasks.candidate import AskedTask, TaskCandidate
 from workers.tasks.sentence_of import sentence_of
 
 WRITES_OF_RESERVE = ("active_arm", "active_object", "its_seat")  # what a piece of script may find out
@@ -207,12 +207,12 @@ def _elaborated(
         return _of_data(program, scripts[branches[0].script], parsed, query, owners, saved)
     branches = [branch for branch in branches if command_fields.fits_sentence(branch, parsed)] or branches
     candidates: list[TaskCandidate] = []
+    asked_for = AskedTask(program, scripts, parsed, limits, query)
     for by_camera in sorted({only_looks(scripts[branch.script]) for branch in branches}):
         if by_camera:
-            found = CANDIDATES[CAMERA](program, parsed, limits, query)
-            candidates += map(with_figures, found)
+            candidates += map(with_figures, CANDIDATES[CAMERA](asked_for))
         else:
-            candidates += arm_candidates.candidates(program, scripts, parsed, limits, query)
+            candidates += arm_candidates.candidates(asked_for)
     unstated: list[Refusal] = []
     options = ranked(branches, candidates, scripts, unstated)
     if not options and unstated:
@@ -371,12 +371,12 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
         raise Refused(lacks)
     in_hand = [held] if lacks is not None or why_unsure_grasp(script, candidate) is not None else []
     try:
-        planned = stages.plan(script, nominal, candidate, in_hand) if candidate.hand else Planned.nothing()
+        planned = in_turn.plan(script, nominal, candidate, in_hand) if candidate.hand else Planned.nothing()
     except Refused as refused:
         if in_hand or not a_look_makes_room(refused.refusal, script, candidate):
             raise
         in_hand = [held]
-        planned = stages.plan(script, nominal, candidate, in_hand)
+        planned = in_turn.plan(script, nominal, candidate, in_hand)
     for index, way in planned.ways.items():
         nominal[index] = msgspec.structs.replace(nominal[index], way=way)
     looked_for = [candidate.body] if why_unsure_place(script, candidate) is not None else []

@@ -56,8 +56,6 @@ def with_figures(candidate: TaskCandidate) -> TaskCandidate:
     if point is not None and thing is not None:
         figures |= pose_spread.uncertainty_figures(query.spread(f"{thing.name}.frame"), point.frame.pose)
         figures["seen"] = float(query.finds(thing.name))
-    figures["shared"] = float(_shared(query, arm, thing, candidate.partner))
-    figures["meets"] = float(candidate.meeting is not None)
     if thing is not None:
         figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
         figures["held_elsewhere"] = float(arm is not None and query.held_by(thing.name) not in ("", arm.name))
@@ -73,15 +71,6 @@ def with_figures(candidate: TaskCandidate) -> TaskCandidate:
     if parsed.duration_s is not None:
         figures["duration_s"] = parsed.duration_s
     return replace(candidate, figures=figures)
-
-
-def _shared(query: WorldQuery, arm: parts.Arm | None, thing: parts.Object | None, partner: parts.Arm | None) -> bool:
-    """Whether two hands hold the object: the second one of the command, or without one any other hand."""
-    if thing is None or arm is None:
-        return False
-    if partner is not None:
-        return query.holding(partner.name) == thing.name
-    return query.holding(arm.name) == thing.name and bool(query.sharers(arm.name))
 
 
 def _slot_m(query: WorldQuery, thing: parts.Object) -> float:

@@ -11,7 +11,7 @@ from rtc.protocol.causes import NeedUnmet
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from workers.mechanisms import joined
-from workers.planning import shared_hold, trust
+from workers.planning import trust
 from workers.planning.motion import ik
 from workers.planning.world_query import WorldQuery
 from workers.tasks.candidate import TaskCandidate
@@ -70,21 +70,6 @@ def _may_hold(candidate: TaskCandidate, arm: str) -> bool:
     )
 
 
-def _other_handle(candidate: TaskCandidate) -> UnmetPrecondition | None:
-    """Another hand holds the object, at another grasp point."""
-    assert candidate.thing is not None
-    name, query = candidate.thing.name, candidate.query
-    used = shared_hold.points_in_use(query, name)
-    if not used:
-        return UnmetPrecondition(f"{name} is not held", name, "object_held")
-    free = shared_hold.free_points(query, name)
-    if not free:
-        holder = next(iter(used))
-        return UnmetPrecondition(f"{holder} holds {name} at its only handle", holder, "object_free", name)
-    there = next((arm for arm, point in used.items() if candidate.point and point == candidate.point.name), "")
-    return UnmetPrecondition(f"{there} holds {name} at {used[there]}", " or ".join(free), thing=name) if there else None
-
-
 def _object_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
     assert candidate.thing is not None
     holder = candidate.query.held_by(candidate.thing.name)
@@ -130,13 +115,6 @@ def _width_known(candidate: TaskCandidate) -> UnmetPrecondition | None:
     )
 
 
-def _partner_empty(candidate: TaskCandidate) -> UnmetPrecondition | None:
-    assert candidate.partner is not None
-    arm = candidate.partner.name
-    held = candidate.query.holding(arm)
-    return UnmetPrecondition(f"{arm} holds {held}", held, "hand_empty") if held else None
-
-
 def _object_in_target(candidate: TaskCandidate) -> UnmetPrecondition | None:
     """The object is in the seat of the sentence, or still in its slot."""
     assert candidate.thing is not None
@@ -149,12 +127,10 @@ def _object_in_target(candidate: TaskCandidate) -> UnmetPrecondition | None:
 NEEDS: dict[str, Callable[[TaskCandidate], UnmetPrecondition | None]] = {
     "hand_empty": _hand_empty,
     "object_free": _object_free,
-    "other_handle": _other_handle,
     "object_held": _object_held,
     "object_seated": _object_seated,
     "seat_free": _seat_free,
     "width_known": _width_known,
-    "partner_empty": _partner_empty,
     "object_in_target": _object_in_target,
     **joined(lambda mechanism: mechanism.needs),
 }

@@ -11,13 +11,13 @@ from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
 from workers.conditions import reflexes
-from workers.elaborator import anchors, done_already, preconditions, two_arms
+from workers.elaborator import done_already, preconditions
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.mechanisms import MECHANISMS
 from workers.planning import trust
 from workers.planning.scenes import clearance_of
-from workers.tasks import command_fields
+from workers.tasks import anchor, command_fields
 from workers.tasks.candidate import TaskCandidate
 
 
@@ -53,7 +53,7 @@ def _refuse_unmet(script: ScriptFile, candidate: TaskCandidate) -> None:
 
 def _refuse_unknown_place(_: ScriptFile, candidate: TaskCandidate) -> None:
     if (place := candidate.parsed.place) is not None and place.name:
-        anchors.place(candidate.query, place.name)
+        anchor.place(candidate.query, place.name)
 
 
 def _refuse_unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> None:
@@ -135,7 +135,6 @@ CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
     _refuse_unmet,
     _refuse_unknown_place,
     *(check for mechanism in MECHANISMS for check in mechanism.checks),
-    two_arms.refuse_moving_alone,
     _refuse_unsure_grasp,
     _refuse_unsure_place,
 )

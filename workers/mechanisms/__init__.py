@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TypeVar
 
-from workers.mechanisms import bolts, hinges, operator, sight
+from workers.mechanisms import bolts, hinges, operator, sight, two_arms
 from workers.mechanisms.mechanism import Mechanism
 
-MECHANISMS: tuple[Mechanism, ...] = (hinges.MECHANISM, bolts.MECHANISM, sight.MECHANISM, operator.MECHANISM)
+MECHANISMS: tuple[Mechanism, ...] = (
+    hinges.MECHANISM,
+    bolts.MECHANISM,
+    sight.MECHANISM,
+    operator.MECHANISM,
+    two_arms.MECHANISM,
+)
 
 Key = TypeVar("Key")
 Part = TypeVar("Part")

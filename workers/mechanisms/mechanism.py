@@ -8,29 +8,28 @@ mechanism imports another.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.advice import Advice, Texts
-from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Limits, Validity, WorldChange
+from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import Primitive
-from rtc.protocol.sentence import ParsedCommand
 from rtc.spatial.geometry import Array
 from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import AnalyzeTask
 from workers.tasks.anchor import Anchor
 from workers.tasks.bind_task import BindTask
-from workers.tasks.candidate import TaskCandidate
+from workers.tasks.candidate import AskedTask, TaskCandidate
 from workers.tasks.unmet import UnmetPrecondition
 
 Changes = list[WorldChange]
 Thing = parts.Object | parts.Seat
 Need = Callable[[TaskCandidate], UnmetPrecondition | None]
-Candidates = Callable[[ElaboratorProgram, ParsedCommand, Limits, WorldQuery], list[TaskCandidate]]
+Partner = tuple[parts.Arm | None, parts.Place | None]
 Instead = Callable[[ElaboratorProgram, Mapping[str, ScriptFile], TaskCandidate, Mapping[str, Need]], str]
 Check = Callable[[ScriptFile, TaskCandidate], None]
 Stated = Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]
@@ -46,10 +45,13 @@ class Mechanism:
     name: str
     #: elaborate: variables of expressions that a candidate adds
     figures: Callable[[TaskCandidate], dict[str, float]] | None = None
-    #: the arms that are tried for an object when the sentence names none; empty: those that the stage would try
-    arms: Callable[[WorldQuery, parts.Object], list[str]] | None = None
+    #: the arms that are tried when the sentence names no single one; empty: those that the stage would try
+    arms: Callable[[AskedTask], list[str]] | None = None
+    #: the second arms for such an arm, and where they take the object; those of its grasp points that are of use
+    partners: Callable[[AskedTask, parts.Arm], Iterable[Partner]] | None = None
+    points: Callable[[AskedTask, list[parts.GraspPoint]], list[parts.GraspPoint]] | None = None
     #: role in the resources of a script -> the candidates of a script in which this performs, and no arm
-    candidates: Mapping[str, Candidates] = field(default_factory=dict)
+    candidates: Mapping[str, Callable[[AskedTask], list[TaskCandidate]]] = field(default_factory=dict)
     #: performer of a step (`who`) -> the names that perform it for a body; the first one reports
     performers: Mapping[str, Callable[[ScriptStep, TaskCandidate, str], list[str]]] = field(default_factory=dict)
     #: the sentence that asks someone else for what no script has achieved; empty: none
@@ -61,6 +63,8 @@ class Mechanism:
     stated: Mapping[str, Stated] = field(default_factory=dict)
     #: whether steps of a trim would harm what the candidate is about
     strains: Callable[[Sequence[ScriptStep], TaskCandidate], bool] | None = None
+    #: effect of a step -> what it changes in the plan of the steps after it
+    foreseen: Mapping[str, Callable[[TaskCandidate, WorldQuery], Changes]] = field(default_factory=dict)
     #: bind: kind of action -> what makes its primitive
     actions: Mapping[str, Callable[[BindTask], BoundStep]] = field(default_factory=dict)
     #: assess: effect of a step -> its changes of the world; what is wrong with it (empty: nothing); what a failure says

@@ -1,4 +1,4 @@
-"""One object in two hands: who holds it, and the changes of the world when one of the hands lets go. Pure.
+"""One object in two hands: who holds it, whether one may move alone, and what changes when one lets go. Pure.
 
 The facts `held_by` and `grasp` of an object refer to one hand, the leading one. Another hand that holds it too has it
 as `holding` only.
@@ -6,7 +6,13 @@ as `holding` only.
 
 from __future__ import annotations
 
-from rtc.protocol.messages import Validity, WorldChange
+from collections.abc import Mapping
+
+from rtc.language.hands import hand_in_words
+from rtc.protocol import causes
+from rtc.protocol.advice import Advice, fill_in
+from rtc.protocol.messages import ScriptContext, Validity, WorldChange
+from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from workers.planning.world_query import WorldQuery
 
@@ -51,3 +57,20 @@ def points_in_use(query: WorldQuery, thing: str) -> dict[str, str]:
         arm: min(places, key=lambda name: geometry.distance(query.tcp(arm), places[name]))
         for arm in dict.fromkeys((*filter(None, (query.held_by(thing),)), *holders))
     }
+
+
+def refuse_alone(query: WorldQuery, arm: str, partner: str, clears: Mapping[str, Advice]) -> None:
+    """Refuse a motion of one arm whose object another arm holds too."""
+    sharing = query.sharers(arm)
+    if partner or not sharing:
+        return
+    held = query.holding(arm)
+    message = f"{arm} cannot move alone: {sharing[0]} holds {held} too"
+    advice = fill_in(clears.get("shared", []), {"held": held, "other": hand_in_words(sharing[0])})
+    cause = causes.NeedUnmet(need="shared", by=sharing[0])
+    raise Refused.because(RefusalReason.STATE, message, clears=advice, cause=cause)
+
+
+def offer(query: WorldQuery, context: ScriptContext) -> str:
+    """The sentence that asks the operator instead; empty while another arm holds the same object."""
+    return "" if query.sharers(context.arm) else context.by_operator

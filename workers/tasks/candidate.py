@@ -6,16 +6,33 @@ command-object table, the hand, the object, the sentence.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
+from typing import NamedTuple
 
 import msgspec
 
 from rtc.model.cells import parts
-from rtc.programs.schema import ElaboratorProgram
+from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import Limits
 from rtc.protocol.sentence import ParsedCommand
 from rtc.protocol.units import in_words
 from workers.planning.world_query import WorldQuery
+
+
+class AskedTask(NamedTuple):
+    """A sentence whose candidates are wanted, in the world as it is."""
+
+    program: ElaboratorProgram
+    scripts: Mapping[str, ScriptFile]
+    parsed: ParsedCommand
+    limits: Limits
+    query: WorldQuery
+
+    @property
+    def of_verb(self) -> list[ScriptFile]:
+        """The scripts of the verb."""
+        return [self.scripts[row.script] for row in self.program.branches[self.parsed.verb]]
 
 
 class TaskCandidate(msgspec.Struct, frozen=True, dict=True):

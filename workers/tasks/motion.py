@@ -13,9 +13,9 @@ from rtc.protocol.messages import BoundStep, EvaluationContext, Limits
 from rtc.protocol.outcomes import StopReason, refuse_if
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.units import in_words
-from workers.conditions import prediction, sharing
+from workers.conditions import prediction
 from workers.conditions.stop_conditions import Values
-from workers.planning import in_seat, scenes, segments, step_target, trust
+from workers.planning import in_seat, scenes, segments, shared_hold, step_target, trust
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
 from workers.planning.motion.plan import Motion
@@ -65,7 +65,7 @@ def allowed_target(task: RuledTask) -> Target:
         raise unknown_in_program("space", step.space, segments.SPACES)
     refuse_if(trust.why_uncertain(query, task.arm, step, clears))
     partner = task.data.context.partner if step.space == segments.BOTH else ""
-    sharing.refuse_alone(query, task.arm, partner, clears)
+    shared_hold.refuse_alone(query, task.arm, partner, clears)
     target = targets.target_of(task)
     in_seat.refuse_other_way(query, task.arm, step.space, query.tcp(task.arm), target.pose, clears)
     return target

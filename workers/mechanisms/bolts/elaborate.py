@@ -18,7 +18,7 @@ from rtc.world.model import LOOSE, TIGHT
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.anchor import Anchor, refused
-from workers.tasks.candidate import TaskCandidate
+from workers.tasks.candidate import AskedTask, TaskCandidate
 from workers.tasks.scripts import lets_go_first
 from workers.tasks.unmet import UnmetPrecondition
 
@@ -39,9 +39,11 @@ def figures(candidate: TaskCandidate) -> dict[str, float]:
     return found
 
 
-def arms_with_driver(query: WorldQuery, thing: parts.Object) -> list[str]:
+def arms_with_driver(asked: AskedTask) -> list[str]:
     """The arms that hold a driver, for a bolt."""
-    return [arm.name for arm in query.cell.arms if query.driver(arm.name)] if thing.thread is not None else []
+    query, thing = asked.query, asked.parsed.object
+    turns = thing is not None and asked.parsed.hand is None and query.thread(thing) is not None
+    return [arm.name for arm in query.cell.arms if query.driver(arm.name)] if turns else []
 
 
 def driver_held(candidate: TaskCandidate) -> UnmetPrecondition | None:

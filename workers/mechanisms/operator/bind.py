@@ -15,8 +15,8 @@ from rtc.protocol.messages import BoundStep, EvaluationContext
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import Operated
 from rtc.protocol.sentence import SHARED_AXES
-from workers.conditions import sharing
 from workers.conditions.prediction import Expected
+from workers.planning import shared_hold
 from workers.tasks import assemble, targets
 from workers.tasks.bind_task import BindTask, RuledTask, refused_program
 from workers.tasks.motion import motion_to_share
@@ -28,7 +28,7 @@ PRESSES = 0.5  # share of the grip force that proves a grip
 
 def bind_operated(task: BindTask) -> BoundStep:
     """The step as a request to the operator. Raises Refused."""
-    sharing.refuse_alone(task.query, task.arm, "", task.program.clears)
+    shared_hold.refuse_alone(task.query, task.arm, "", task.program.clears)
     ruled = task.under(task.data.step.stop)
     values, step = ruled.values, task.data.step
     pose = _place(task)

@@ -7,22 +7,20 @@ from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptStep
 from rtc.protocol import causes
 from rtc.protocol.advice import Advice, fill_in
-from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from workers.planning import sight, suggestions, trust
 from workers.planning.world_query import WorldQuery
-from workers.tasks.candidate import TaskCandidate
+from workers.tasks.candidate import AskedTask, TaskCandidate
 
 MAX_FURTHER = 3  # maximum number of cameras beside the best one
 
 
-def candidates(
-    program: ElaboratorProgram, parsed: ParsedCommand, limits: Limits, query: WorldQuery
-) -> list[TaskCandidate]:
+def candidates(asked: AskedTask) -> list[TaskCandidate]:
     """A camera that the sentence names looks in any case; else those that can see the body where it is believed.
 
     Raises Refused."""
+    program, parsed, query = asked.program, asked.parsed, asked.query
     cell, name = query.cell, parsed.object or ""
     report = parsed.report
     if report is not None and (set(report.items) - {"POSE"} or report.when):
@@ -37,7 +35,7 @@ def candidates(
         raise _without_tags(program, query, name)
     target = None if parsed.target is None else suggestions.part(cell.seats, parsed.target, "seat")
     return [
-        TaskCandidate(query, program, parsed, limits, None, thing, None, target, {}, camera, seat)
+        TaskCandidate(query, program, parsed, asked.limits, None, thing, None, target, {}, camera, seat)
         for camera in _cameras(program, parsed, query, name)
     ]
 

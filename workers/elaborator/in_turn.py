@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import msgspec
 from msgspec.structs import replace
@@ -23,12 +23,15 @@ from rtc.spatial import geometry
 from workers.elaborator import backtrack, preconditions
 from workers.elaborator.backtrack import Planned
 from workers.elaborator.figures import of_partner
-from workers.planning import in_seat, shared_hold
+from workers.mechanisms import joined
+from workers.planning import in_seat
 from workers.planning.segments import BOTH
 from workers.planning.world_query import WorldQuery
 from workers.tasks.candidate import TaskCandidate
 
 Changes = list[WorldChange]
+#: effect of a step -> what it changes in the plan of the steps after it
+FORESEEN = joined(lambda mechanism: mechanism.foreseen)
 
 
 def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned:
@@ -125,27 +128,6 @@ def _predicted(steps: Sequence[Step], candidate: TaskCandidate, found: Planned) 
             assert frame is not None
             changes.append(WorldChange(key=f"{held}.frame", value=geometry.normalise(frame).tolist()))
     for step in steps:
-        if effect := PREDICTED.get(step.words.effect):
+        if effect := FORESEEN.get(step.words.effect):
             changes += effect(candidate, query.after(changes))
     return changes
-
-
-def _taken(candidate: TaskCandidate, query: WorldQuery) -> Changes:
-    assert candidate.thing is not None
-    assert candidate.point is not None
-    arm = candidate.arm.name
-    return [
-        WorldChange(key=f"{arm}.holding", value=candidate.thing.name),
-        WorldChange(key=f"{arm}.hand_width", value=candidate.point.width_m),
-    ]
-
-
-def _let_go(candidate: TaskCandidate, query: WorldQuery) -> Changes:
-    assert candidate.thing is not None
-    arm = candidate.arm.name
-    width = WorldChange(key=f"{arm}.hand_width", value=candidate.arm.gripper.max_opening_m)
-    return [*shared_hold.let_go(query, arm, candidate.thing.name), width]
-
-
-#: effect of a step -> what it changes in the plan of the steps after it
-PREDICTED: dict[str, Callable[[TaskCandidate, WorldQuery], Changes]] = {"taken": _taken, "let_go": _let_go}
