@@ -25,6 +25,7 @@ EVALUATORS = "rtc.evaluators"
 TRIMMERS = "rtc.trimmers"
 SENSORS = "rtc.sensors"
 PHASES = "rtc.phases"
+FILLERS = "rtc.fillers"
 #: group -> what one of it is called in messages
 GROUPS = {
     CONTROL_LAWS: "control law",
@@ -37,6 +38,7 @@ GROUPS = {
     TRIMMERS: "trimmer",
     SENSORS: "sensor",
     PHASES: "phase",
+    FILLERS: "table filler",
 }
 
 

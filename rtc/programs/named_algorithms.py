@@ -28,6 +28,7 @@ FIELDS = {
     "timing": Field(registry.TIMING, (OWN,)),
     "grasp_planners": Field(registry.GRASP_PLANNERS, (OWN,)),
     "evaluators": Field(registry.EVALUATORS),
+    "fillers": Field(registry.FILLERS),
     "trimmers": Field(registry.TRIMMERS, tuple(recovery.BUILT_IN)),
     "phases": Field(registry.PHASES),
 }

@@ -191,6 +191,7 @@ class ElaboratorProgram(Algorithms, frozen=True, kw_only=True, dict=True):
     instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
     cannot: dict[str, str] = {}  # verb that no script can perform -> the reason
     grasp_planners: Named = msgspec.field(default_factory=lambda: [OWN])  # whose grasp points are tried, in this order
+    fillers: list[str] = []  # of installed packages: asked for a row that the command-object table lacks
     evaluators: list[str] = []  # of installed packages: the option with the lowest sum of their scores comes first
     phases: list[str] = []  # of installed packages, in this order; each product passes through them
     needs: dict[str, Advice] = {}  # registered condition of the world -> what makes it true

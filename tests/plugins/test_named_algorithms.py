@@ -158,7 +158,7 @@ def test_evaluators_are_named_with_the_ranking(install: Install, bench) -> None:
     ("kind", "field"),
     [
         *((kind, field) for kind in ("elaborator", "binder") for field in ("planners", "ik", "timing")),
-        *(("elaborator", field) for field in ("grasp_planners", "evaluators")),
+        *(("elaborator", field) for field in ("grasp_planners", "evaluators", "fillers")),
         ("analyzer", "trimmers"),
         *((kind, "phases") for kind in ("elaborator", "binder", "analyzer")),
     ],

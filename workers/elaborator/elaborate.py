@@ -388,7 +388,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
     stands_for = names_by_role(candidate)
     in_reserve = any(entry.n > RESERVE for entry in entries)
-    own = (*option.grasp_planner, *planned.notes)
+    own = (*option.notes, *planned.notes)
     writes = [*script.writes, *(WRITES_OF_RESERVE if in_reserve else ())]
     return Script(
         context=context_for(compiled, script, option, candidate, entries),

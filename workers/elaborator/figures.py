@@ -19,6 +19,7 @@ from rtc.protocol.sentence import Quantity
 from rtc.protocol.units import SUFFIXES
 from rtc.spatial import geometry
 from rtc.world.spread import narrowest
+from workers.elaborator.fillers import TableFigures, filled
 from workers.mechanisms import each
 from workers.planning import pose_spread, trust
 from workers.planning.trust import AHEAD_S
@@ -38,13 +39,14 @@ def of_partner(candidate: TaskCandidate) -> TaskCandidate:
 
 def with_figures(candidate: TaskCandidate) -> TaskCandidate:
     """The candidate with all its figures; of a camera those of its sentence, and the attributes of the object. Raises
-    Refused if the command-object table has no row for it."""
+    Refused if the command-object table has no row for it, and no filler."""
     program, parsed, query, point = candidate.program, candidate.parsed, candidate.query, candidate.point
     arm = candidate.hand
     thing, target = (candidate.thing, candidate.target) if arm is not None else (None, None)
     figures: dict[str, float] = msgspec.structs.asdict(query.cell.numbers)
     of_object = object_attributes.figures(program, query, candidate.thing)
-    figures |= _table(program, parsed.verb, thing, query, figures | of_object) | of_object
+    row = _table(program, parsed.verb, thing, query, figures | of_object)
+    figures |= row.values | of_object
     if arm is not None:
         figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": query.hand_width(arm.name)}
         figures["max_grip_n"] = arm.gripper.max_force_n
@@ -70,7 +72,7 @@ def with_figures(candidate: TaskCandidate) -> TaskCandidate:
     figures |= _figure_of("to", parsed.to_value)
     if parsed.duration_s is not None:
         figures["duration_s"] = parsed.duration_s
-    return replace(candidate, figures=figures)
+    return replace(candidate, figures=figures, filler=row.filler)
 
 
 def _slot_m(query: WorldQuery, thing: parts.Object) -> float:
@@ -142,15 +144,18 @@ def _other_sentence(program: ElaboratorProgram, verb: str, thing: parts.Object, 
 
 def _table(
     program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery, given: dict[str, float]
-) -> dict[str, float]:
-    """The row of the command-object table, evaluated over `given`: numbers of the cell, attributes of the object."""
+) -> TableFigures:
+    """The row of the command-object table, evaluated over `given`: numbers of the cell, attributes of the object. One
+    that is absent is asked of the fillers."""
     rows = [row for row in program.table_rows.get(verb, []) if _is_about(row, thing)]
     if not rows:
+        if (row := filled(program, verb, thing, given)) is not None:
+            return row
         raise _not_for(program, verb, thing, query)
     rows.sort(key=lambda row: bool(row.name))  # rows for a name override rows for a kind
     values = {name: value for row in rows for name, value in row.values.items()}
     object_attributes.refuse_unstated(program, query, thing, attributes.of_values(values.values()))
-    return {name: expressions.number(value, given) for name, value in values.items()}
+    return TableFigures({name: expressions.number(value, given) for name, value in values.items()})
 
 
 def _of_object(row: TableRow) -> bool:

@@ -28,10 +28,12 @@ class ScriptOption(NamedTuple):
         return " ".join(filter(None, (self.branch.script, *self.candidate.roles.values(), point)))
 
     @property
-    def grasp_planner(self) -> tuple[str, ...]:
-        """The note on whose grasp point it is, if the program leaves a choice."""
+    def notes(self) -> tuple[str, ...]:
+        """Whose grasp point it is, if the program leaves a choice; and which package has computed its figures."""
         point, named = self.candidate.point, self.candidate.program.grasp_planners
-        return acted(registry.GRASP_PLANNERS, point.planner or OWN, named) if point else ()
+        planner = acted(registry.GRASP_PLANNERS, point.planner or OWN, named) if point else ()
+        filler = self.candidate.filler
+        return (*planner, *(acted(registry.FILLERS, filler, ()) if filler else ()))
 
 
 def ranked(

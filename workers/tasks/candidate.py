@@ -49,6 +49,7 @@ class TaskCandidate(msgspec.Struct, frozen=True, dict=True):
     seat: parts.Seat | None = None  # what that camera looks for, if it is a seat
     partner: parts.Arm | None = None  # the second arm: of BOTH-ARMS, or the one that HANDOFF gives to
     meeting: parts.Place | None = None  # where the second arm takes the object; None: where the object is
+    filler: str = ""  # the package that has computed the row of the command-object table; empty: the program states it
 
     @property
     def arm(self) -> parts.Arm:
