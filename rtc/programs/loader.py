@@ -47,6 +47,8 @@ IDENTITY: dict[str, tuple[str, ...]] = {
 }
 #: field that marks a document as a single item -> its section
 ITEMS: dict[str, str] = {"script": "scripts", "skill": "pieces"}
+#: the name of a trimming stack in the paper's Figure 4, which a script may use too (A10)
+STACK, PAPERS_STACK = "trimming_stack", "trail_stack"
 #: further sections that a file with a single item may have
 BESIDE_ITEMS = ("settable",)
 
@@ -222,8 +224,17 @@ def _replaced(items: list[Any], news: Any, section: str, source: str) -> list[An
         for field in IDENTITY[section]:
             if isinstance(item.get(field), list | dict | set):
                 raise ProgramError(f"{source}: $.{section}[{n}].{field}: must be a name")
-
+    if section == "scripts":
+        news = [_with_one_stack(item, source) for item in news]
     return list((_by_identity(items, section) | _by_identity(news, section)).values())
+
+
+def _with_one_stack(script: dict[str, Any], source: str) -> dict[str, Any]:
+    if PAPERS_STACK not in script:
+        return script
+    if STACK in script:
+        raise ProgramError(f"{source}: {script.get('script')} has {STACK} and {PAPERS_STACK}: they are the same list")
+    return {STACK if key == PAPERS_STACK else key: value for key, value in script.items()}
 
 
 def _by_identity(items: list[dict[str, Any]], section: str) -> dict[tuple[str, ...], dict[str, Any]]:

@@ -96,6 +96,21 @@ def test_a_value_of_the_binder_is_changed_alone():
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "script: s\ncase: 3\nsteps: [{do: hold, label: x}]\ntrail_stack: [{n: 1, skill: vision}]",
+        "scripts: [{script: s, case: 3, steps: [{do: hold, label: x}], trail_stack: [{n: 1, skill: vision}]}]",
+    ],
+)
+def test_the_trimming_stack_may_have_its_name_of_figure_4(text):
+    of_paper, ours = (
+        loader.merge("elaborator", loader.default("elaborator"), "t.yaml", text.replace("trail_stack", name).encode())
+        for name in ("trail_stack", "trimming_stack")
+    )
+    assert of_paper == ours
+
+
+@pytest.mark.parametrize(
     ("text", "place"),
     [
         ("script: s\ncase: 9\nsteps: [{do: hold, label: x}]", r"\$\.scripts\[\d+\]\.case.*\(in s\)"),
@@ -109,6 +124,11 @@ def test_a_value_of_the_binder_is_changed_alone():
             "script: s\ncase: 2\nsteps: [{do: hold, label: x}]\ntrimming_stack: [{n: 1, skill: grasp}]",
             r"scripts\[\d+\]\.trimming_stack: actions .* cannot be trimmed",
         ),
+        (
+            "scripts: [{script: s, case: 3, trail_stack: [], trimming_stack: []}]",
+            r"trail_stack: they are the same list",
+        ),
+        ("skill: s\nsteps: [{do: hold, label: x}]\ntrail_stack: []", r"unknown field `trail_stack`"),
         ("decision_tree: [{verb: V, script: nix}]", r"\$\.decision_tree\[\d+\]\.script: there is no script nix"),
         ("decision_tree: [{verb: V, script: stow, when: [{of: 'a**2', at_least: 1}]}]", r"when\[0\]\.of"),
         ("constraints: {SPEED: {m/s: velocity}}", r"\$\.constraints\.SPEED\.m/s: there is no limit velocity"),
