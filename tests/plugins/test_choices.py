@@ -60,6 +60,31 @@ def test_fields_of_a_package_reach_it(install: Install, bench) -> None:  # noqa:
     assert bench.elaborate("STOW RIGHT-ARM").steps[0].extra == {"x-calm": [1, 2]}
 
 
+CARRIES = """
+from msgspec.structs import replace
+def put(data, script):
+    steps = [replace(step, extra={"x-wear": [0.5, {"n": n}]}) for n, step in enumerate(script.steps)]
+    return replace(script, steps=steps)
+def add(data, bound):
+    if bound.evaluation is None:
+        return bound
+    step = replace(data.step, extra={**data.step.extra, "x-bound": data.primitive_id})
+    return replace(bound, evaluation=replace(bound.evaluation, step=step))
+def show(data, assessed):
+    return replace(assessed, message=str(data.evaluation.step.extra))
+"""
+
+
+def test_data_of_a_package_pass_from_stage_to_stage(install: Install, bench) -> None:  # noqa: F811
+    """A phase of the elaborator puts them into a step; those of binder and analyzer find them, with what was added."""
+    for kind, phase in (("elaborator", "put"), ("binder", "add"), ("analyzer", "show")):
+        install(registry.PHASES, phase, phase, CARRIES)
+        bench.load(kind, f"phases: [{phase}]")
+    (assessed,) = bench.do("HOLD RIGHT-ARM FOR 1 SEC").assessments
+    carried = str({"x-wear": [0.5, {"n": 0}], "x-bound": "C-1.1"})
+    assert assessed.message == carried  # wording: the last phase shows there what has come to it
+
+
 PHASES = """
 from msgspec.structs import replace
 from rtc.protocol.outcomes import RefusalReason, Refused

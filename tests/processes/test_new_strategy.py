@@ -68,6 +68,8 @@ def do(rtc: Client, sentence: str) -> set[str]:
     """The steps of a command that has succeeded."""
     end = rtc.run(sentence, timeout_s=LIMIT_S)
     assert end.outcome.kind is OutcomeKind.SUCCEEDED, end
+    by_package = any("grasp planner bars" in note.message for note in rtc.trace(end.command).notes)
+    assert by_package is (sentence == GRASP)
     return {note.step.partition(": ")[2] for note in rtc.trace(end.command).notes if note.step}
 
 
