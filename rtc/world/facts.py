@@ -97,6 +97,10 @@ class Facts:
                 return seat.name
         return ""
 
+    def inside(self, seat: str) -> list[str]:
+        """The objects in this seat."""
+        return [thing.name for thing in self.cell.objects if seat and self.seat(thing.name) == seat]
+
     def seat_frame(self, seat: str) -> Array:
         """The seat's frame: the fact if there is one, else the pose in the cell description."""
         frame = self.world.value(f"{seat}.frame")

@@ -17,7 +17,7 @@ from rtc.protocol.messages import AnalyzerInput
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.units import SUFFIXES
 from tests.source_files import ROOT, source
-from workers.analyzer import analyze, world_changes
+from workers.analyzer import analyze
 from workers.analyzer.failure_words import fill_in
 from workers.binder import bind
 from workers.conditions import stop_conditions
@@ -39,7 +39,7 @@ WORKERS = ROOT / "workers"
         (extension_names.ACTIONS, bind.ACTIONS),
         (extension_names.PROCEDURES, bind.PROCEDURES),
         (extension_names.PREDICATES, stop_conditions.MAKERS),
-        (extension_names.EFFECTS, world_changes.EFFECTS),
+        (extension_names.EFFECTS, analyze.EFFECTS),
         (extension_names.KEPT_VALUES, analyze.SOURCES),
     ],
 )

@@ -21,7 +21,7 @@ from rtc.world.model import World
 from workers.analyzer import comparison, nearby, reported_facts, trimmers, what_is_left
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
-from workers.analyzer.held_object import held_object_changes, interrupted_grasp, moved_in_hand, with_spread
+from workers.analyzer.held_object import held_object_changes, moved_in_hand, with_spread
 from workers.analyzer.post_conditions import UNMET, squeezed, unmoved_joint, violated
 from workers.analyzer.step_changes import (
     arm_changes,
@@ -31,13 +31,12 @@ from workers.analyzer.step_changes import (
     target_changes,
     touched_object_changes,
 )
-from workers.analyzer.world_changes import EFFECTS, Changes
 from workers.conditions import installed_phases, reflexes
 from workers.mechanisms import each, joined
 from workers.planning import in_seat, shared_hold, trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
-from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.analyze_task import AnalyzeTask, Changes
 
 INPUT = AnalyzerInput
 NEEDS_WORLD = True
@@ -56,8 +55,10 @@ PRESSED = frozenset(
 #: those of them that the torque of a bolt causes: it turns a driver in the hand, and does not press it aside
 WRUNG = frozenset({StopReason.CONTACT, StopReason.TORQUE_LIMIT, StopReason.SLIP})
 
-#: effect of a step of a mechanism -> what its failure changes in the world
+#: effect of a step -> its changes of the world, and those of its failure
+EFFECTS = joined(lambda mechanism: mechanism.effects)
 AFTER_FAILURE = joined(lambda mechanism: mechanism.after_failure)
+INTERRUPTED = joined(lambda mechanism: mechanism.interrupted)
 DERIVED = each(lambda mechanism: mechanism.derived)
 
 FOUND = joined(lambda mechanism: mechanism.found)
@@ -240,7 +241,8 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
 def _failure_changes(task: AnalyzeTask, failure: OutcomeClass, *, retried: bool) -> Changes:
     """What the report states, and what is in doubt after a failure of this class."""
     changes = arm_changes(task) + partner_changes(task)
-    changes += interrupted_grasp(task)
+    if (interrupted := INTERRUPTED.get(task.step.words.effect)) is not None:
+        changes += interrupted(task)
     changes += held_object_changes(task, changes, suspect="held" in failure.suspect, drops=failure.drops)
     changes += touched_object_changes(task, failure)
     changes += nearby.doubtful(task) if "near" in failure.suspect else []

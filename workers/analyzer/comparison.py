@@ -13,8 +13,7 @@ from operator import mul
 from rtc.programs.compatibility import row_of
 from rtc.protocol.outcomes import OF_OPERATOR, Compared, Figure, StopReason
 from rtc.world.spread import EXACT
-from workers.analyzer.world_changes import Changes
-from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.analyze_task import AnalyzeTask, Changes
 
 Finding = tuple[float, float, float]  # predicted, measured, half-width of the band
 GRIP = frozenset({"hand_width_m", "hand_force_n"})  # figures of a hand that keeps what it holds

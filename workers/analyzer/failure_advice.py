@@ -15,11 +15,10 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
 from workers.analyzer import failure_words, what_is_left
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
-from workers.analyzer.world_changes import Changes
 from workers.mechanisms import joined
 from workers.mechanisms.collision_advice import about
 from workers.planning import trust
-from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.analyze_task import AnalyzeTask, Changes
 
 #: placeholder of advice -> what stands for it; stop reason -> what clears it, where its class of failures does not help
 ADVICE = joined(lambda mechanism: mechanism.advice)

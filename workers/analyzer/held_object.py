@@ -6,18 +6,15 @@ import msgspec
 
 from rtc.programs.schema import OutcomeClass
 from rtc.protocol.messages import Validity, WorldChange
-from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
 from rtc.world.facts import TRUSTED
 from rtc.world.spread import even, widened
-from workers.analyzer.world_changes import EFFECTS, Changes, perhaps_taken
 from workers.mechanisms import each
 from workers.planning import pose_spread, shared_hold
 from workers.tasks import flat_grip
-from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.analyze_task import AnalyzeTask, Changes
 
 UNTURNED_RAD = 1e-6  # a smaller angle is of the arithmetic: the value stays
-CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
 SPREADS, IN_PLACE = each(lambda mechanism: mechanism.spread), each(lambda mechanism: mechanism.spread_in_place)
 
 
@@ -161,19 +158,3 @@ def moved_in_hand(
         else change
         for change in changes
     ]
-
-
-def interrupted_grasp(task: AnalyzeTask) -> Changes:
-    """Fingers that were stopped while they closed, and press at the expected width, hold the object (suspect).
-
-    Without a report of the hand the fingers may press too.
-    """
-    evaluation, report = task.evaluation, task.report
-    if evaluation.step.words.effect not in CLOSING or evaluation.width_m is None:
-        return []
-    if not report.tcp_pose:
-        begun = report.reason not in (StopReason.REFUSED, StopReason.BLOCKED)
-        return perhaps_taken(task) if begun else []
-    least, most = evaluation.width_m
-    pressing = report.hand_force_n >= task.values["pressing_n"]
-    return EFFECTS["taken"](task, Validity.SUSPECT) if pressing and least <= report.hand_width_m <= most else []

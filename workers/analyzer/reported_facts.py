@@ -15,15 +15,13 @@ import msgspec
 from rtc.protocol.causes import NeedUnmet
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
-from rtc.spatial import geometry
 from rtc.world.model import initial_facts, location, problem
 from rtc.world.spread import even
 from workers.analyzer import impossible
 from workers.mechanisms import each
 from workers.planning.world_query import WorldQuery
-from workers.tasks import seated
+from workers.tasks.analyze_task import Changes
 
-Changes = list[WorldChange]
 Values = Mapping[str, float]
 
 
@@ -81,59 +79,15 @@ SPREADS: dict[str, Callable[[Values], list[float]]] = {
 # --- consequences ----------------------------------------------------------------------------------------
 
 
-def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes:
-    """Changes of seat, grasp or seated objects that follow from a new frame."""
-    if any(seat.name == thing for seat in query.cell.seats):
-        return seated.content(query, thing, frame)
-    if query.held_by(thing):
-        return _in_hand(thing, frame, query, values)
-    seat = seated.seat_at(frame, query, values["seated_m"], values["seated_rad"])
-    inside = [t.name for t in query.cell.objects if seat and t.name != thing and query.seat(t.name) == seat]
-    if inside:
-        raise _refused(
-            f"{thing}.frame is in {seat}, where {inside[0]} is believed to be",
-            f"{thing}.frame",
-            f"first state where {inside[0]} is",
-            NeedUnmet(need="seat_free", by=inside[0]),
-        )
-    return [
-        WorldChange(key=f"{thing}.seat", value=seat),
-        WorldChange(key=f"{thing}.grasp", value=None),
-    ]
-
-
 def _unplaced(thing: str, query: WorldQuery) -> Changes:
     """The pose of an object or seat is stated to be unknown: the last belief stays as a guess."""
     frame = WorldChange(key=f"{thing}.frame", keep_value=True, validity=Validity.UNKNOWN)
     if query.is_seat(thing):
-        inside = [one.name for one in query.cell.objects if query.seat(one.name) == thing]
+        inside = query.inside(thing)
         content = [WorldChange(key=f"{name}.frame", keep_value=True, validity=Validity.SUSPECT) for name in inside]
         known = msgspec.structs.replace(frame, value=query.seat_frame(thing).tolist(), keep_value=False)
         return [known, *content]
     return [frame, WorldChange(key=f"{thing}.seat", keep_value=True, validity=Validity.UNKNOWN)]
-
-
-def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes:
-    """Grasp of a held object at this frame; refused if all its grasp points are too far from the tcp."""
-    arm = query.held_by(thing)
-    tcp = query.tcp(arm)
-    points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
-    away_m = min((geometry.distance(tcp, point) for point in points), default=math.inf)
-    if away_m > values["in_hand_m"]:
-        raise _refused(
-            f"{thing} is held by {arm}, and would be {away_m * 1000:.0f} mm from its fingers; "
-            f"{values['in_hand_m'] * 1000:.0f} mm is the most",
-            f"{thing}.frame",
-            f"give its present world pose, within {values['in_hand_m'] * 1000:.0f} mm of the fingers; "
-            "open the hand first if it is not in it",
-            NeedUnmet(need="object_free", by=arm),
-        )
-    grasp = geometry.normalise(geometry.relative(tcp, frame)).tolist()
-    return [
-        WorldChange(key=f"{arm}.holding", value=thing),
-        WorldChange(key=f"{thing}.held_by", value=arm),
-        WorldChange(key=f"{thing}.grasp", value=grasp, spread=SPREADS["frame"](values)),
-    ]
 
 
 def _whole(_: str, value: Any, query: WorldQuery, values: Values) -> Changes:
@@ -182,4 +136,4 @@ def _initial(query: WorldQuery) -> Changes:
 
 
 Follows = Mapping[str, Callable[[str, Any, WorldQuery, Values], Changes]]
-FOLLOWS: list[Follows] = [*each(lambda mechanism: mechanism.follows), {"frame": _placed, "facts": _whole}]
+FOLLOWS: list[Follows] = [*each(lambda mechanism: mechanism.follows), {"facts": _whole}]

@@ -8,9 +8,8 @@ from rtc.programs.schema import OutcomeClass
 from rtc.protocol.messages import EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
-from workers.analyzer.world_changes import Changes
 from workers.planning import segments
-from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.analyze_task import AnalyzeTask, Changes
 
 THIN_M = 0.002  # fingers closer together than this hold nothing
 

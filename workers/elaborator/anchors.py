@@ -13,53 +13,15 @@ from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
 from rtc.protocol.advice import fill_in
-from rtc.protocol.outcomes import RefusalReason, Refused
-from rtc.spatial import geometry, hinges
+from rtc.spatial import geometry
 from workers.mechanisms import joined
 from workers.planning import suggestions
-from workers.tasks.anchor import Anchor, named, refused
+from workers.tasks.anchor import Anchor, named, no_grasp_point, refused
 from workers.tasks.candidate import TaskCandidate
-
-ALONG_BAR = (1.0, 0.0, 0.0)  # tool x
-
-
-def grasp_point(candidate: TaskCandidate) -> Anchor:
-    """The tcp pose at the grasp point, in the object's frame."""
-    assert candidate.thing is not None
-    if candidate.point is None:
-        raise _no_grasp_point(candidate.thing.name)
-    pose = candidate.point.frame.pose
-    if candidate.point.round:
-        at = geometry.compose(candidate.query.frame(candidate.thing.name), pose)
-        home = candidate.query.model.arms[candidate.arm.name].fk(candidate.arm.home_rad)
-        pose = hinges.turned(pose, ALONG_BAR, hinges.angle_of(at, ALONG_BAR, home))
-    return Anchor(
-        pose=pose.tolist(),
-        frame=candidate.thing.name,
-        relies_on=(f"{candidate.thing.name}.frame",),
-    )
 
 
 def stow(candidate: TaskCandidate) -> Anchor:
     return Anchor(joints=candidate.arm.stow_rad)
-
-
-def seat(candidate: TaskCandidate) -> Anchor:
-    """The tcp pose at which the held object is seated in the target seat."""
-    assert candidate.thing is not None
-    assert candidate.target is not None
-    grasp = candidate.query.grasp(candidate.thing.name)
-    if grasp is None:
-        raise refused(
-            f"how {candidate.arm.name} holds {candidate.thing.name} is not known", "let go of it, and take it again"
-        )
-    pose = geometry.compose(candidate.target.module_frame.pose, geometry.inverse(grasp)).tolist()
-    return Anchor(
-        pose=pose,
-        frame=candidate.target.name,
-        grasp=grasp.tolist(),
-        relies_on=(f"{candidate.thing.name}.grasp", f"{candidate.target.name}.frame"),
-    )
 
 
 def destination(candidate: TaskCandidate) -> Anchor:
@@ -91,7 +53,7 @@ def destination(candidate: TaskCandidate) -> Anchor:
 
 def _before(candidate: TaskCandidate) -> Anchor:
     """The tcp pose at which the held object is clear before the target seat, in the seat's frame."""
-    figures, inside = candidate.figures, seat(candidate)
+    figures, inside = candidate.figures, ANCHORS["seat"](candidate)
     assert candidate.target is not None
     assert inside.pose is not None
     out_m = figures["seat_depth_m"] + figures.get("clear_m", 0.0) + figures["held_unsure_m"]
@@ -119,7 +81,7 @@ def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor:
     if thing is None:
         raise suggestions.unknown("object", name, [t.name for t in cell.objects])
     if not thing.grasp_points:
-        raise _no_grasp_point(name)
+        raise no_grasp_point(name)
     base = candidate.arm.base.pose
     frame = candidate.query.frame(name)
     points = [geometry.compose(frame, p.frame.pose) for p in thing.grasp_points]
@@ -130,20 +92,9 @@ def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor:
     return Anchor(pose=start.tolist(), frame=name, relies_on=(f"{name}.frame",))
 
 
-def _no_grasp_point(thing: str) -> Refused:
-    return Refused.because(
-        RefusalReason.NAME,
-        f"{thing} has no grasp point",
-        where=thing,
-        clears="an object that has grasp points, or a grasp point for it in the cell",
-    )
-
-
 ANCHORS: dict[str, Callable[[TaskCandidate], Anchor]] = {
-    "grasp_point": grasp_point,
     "destination": destination,
     "stow": stow,
-    "seat": seat,
     "here": here,
     **joined(lambda mechanism: mechanism.anchors),
 }

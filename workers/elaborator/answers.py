@@ -123,7 +123,7 @@ def _object(question: Question, thing: parts.Object) -> str:
 
 def _seat(question: Question, seat: parts.Seat) -> str:
     query = question.query
-    inside = [thing.name for thing in query.cell.objects if query.seat(thing.name) == seat.name]
+    inside = query.inside(seat.name)
     return f"{seat.name}: {_pose(query.seat_frame(seat.name))}; holds {', '.join(inside) or 'nothing'}"
 
 

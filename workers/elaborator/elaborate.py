@@ -40,7 +40,6 @@ from workers.elaborator import (
     sentences_instead,
     set_fact,
     strategies,
-    taken_along,
     teach,
     tested_advice,
     what_is_left,
@@ -69,7 +68,7 @@ from workers.elaborator.script_steps import (
     trims_for,
     with_seats,
 )
-from workers.mechanisms import joined
+from workers.mechanisms import each, joined
 from workers.planning import trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -81,6 +80,7 @@ WRITES_OF_RESERVE = ("active_arm", "active_object", "its_seat")  # what a piece 
 
 #: role in the resources of a script -> its candidates, if no arm works for it
 CANDIDATES = joined(lambda mechanism: mechanism.candidates)
+NOTED = each(lambda mechanism: mechanism.noted)
 
 INPUT = ElaboratorInput
 NEEDS_WORLD = True
@@ -364,7 +364,9 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     script = through_places(compiled.scripts[option.branch.script], candidate)
     entries, left_out = trims_for(compiled, script, candidate)
     nominal = [step_for(step, candidate, entries, nominal=True) for step in script.steps]
-    nominal = taken_along.noted(what_is_left.noted(script, nominal, candidate), candidate)
+    nominal = what_is_left.noted(script, nominal, candidate)
+    for noted in NOTED:
+        nominal = noted(nominal, candidate)
     held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
     lacks = why_uncertain(nominal, candidate)
     if lacks is not None and (trust.just_seen(query, lacks.where) or not can_be_seen(lacks.where, candidate)):

@@ -17,12 +17,9 @@ from rtc.programs.schema import ElaboratorProgram, TableRow
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import Quantity
 from rtc.protocol.units import SUFFIXES
-from rtc.spatial import geometry
-from rtc.world.spread import narrowest
 from workers.elaborator.fillers import TableFigures, filled
 from workers.mechanisms import each
-from workers.planning import pose_spread, trust
-from workers.planning.trust import AHEAD_S
+from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 from workers.tasks import object_attributes
 from workers.tasks.candidate import TaskCandidate
@@ -40,9 +37,9 @@ def of_partner(candidate: TaskCandidate) -> TaskCandidate:
 def with_figures(candidate: TaskCandidate) -> TaskCandidate:
     """The candidate with all its figures; of a camera those of its sentence, and the attributes of the object. Raises
     Refused if the command-object table has no row for it, and no filler."""
-    program, parsed, query, point = candidate.program, candidate.parsed, candidate.query, candidate.point
-    arm = candidate.hand
-    thing, target = (candidate.thing, candidate.target) if arm is not None else (None, None)
+    about = candidate if candidate.hand is not None else replace(candidate, thing=None, target=None)
+    program, parsed, query = candidate.program, candidate.parsed, candidate.query
+    arm, thing, point = about.hand, about.thing, about.point
     figures: dict[str, float] = msgspec.structs.asdict(query.cell.numbers)
     of_object = object_attributes.figures(program, query, candidate.thing)
     row = _table(program, parsed.verb, thing, query, figures | of_object)
@@ -53,46 +50,17 @@ def with_figures(candidate: TaskCandidate) -> TaskCandidate:
         for figure, of_hand in program.by_hand.items():
             if figure in figures:
                 figures[figure] = min(figures[figure], figures[of_hand])
-    if candidate.between is not None:
-        figures["grasp_width_m"] = candidate.between.width_m
     if point is not None and thing is not None:
         figures |= pose_spread.uncertainty_figures(query.spread(f"{thing.name}.frame"), point.frame.pose)
         figures["seen"] = float(query.finds(thing.name))
-    if thing is not None:
-        figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
-        figures["held_elsewhere"] = float(arm is not None and query.held_by(thing.name) not in ("", arm.name))
-        figures["slot_m"] = _slot_m(query, thing)
     for figures_of in FIGURES:
-        figures |= figures_of(candidate)
-    if target is not None:
-        figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
-        figures["held_unsure_m"] = _held_unsure_m(query, thing, target) if thing is not None else 0.0
+        figures |= figures_of(about)
     figures |= _figure_of("amount", parsed.amount)
     figures |= _figure_of("by", parsed.place.by if parsed.place else None)
     figures |= _figure_of("to", parsed.to_value)
     if parsed.duration_s is not None:
         figures["duration_s"] = parsed.duration_s
     return replace(candidate, figures=figures, filler=row.filler)
-
-
-def _slot_m(query: WorldQuery, thing: parts.Object) -> float:
-    """Way out (m) until an object is free of the slot that it is in; 0 if it is in none, or has a hinge."""
-    seat = query.seat(thing.name) or query.seat_around(thing.name)
-    if not seat or thing.hinge is not None:
-        return 0.0
-    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
-    gone_m = float((query.frame(thing.name)[:3] - query.seated_pose(seat)[:3]) @ out)
-    return max(0.0, query.cell.seat(seat).depth_m - gone_m)
-
-
-def _held_unsure_m(query: WorldQuery, thing: parts.Object, target: parts.Seat) -> float:
-    """How far any point of the held object may be from its believed place when it is before the seat.
-
-    With a wider spread than the seat permits it does not get there."""
-    spread = trust.grasp_spread(query, thing.name, AHEAD_S)
-    return trust.off_m(
-        query, thing.name, narrowest(spread, target.needs_within.spread) if target.needs_within else spread
-    )
 
 
 def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:

@@ -20,16 +20,17 @@ from rtc.protocol.advice import Texts, fill_in
 from rtc.protocol.messages import Binding, Step, WorldChange
 from rtc.protocol.outcomes import Refusal, Refused
 from rtc.spatial import geometry
-from workers.elaborator import backtrack, preconditions
+from workers.elaborator import backtrack
 from workers.elaborator.backtrack import Planned
 from workers.elaborator.figures import of_partner
 from workers.mechanisms import joined
 from workers.planning import in_seat
 from workers.planning.segments import BOTH
 from workers.planning.world_query import WorldQuery
+from workers.tasks.analyze_task import Changes
 from workers.tasks.candidate import TaskCandidate
+from workers.tasks.unmet import let_go
 
-Changes = list[WorldChange]
 #: effect of a step -> what it changes in the plan of the steps after it
 FORESEEN = joined(lambda mechanism: mechanism.foreseen)
 
@@ -74,7 +75,7 @@ def _of_stage(refusal: Refusal, candidate: TaskCandidate, arm: str) -> Refusal:
         return refusal
     rows, thing = candidate.program.needs, candidate.body
     texts: Texts = {
-        "let_go": preconditions.let_go(rows, candidate.query, thing),
+        "let_go": let_go(rows, candidate.query, thing),
         "hand": hand_in_words(candidate.arm.name),
     }
     depth_m = max((seat.depth_m for seat in candidate.query.cell.seats), default=0.0)

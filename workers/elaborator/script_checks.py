@@ -11,7 +11,7 @@ from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
 from workers.conditions import reflexes
-from workers.elaborator import done_already, preconditions
+from workers.elaborator import preconditions
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
 from workers.mechanisms import MECHANISMS
@@ -46,7 +46,7 @@ def _refuse_nothing_held(script: ScriptFile, candidate: TaskCandidate) -> None:
 
 
 def _refuse_unmet(script: ScriptFile, candidate: TaskCandidate) -> None:
-    done_already.refuse(script, candidate)
+    preconditions.refuse_if_done(script, candidate)
     for need in script.needs:
         preconditions.refuse_if_unmet(need, candidate)
 

@@ -277,8 +277,7 @@ def names_by_role(candidate: TaskCandidate) -> dict[str, list[str]]:
     stands_for = {name: [role] for name, role in candidate.roles.items()}
     stands_for["its_seat"] = [query.seat(thing)] if thing else []
     stands_for["its_holder"] = [query.held_by(thing)] if thing else []
-    seat = candidate.seat.name if candidate.seat is not None else ""
-    stands_for["its_content"] = [one.name for one in query.cell.objects if seat and query.seat(one.name) == seat]
+    stands_for["its_content"] = query.inside(candidate.seat.name) if candidate.seat is not None else []
     stands_for["its_parts"] = with_seats(candidate, [thing]) if query.cell.mounted(thing) else []
     return stands_for
 

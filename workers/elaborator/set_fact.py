@@ -11,20 +11,20 @@ from typing import Any
 from rtc.model.cells import parts
 from rtc.programs.attributes import PLAIN
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
-from rtc.protocol import causes
-from rtc.protocol.advice import Texts, fill_in
+from rtc.protocol.advice import fill_in
 from rtc.protocol.messages import SavedWorld, Script, ScriptContext, Step, StepWords
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.protocol.spelling import nearest
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from workers.elaborator import preconditions, strategies, teach
+from workers.elaborator import strategies, teach
 from workers.mechanisms import joined
 from workers.mechanisms.mechanism import Stated, Thing
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks import command_fields
+from workers.tasks.unmet import refuse_held
 
 
 def script(
@@ -50,7 +50,7 @@ def script(
         raise suggestions.unknown("object or seat", parsed.object or "", things)
     facts = _facts(program, parsed, thing, query)
     inside = [key.rpartition(".")[0] for key in facts]
-    inside += _seated(thing.name, query) if isinstance(thing, parts.Seat) else []
+    inside += query.inside(thing.name) if isinstance(thing, parts.Seat) else []
     if f"{thing.name}.frame" in facts and (holder := query.held_by(thing.name)):
         inside.append(holder)  # the hand's `holding` and the grasp follow from the frame
     return _script(file, parsed, thing.name, (facts, [thing.name, *inside]), _new(program, parsed, thing))
@@ -103,11 +103,6 @@ def _shown(parsed: ParsedCommand) -> str:
 def _names(roles: list[str], active: list[str]) -> list[str]:
     """The names that the roles of a script stand for."""
     return list(dict.fromkeys(name for role in roles for name in (active if role == "active_object" else [role])))
-
-
-def _seated(seat: str, query: WorldQuery) -> list[str]:
-    """The objects in a seat; they move with it."""
-    return [thing.name for thing in query.cell.objects if query.seat(thing.name) == seat]
 
 
 def _fill_in(words: str, texts: dict[str, str]) -> str:
@@ -202,7 +197,7 @@ def _frame(program: ElaboratorProgram, values: list[Any], thing: Thing, query: W
 
 def _unplaced(program: ElaboratorProgram, thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """The pose is not known any more: no step relies on it until it is located or stated."""
-    _refuse_held(program, thing, query)
+    refuse_held(program, thing.name, query)
     _refuse_fixed(thing)
     return {f"{thing.name}.frame": None}
 
@@ -210,25 +205,6 @@ def _unplaced(program: ElaboratorProgram, thing: Thing, query: WorldQuery) -> di
 def _attitude(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """An attitude, at the current position."""
     return _pose(_current_pose(thing, query)[:3], geometry.from_rpy((0, 0, 0), values)[3:], thing)
-
-
-def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
-    """The pose of an object seated in the named seat."""
-    seats = [seat.name for seat in query.cell.seats]
-    if values[0] not in seats:
-        raise suggestions.unknown("seat", values[0], seats, where=values[0])
-    _refuse_held(program, thing, query)
-    seated = query.seated_pose(values[0])
-    return _pose(seated[:3], seated[3:], thing)
-
-
-def _refuse_held(program: ElaboratorProgram, thing: Thing, query: WorldQuery) -> None:
-    if holder := query.held_by(thing.name):
-        message = f"{thing.name} is held by {holder}"
-        texts: Texts = {"let_go": preconditions.let_go(program.needs, query, thing.name), "object": thing.name}
-        clears = fill_in(program.needs["object_free"], texts)
-        cause = causes.NeedUnmet(need="object_free", by=holder)
-        raise Refused.because(RefusalReason.STATE, message, clears=clears, cause=cause)
 
 
 def _refuse_fixed(thing: Thing) -> None:
@@ -250,6 +226,5 @@ FACTS: dict[str, Stated] = {
     "frame": _frame,
     "attitude": _attitude,
     "orientation": _attitude,
-    "seat": _seat,
     **joined(lambda mechanism: mechanism.stated),
 }

@@ -16,9 +16,9 @@ from rtc.protocol.messages import SavedWorld
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.world.model import location
-from workers.elaborator import preconditions
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
+from workers.tasks.unmet import let_go
 
 HERE, NONE, INITIAL, SAVED = "HERE", "NONE", "INITIAL", "SAVED"
 Stated = tuple[dict[str, Any], list[str]]  # facts by key, and what is claimed and may be written
@@ -80,9 +80,9 @@ def world(
         raise Refused.because(RefusalReason.SENTENCE, message, clears=clears)
     for arm in query.cell.arms:
         if held := query.holding(arm.name):
-            let_go = preconditions.let_go(program.needs, query, held)
+            empties = let_go(program.needs, query, held)
             message = f"{arm.name} holds {held}; other facts would deny that, and move nothing"
-            raise Refused.because(RefusalReason.STATE, message, where=held, clears=let_go)
+            raise Refused.because(RefusalReason.STATE, message, where=held, clears=empties)
     cell = query.cell
     concerned = [part.name for group in (cell.arms, cell.objects, cell.seats) for part in group]
     if parsed.value == [INITIAL]:

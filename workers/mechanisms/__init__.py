@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TypeVar
 
-from workers.mechanisms import bolts, hinges, operator, sight, two_arms
+from workers.mechanisms import bolts, grip, hinges, operator, seats, sight, touch, two_arms
 from workers.mechanisms.mechanism import Mechanism
 
 MECHANISMS: tuple[Mechanism, ...] = (
     hinges.MECHANISM,
+    grip.MECHANISM,
+    seats.MECHANISM,
     bolts.MECHANISM,
+    touch.MECHANISM,
     sight.MECHANISM,
     operator.MECHANISM,
     two_arms.MECHANISM,

@@ -15,25 +15,23 @@ from typing import Any
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.advice import Advice, Texts
-from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Validity, WorldChange
+from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Step, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import Primitive
-from rtc.spatial.geometry import Array
 from workers.planning.world_query import WorldQuery
-from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.analyze_task import AnalyzeTask, Changes
 from workers.tasks.anchor import Anchor
 from workers.tasks.bind_task import BindTask
 from workers.tasks.candidate import AskedTask, TaskCandidate
+from workers.tasks.report import Course
 from workers.tasks.unmet import UnmetPrecondition
 
-Changes = list[WorldChange]
 Thing = parts.Object | parts.Seat
 Need = Callable[[TaskCandidate], UnmetPrecondition | None]
 Partner = tuple[parts.Arm | None, parts.Place | None]
 Instead = Callable[[ElaboratorProgram, Mapping[str, ScriptFile], TaskCandidate, Mapping[str, Need]], str]
 Check = Callable[[ScriptFile, TaskCandidate], None]
 Stated = Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]
-Touch = Callable[[WorldQuery, str, EvaluationContext], Callable[[Array], bool] | None]
 About = Callable[[WorldQuery, str], Texts]  # texts about a body
 Report = Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]
 
@@ -59,6 +57,10 @@ class Mechanism:
     needs: Mapping[str, Need] = field(default_factory=dict)
     anchors: Mapping[str, Callable[[TaskCandidate], Anchor]] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
+    #: that what a script does is so before it begins, and the row of `needs` with what is left to do; None: it is not
+    done: Callable[[ScriptFile, TaskCandidate], tuple[str, str] | None] | None = None
+    #: the steps of a script, with what their results say beside
+    noted: Callable[[list[Step], TaskCandidate], list[Step]] | None = None
     #: attribute of a SET sentence -> the facts that it states
     stated: Mapping[str, Stated] = field(default_factory=dict)
     #: whether steps of a trim would harm what the candidate is about
@@ -67,9 +69,13 @@ class Mechanism:
     foreseen: Mapping[str, Callable[[TaskCandidate, WorldQuery], Changes]] = field(default_factory=dict)
     #: bind: kind of action -> what makes its primitive
     actions: Mapping[str, Callable[[BindTask], BoundStep]] = field(default_factory=dict)
+    #: procedure of a step (`proc`) -> what performs it
+    procedures: Mapping[str, Callable[[BindTask], BoundStep]] = field(default_factory=dict)
     #: assess: effect of a step -> its changes of the world; what is wrong with it (empty: nothing); what a failure says
     effects: Mapping[str, Callable[[AnalyzeTask, Validity], Changes]] = field(default_factory=dict)
     violated: Mapping[str, Callable[[AnalyzeTask], str]] = field(default_factory=dict)
+    #: the same of a step that was stopped, before what follows for what the hand holds
+    interrupted: Mapping[str, Callable[[AnalyzeTask], Changes]] = field(default_factory=dict)
     after_failure: Mapping[str, Callable[[AnalyzeTask, bool], Changes]] = field(default_factory=dict)
     #: effect of a step that has succeeded -> (what was found, what the outcome of the command states)
     found: Mapping[str, Callable[[AnalyzeTask], tuple[str, str]]] = field(default_factory=dict)
@@ -93,8 +99,8 @@ class Mechanism:
     #: attributes with a meaning for an object; why a stated fact of it cannot be (empty: it can)
     attributes: Callable[[parts.Object], Collection[str]] | None = None
     impossible: Callable[[WorldChange, parts.Object, WorldQuery], str] | None = None
-    #: predict: for a step that expects a touch, whether it is felt at a pose of the tcp; None: not of this mechanism
-    touch: Touch | None = None
+    #: predict: when the touch that a step expects is felt on its way (s); None: not of this mechanism
+    touch_s: Callable[[WorldQuery, str, EvaluationContext, Course], float | None] | None = None
     #: when a path reaches its goal before its end (s); None: it does not
     reached_s: Callable[[WorldQuery, Primitive], float | None] | None = None
     reports: Mapping[type, Report] = field(default_factory=dict)

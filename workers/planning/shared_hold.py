@@ -17,6 +17,21 @@ from rtc.spatial import geometry
 from workers.planning.world_query import WorldQuery
 
 
+def held(
+    arm: str,
+    thing: str,
+    grasp: list[float] | None,
+    validity: Validity = Validity.VALID,
+    spread: list[float] | None = None,
+) -> list[WorldChange]:
+    """The hand holds the object, at this pose in the frame of its tcp; None: in the hand as before."""
+    return [
+        WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
+        WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
+        WorldChange(key=f"{thing}.grasp", value=grasp, keep_value=grasp is None, validity=validity, spread=spread),
+    ]
+
+
 def let_go(query: WorldQuery, arm: str, thing: str, validity: Validity = Validity.VALID) -> list[WorldChange]:
     """The hand no longer holds the object. If another hand holds it, its facts refer to that hand from now on."""
     changes = [WorldChange(key=f"{arm}.holding", value="")]

@@ -162,7 +162,7 @@ def _look_helps(query: WorldQuery, body: str) -> bool:
 
 def unsure_key(query: WorldQuery, body: str) -> str:
     """The fact whose spread makes the place of a body uncertain; empty if it is exact."""
-    inside = (thing.name for thing in query.cell.objects if query.seat(thing.name) == body)
+    inside = query.inside(body)
     keys = [f"{body}.grasp" if query.held_by(body) else f"{body}.frame", *(f"{name}.frame" for name in inside)]
     return max((key for key in keys if any(query.spread(key))), key=lambda key: max(query.spread(key)), default="")
 

@@ -6,7 +6,6 @@ step, and a camera sees the body where it is believed to be.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -15,7 +14,6 @@ from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import (
     ForceAbove,
-    HandMotion,
     HoldStill,
     JointTrajectory,
     Primitive,
@@ -24,16 +22,13 @@ from rtc.protocol.primitive import (
 )
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from workers.conditions.prediction import closes_on_m
 from workers.mechanisms import each, joined
 from workers.planning.world_query import WorldQuery
-from workers.tasks.report import at_rest, curve, predicate_of, replaced
+from workers.tasks.report import Course, at_rest, curve, first_s, predicate_of, replaced
 
-HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
-CLOSING = 1  # axis of a hand, and of a grasp point, along which the fingers close
 BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
 
-TOUCHES, REACHED_S = each(lambda mechanism: mechanism.touch), each(lambda mechanism: mechanism.reached_s)
+TOUCH_S, REACHED_S = each(lambda mechanism: mechanism.touch_s), each(lambda mechanism: mechanism.reached_s)
 
 
 def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopReason | None = None) -> EndReport:
@@ -109,60 +104,18 @@ def _posture(path: JointTrajectory, at_s: float) -> list[float]:
 
 
 def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: EvaluationContext) -> float:
-    """When an expected touch is felt: of a held object where it is in its seat, of a mechanism where it says, of a
-    finger at the grasp point. A step that touches anything else states how far before its end (`beyond_m`)."""
-    course, fk, context = curve(path), query.model.arms[arm].fk, evaluation.context
+    """When an expected touch is felt: where a mechanism says, or `beyond_m` of the step before the end."""
+    joints, fk = curve(path), query.model.arms[arm].fk
 
     def tcp(at_s: float) -> Array:
-        return fk(course.at(np.array([at_s]))[0, 0])
+        return fk(joints.at(np.array([at_s]))[0, 0])
 
-    if evaluation.held and query.is_seat(context.target):
-        return _nearest_s(query, evaluation.held, query.seated_pose(context.target), path.duration_s, tcp)
-    for touch in TOUCHES:
-        if (is_felt := touch(query, arm, evaluation)) is not None:
-            return _first_s(path.duration_s, lambda at_s: is_felt(tcp(at_s)))
-    if context.object and context.grasp_point and not evaluation.held:
-        point = query.cell.object(context.object).grasp_point(context.grasp_point)
-        bar = geometry.compose(query.frame(context.object), point.frame.pose)
-        touches = _by_finger(tcp, bar, 0.5 * (query.hand_width(arm) - point.width_m), path.duration_s)
-        if touches(path.duration_s) and not touches(0.0):
-            return _first_s(path.duration_s, touches)
+    course = Course(tcp, path.duration_s)
+    for touch_s in TOUCH_S:
+        if (felt_s := touch_s(query, arm, evaluation, course)) is not None:
+            return felt_s
     beyond_m, end = evaluation.step.figures.beyond_m or 0.0, fk(path.positions[-1])
-    return _first_s(path.duration_s, lambda at_s: geometry.distance(tcp(at_s), end) <= beyond_m)
-
-
-def _by_finger(tcp: Callable[[float], Array], bar: Array, play_m: float, duration_s: float) -> Callable[[float], bool]:
-    """Whether the finger towards which the hand moves touches the bar at a time. `play_m`: its way from the middle."""
-
-    def aside_m(at_s: float) -> float:
-        return float(geometry.relative(tcp(at_s), bar)[CLOSING])
-
-    side = math.copysign(1.0, aside_m(duration_s))
-    return lambda at_s: side * aside_m(at_s) > play_m
-
-
-def _first_s(duration_s: float, is_past: Callable[[float], bool]) -> float:
-    """The time at which something becomes true that is true from then on, at the end at the latest."""
-    before_s, after_s = 0.0, duration_s
-    for _ in range(HALVINGS):
-        middle_s = 0.5 * (before_s + after_s)
-        before_s, after_s = (before_s, middle_s) if is_past(middle_s) else (middle_s, after_s)
-    return after_s
-
-
-def _nearest_s(query: WorldQuery, held: str, place: Array, duration_s: float, tcp: Callable[[float], Array]) -> float:
-    """The time at which a held object is nearest to a place, by thirds: it comes, or it leaves."""
-
-    def off_m(at_s: float) -> float:
-        frame = query.in_hand(held, tcp(at_s))
-        return geometry.distance(frame, place) if frame is not None else 0.0
-
-    before_s, after_s = 0.0, duration_s
-    for _ in range(HALVINGS):
-        third_s = (after_s - before_s) / 3.0
-        nearer = off_m(before_s + third_s) <= off_m(after_s - third_s)
-        before_s, after_s = (before_s, after_s - third_s) if nearer else (before_s + third_s, after_s)
-    return before_s
+    return first_s(path.duration_s, lambda at_s: geometry.distance(tcp(at_s), end) <= beyond_m)
 
 
 def _of_rest(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
@@ -172,25 +125,8 @@ def _of_rest(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, 
     return at_rest(query, made.performer, made.id, reason, query.joints(made.performer), rests_s)
 
 
-def _of_hand(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
-    motion, arm = made.trajectory, made.performer
-    assert isinstance(motion, HandMotion)
-    report = at_rest(query, arm, made.id, reason, query.joints(arm), evaluation.predicted_s)
-    if reason is not StopReason.GOAL:
-        return report
-    between_m = closes_on_m(query, evaluation) if motion.width_m < query.hand_width(arm) else 0.0
-    presses = between_m > motion.width_m
-    width_m = max(motion.width_m, between_m)
-    return replaced(
-        report,
-        hand_width_m=width_m,
-        hand_force_n=motion.force_n if presses else 0.0,
-    )
-
-
 REPORTS: dict[type, Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]] = {
     JointTrajectory: _of_path,
-    HandMotion: _of_hand,
     HoldStill: _of_rest,
     **joined(lambda mechanism: mechanism.reports),
 }

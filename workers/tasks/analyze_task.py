@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from rtc.model.cells import parts
 from rtc.programs.schema import AnalyzerProgram
-from rtc.protocol.messages import AnalyzerInput
+from rtc.protocol.messages import AnalyzerInput, WorldChange
 from rtc.spatial import geometry
+from rtc.spatial.geometry import Array
 from workers.planning.world_query import WorldQuery
+
+Changes = list[WorldChange]
 
 
 class AnalyzeTask:
@@ -30,6 +33,12 @@ class AnalyzeTask:
             return thing.grasp_point(self.context.grasp_point)
         frame = self.query.frame(thing.name)
         return min(thing.grasp_points, key=lambda one: geometry.distance(tcp, geometry.compose(frame, one.frame.pose)))
+
+    @property
+    def object_frame(self) -> tuple[Array, list[float]]:
+        """The frame (world) and the spread of the object of the command, before this report."""
+        thing = self.context.object
+        return self.query.frame(thing), list(self.query.spread(f"{thing}.frame"))
 
     @property
     def off_m(self) -> float:

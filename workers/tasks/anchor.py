@@ -58,3 +58,12 @@ def named(candidate: TaskCandidate, name: str) -> Anchor:
         clears=[ANOTHER_ARM, *by_person(f"a place that {candidate.arm.name} can go to")],
         cause=causes.NoPosture(arm=candidate.arm.name, place=name),
     )
+
+
+def no_grasp_point(thing: str) -> Refused:
+    return Refused.because(
+        RefusalReason.NAME,
+        f"{thing} has no grasp point",
+        where=thing,
+        clears="an object that has grasp points, or a grasp point for it in the cell",
+    )

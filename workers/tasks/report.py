@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from rtc.model.robot.quintic import Hermite
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import JointTrajectory, Primitive
+from rtc.spatial.geometry import Array
 from workers.planning.world_query import WorldQuery
 
 NO_FORCE = [0.0] * 6
+HALVINGS = 24  # of the time of a path, to find the place of a touch within some micrometres
+
+
+class Course(NamedTuple):
+    """How the tcp of an arm moves along a path: its pose (world) at a time."""
+
+    tcp: Callable[[float], Array]
+    duration_s: float
+
+
+def first_s(duration_s: float, is_past: Callable[[float], bool]) -> float:
+    """The time at which something becomes true that is true from then on, at the end at the latest."""
+    before_s, after_s = 0.0, duration_s
+    for _ in range(HALVINGS):
+        middle_s = 0.5 * (before_s + after_s)
+        before_s, after_s = (before_s, middle_s) if is_past(middle_s) else (middle_s, after_s)
+    return after_s
 
 
 def at_rest(

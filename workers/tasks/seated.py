@@ -6,10 +6,14 @@ import math
 
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.spatial import geometry
-from rtc.spatial.geometry import Floats
-from rtc.world.spread import Spread, widened
+from rtc.spatial.geometry import Array, Floats
+from rtc.world.spread import Spread, even, widened
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
+
+CAUGHT_M, CAUGHT_RAD = 0.004, 0.05  # maximum distance from the seated pose at which a catch holds an object
+IN_SEAT_M = 0.02  # an object released within this distance of its seated pose stays in the seat
+TURNED_M, TURNED_RAD = 0.008, 0.15  # how far a seat moves and turns an object in the hand: up to 4.3 mm and 4.9 deg
 
 
 def content(
@@ -55,3 +59,17 @@ def seat_at(frame: Floats, query: WorldQuery, within_m: float, within_rad: float
     away_m = {name: geometry.distance(frame, place) for name, place in places.items()}
     near = [name for name, at in places.items() if away_m[name] <= within_m and geometry.angle(frame, at) <= within_rad]
     return min(near, key=lambda name: away_m[name], default="")
+
+
+def set_down(query: WorldQuery, thing: str, seat: str) -> tuple[Array, list[float]]:
+    """Pose of an object that was let go of in a seat: from its catch or from the hand, whichever is narrower.
+
+    A catch holds the object near the seated pose. The hand had it where it is, but a seat may have turned it.
+    """
+    hand = widened(query.spread(f"{thing}.frame"), even(TURNED_M, TURNED_RAD))
+    in_seat = query.cell.seat(seat)
+    if in_seat.detent_n <= 0.0:
+        return query.frame(thing), hand
+    bounds = pose_spread.spread_at(query.spread(f"{seat}.frame"), in_seat.module_frame.pose)
+    caught = widened(bounds, even(CAUGHT_M, CAUGHT_RAD))
+    return min((query.seated_pose(seat), caught), (query.frame(thing), hand), key=lambda found: sum(found[1]))

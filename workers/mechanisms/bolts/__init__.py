@@ -40,6 +40,6 @@ MECHANISM = Mechanism(
     follows={"state": assess.follows_from_state},
     attributes=assess.attributes,
     impossible=assess.impossible,
-    touch=predict.touches_head,
+    touch_s=predict.touch_s,
     reports={SpindleMotion: predict.of_spindle},
 )

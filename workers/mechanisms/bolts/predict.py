@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -13,19 +12,21 @@ from rtc.protocol.primitive import Primitive, SpindleMotion, TorqueAbove, Torque
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning.world_query import WorldQuery
-from workers.tasks.report import at_rest, predicate_of, replaced
+from workers.tasks.report import Course, at_rest, first_s, predicate_of, replaced
 
 # A torque above TWISTS_NM turns a driver between pads that press with 60 N. 3.4 N.m hold them 1.1 to 1.8 mm apart (11).
 TWISTS_NM, APART_M = 1.0, 0.0016
 
 
-def touches_head(query: WorldQuery, arm: str, evaluation: EvaluationContext) -> Callable[[Array], bool] | None:
-    """Whether the tip of the driver is at the head of the bolt, by the pose of the tcp (world)."""
+def touch_s(query: WorldQuery, arm: str, evaluation: EvaluationContext, course: Course) -> float | None:
+    """When the tip of the driver is at the head of the bolt; None of other steps."""
     bolt, tip = evaluation.context.object, _tip(query, arm)
     if tip is None or query.thread(bolt) is None:
         return None
     head = query.frame(bolt)
-    return lambda tcp: bool(geometry.relative(head, geometry.compose(tcp, tip))[2] <= 0)
+    return first_s(
+        course.duration_s, lambda at_s: bool(geometry.relative(head, geometry.compose(course.tcp(at_s), tip))[2] <= 0)
+    )
 
 
 def _tip(query: WorldQuery, arm: str) -> Array | None:

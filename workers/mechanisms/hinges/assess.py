@@ -17,9 +17,7 @@ from rtc.spatial import geometry, hinges
 from workers.planning import pose_spread
 from workers.planning.step_target import TURN
 from workers.planning.world_query import WorldQuery
-from workers.tasks.analyze_task import AnalyzeTask
-
-Changes = list[WorldChange]
+from workers.tasks.analyze_task import AnalyzeTask, Changes
 
 BACK_RAD = 0.1  # a hand that was to turn one way has turned the other way by less
 HINGE_OFF_M = 0.05  # maximum error of a hinge's place on its body in the cell file

@@ -23,10 +23,8 @@ from rtc.world.spread import EXACT, Spread, even, widened
 from workers.planning import pose_spread, trust
 from workers.planning.world_query import WorldQuery
 from workers.tasks import flat_grip, seated
-from workers.tasks.analyze_task import AnalyzeTask
+from workers.tasks.analyze_task import AnalyzeTask, Changes
 from workers.tasks.flat_grip import Found
-
-Changes = list[WorldChange]
 
 IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the middle between the fingers
 #: findings of a look: the body moves, it is known better, it is not between the fingers of the hand that holds it
