@@ -8,17 +8,14 @@ The program defines the meaning of a script's words; this module knows no skill.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import msgspec
 
-from rtc.language.hands import hand_in_words
 from rtc.programs import expressions, named_algorithms
 from rtc.programs.extension_names import PERFORMERS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram
-from rtc.protocol.advice import by_sentence
-from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Validity
+from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import HoldStill
 from rtc.protocol.primitive_id import command_of, seed_of
@@ -38,8 +35,6 @@ INPUT = BinderInput
 NEEDS_WORLD = True
 NEEDS_CELL = True
 
-NOW = "now"  # key of a stated value that stands for a fact
-STATED_BY = "OPERATOR"  # performer in the report of facts that a command states
 ANSWERED_BY = "RTC"  # performer in the report of an answer
 
 
@@ -118,39 +113,6 @@ def bind_assignment(task: BindTask) -> BoundStep:
     return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
 
 
-def _now(task: BindTask, stated: Any) -> Any:
-    """A stated value; {"now": KEY} stands for the value of that fact now. Raises Refused if it is not valid."""
-    if not isinstance(stated, dict) or NOW not in stated:
-        return stated
-    fact = task.query.world.get(stated[NOW])
-    if fact is not None and fact.validity is Validity.VALID:
-        return fact.value
-    arm = stated[NOW].partition(".")[0]
-    raise Refused.because(
-        RefusalReason.SUSPECT,
-        f"{stated[NOW]} is {fact.validity.value if fact else 'unknown'}: where {arm} stands is not sure",
-        where=stated[NOW],
-        clears=by_sentence(f"HOLD {hand_in_words(arm)} FOR 1 SEC", words="it reads the joints first"),
-    )
-
-
-def bind_stated_facts(task: BindTask) -> BoundStep:
-    """The facts stated by the command, as a report (A24); the analyzer judges and writes them."""
-    context = task.data.context
-    if not context.stated:
-        raise refused_program("the command states no facts", "a script for a command that states facts")
-    facts = {key: _now(task, value) for key, value in context.stated.items()}
-    report = EndReport(
-        primitive=task.data.primitive_id,
-        performer=STATED_BY,
-        reason=StopReason.GOAL,
-        at_s=0.0,  # no motion, so there is no arm time
-        duration_s=0.0,
-        facts=facts,
-    )
-    return BoundStep(report=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="stated")
-
-
 def bind_answer(task: BindTask) -> BoundStep:
     """An answer that the elaborator has given, as a report without facts."""
     data = task.data
@@ -181,7 +143,6 @@ ACTIONS: dict[str, Action] = {
     "motion": bind_motion,
     "still": bind_still,
     "assign": bind_assignment,
-    "stated": bind_stated_facts,
     "procedure": bind_procedure,
     "answered": bind_answer,
     **joined(lambda mechanism: mechanism.actions),

@@ -8,56 +8,37 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from rtc.language import dictionary
 from rtc.model.cells import parts, taught
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece
-from rtc.protocol.messages import Fact, Script, ScriptContext, Step, StepWords
-from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand
+from rtc.protocol.messages import Fact, Script
+from rtc.protocol.sentence import BOTH_ARMS
 from rtc.spatial import geometry
 from rtc.world import spread
 from rtc.world.facts import TRUSTED
-from workers.elaborator import strategies
 from workers.planning import suggestions
-from workers.planning.world_query import WorldQuery
-from workers.tasks import command_fields
+from workers.tasks import command_fields, strategies
+from workers.tasks.data_sentence import DataSentence
 
 RESOURCES = "RESOURCES"
 ENTRY, SCRIPT = "-ENTRY", "-SCRIPT"  # GRASP-ENTRY: the entry of the dictionary; INSERT-SCRIPT: the script
 
 
-class Question(NamedTuple):
-    program: ElaboratorProgram
-    parsed: ParsedCommand
-    query: WorldQuery
-    owners: Mapping[str, str]  # name -> the commands that use it
-
-    @property
-    def name(self) -> str:
-        return self.parsed.hand or self.parsed.object or ""
-
-
-def script(file: ScriptFile, question: Question) -> Script:
+def script(question: DataSentence) -> Script:
     """The script whose only step has the answer. Raises Refused for an unknown name."""
-    command_fields.refuse_unused_field(question.parsed, file.script, file.uses)
-    (step,) = file.steps
-    says = ANSWERS[step.name](question)
-    label = step.label.replace("{object}", question.name)
-    return Script(
-        context=ScriptContext(verb=question.parsed.verb, script=file.script, object=""),
-        case=file.case,
-        steps=[Step(do=step.do, name=step.name, label=label, words=StepWords(says=says))],
-    )
+    command_fields.refuse_unused_field(question.parsed, question.file.script, question.file.uses)
+    (step,) = question.file.steps
+    return question.script(ANSWERS[step.name](question))
 
 
 # --- what is ---------------------------------------------------------------------------------------------
 
 
-def state(question: Question) -> str:
+def state(question: DataSentence) -> str:
     """What the world has of this name now."""
     query, name, cell = question.query, question.name, question.query.cell
     if name == RESOURCES:
@@ -80,7 +61,7 @@ def state(question: Question) -> str:
     raise suggestions.unknown("object, seat or arm", name, [*known, RESOURCES])
 
 
-def _resources(question: Question) -> str:
+def _resources(question: DataSentence) -> str:
     cell, owners = question.query.cell, question.owners
     all_ = [part.name for group in (cell.arms, cell.cameras, cell.objects, cell.seats) for part in group]
     used = [f"{name} by {owners[name]}" for name in all_ if name in owners]
@@ -88,7 +69,7 @@ def _resources(question: Question) -> str:
     return f"in use: {', '.join(used) or 'nothing'}; free: {', '.join(free) or 'nothing'}"
 
 
-def _fact(question: Question, attribute: str, fact: Fact) -> str:
+def _fact(question: DataSentence, attribute: str, fact: Fact) -> str:
     """A fact without a meaning of its own, or the posture of a taught place."""
     arm = next((arm for arm in question.query.cell.arms if arm.name == taught.arm_of(attribute)), None)
     says = f"{attribute} {fact.value}" if arm is None else f"{arm.name} with {_joints(arm, fact.value)}"
@@ -101,7 +82,7 @@ def _joints(arm: parts.Arm, values: Sequence[float]) -> str:
     return f"joints {' '.join(shown)} deg"
 
 
-def _arm(question: Question, arm: parts.Arm) -> str:
+def _arm(question: DataSentence, arm: parts.Arm) -> str:
     query, name = question.query, arm.name
     doubt = "" if query.trusts(f"{name}.joints") else " (in doubt)"
     where = _pose(query.tcp(name))
@@ -110,7 +91,7 @@ def _arm(question: Question, arm: parts.Arm) -> str:
     return f"{name}: {_joints(arm, query.joints(name))}{doubt}; tcp {where}; {hand} and {holds}; {_use(question, name)}"
 
 
-def _object(question: Question, thing: parts.Object) -> str:
+def _object(question: DataSentence, thing: parts.Object) -> str:
     query, name = question.query, thing.name
     doubt = "" if query.trusts(f"{name}.frame") else ", in doubt"
     known = query.spread(f"{name}.frame")
@@ -121,13 +102,13 @@ def _object(question: Question, thing: parts.Object) -> str:
     return f"{name}: {_pose(query.frame(name))}{angle}{within}{doubt}; {inside}, {held}; {_use(question, name)}"
 
 
-def _seat(question: Question, seat: parts.Seat) -> str:
+def _seat(question: DataSentence, seat: parts.Seat) -> str:
     query = question.query
     inside = query.inside(seat.name)
     return f"{seat.name}: {_pose(query.seat_frame(seat.name))}; holds {', '.join(inside) or 'nothing'}"
 
 
-def _use(question: Question, name: str) -> str:
+def _use(question: DataSentence, name: str) -> str:
     return f"in use by {question.owners[name]}" if name in question.owners else "free"
 
 
@@ -140,7 +121,7 @@ def _pose(pose: geometry.Array) -> str:
 # --- what a name means -----------------------------------------------------------------------------------
 
 
-def meaning(question: Question) -> str:
+def meaning(question: DataSentence) -> str:
     """What a script, a piece, an entry of the dictionary or a part of the cell is."""
     program, name, cell = question.program, question.name, question.query.cell
     if name.endswith(ENTRY) and name.removesuffix(ENTRY) in dictionary.verbs():
@@ -216,4 +197,4 @@ def _sizes(size_m: tuple[float, ...]) -> str:
     return " x ".join(f"{100 * side:g}" for side in size_m) + " cm"
 
 
-ANSWERS: dict[str, Callable[[Question], str]] = {"state": state, "meaning": meaning}
+ANSWERS: dict[str, Callable[[DataSentence], str]] = {"state": state, "meaning": meaning}

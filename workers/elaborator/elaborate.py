@@ -17,7 +17,7 @@ from rtc.programs import attributes, expressions, named_algorithms
 from rtc.programs.extension_names import CAMERA
 from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
-from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.programs.schema import ElaboratorProgram
 from rtc.programs.splice import spliced
 from rtc.protocol.advice import Advice, Alternative, sentences_of
 from rtc.protocol.causes import Changing, Collides, Distrusted, OutOfReach, TooUncertain
@@ -38,9 +38,6 @@ from workers.elaborator import (
     no_script,
     other_motion,
     sentences_instead,
-    set_fact,
-    strategies,
-    teach,
     tested_advice,
     what_is_left,
 )
@@ -72,14 +69,17 @@ from workers.mechanisms import each, joined
 from workers.planning import trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
-from workers.tasks import command_fields, object_attributes
+from workers.tasks import command_fields, object_attributes, strategies
 from workers.tasks.candidate import AskedTask, TaskCandidate
+from workers.tasks.data_sentence import DataSentence
 from workers.tasks.sentence_of import sentence_of
 
 WRITES_OF_RESERVE = ("active_arm", "active_object", "its_seat")  # what a piece of script may find out
 
 #: role in the resources of a script -> its candidates, if no arm works for it
 CANDIDATES = joined(lambda mechanism: mechanism.candidates)
+#: what makes the script of stated facts; attribute -> its facts
+STATES, STATED = each(lambda mechanism: mechanism.states), joined(lambda mechanism: mechanism.stated)
 NOTED = each(lambda mechanism: mechanism.noted)
 
 INPUT = ElaboratorInput
@@ -106,7 +106,7 @@ def run(
     try:
         as_tested.refuse_stale(data.rests_on, world)
         if data.saved is not None:
-            teach.refuse_saved(data.parsed)
+            command_fields.refuse_saved(data.parsed)
         script = _elaborated(compiled, query, data.parsed, data.owners, data.saved, advise=advise)
         exact_arms.refuse(script, data.rigid)
         return installed_phases.applied(compiled.program.phases, data, script)
@@ -204,7 +204,7 @@ def _elaborated(
     command_fields.refuse_longer_than_limit(parsed, limits)
     _refuse_unmeasured(parsed, query)
     if parsed.kind == "data":
-        return _of_data(program, scripts[branches[0].script], parsed, query, owners, saved)
+        return _of_data(DataSentence(program, scripts[branches[0].script], parsed, query, owners, saved))
     branches = [branch for branch in branches if command_fields.fits_sentence(branch, parsed)] or branches
     candidates: list[TaskCandidate] = []
     asked_for = AskedTask(program, scripts, parsed, limits, query)
@@ -228,18 +228,11 @@ def _elaborated(
     return _first_feasible(compiled, options, notes, advise=advise)
 
 
-def _of_data(
-    program: ElaboratorProgram,
-    file: ScriptFile,
-    parsed: ParsedCommand,
-    query: WorldQuery,
-    owners: Mapping[str, str],
-    saved: SavedWorld | None,
-) -> Script:
+def _of_data(sentence: DataSentence) -> Script:
     """The script of a sentence that states or asks facts. Raises Refused."""
-    if any(step.do == "answer" for step in file.steps):
-        return answers.script(file, answers.Question(program, parsed, query, owners))
-    return set_fact.script(program, file, parsed, query, saved)
+    if any(step.do == "answer" for step in sentence.file.steps):
+        return answers.script(sentence)
+    return next(states(sentence, STATED) for states in STATES)
 
 
 def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TypeVar
 
-from workers.mechanisms import bolts, grip, hinges, operator, seats, sight, touch, two_arms
+from workers.mechanisms import bolts, facts, grip, hinges, operator, seats, sight, touch, two_arms
 from workers.mechanisms.mechanism import Mechanism
 
 MECHANISMS: tuple[Mechanism, ...] = (
+    facts.MECHANISM,
     hinges.MECHANISM,
     grip.MECHANISM,
     seats.MECHANISM,

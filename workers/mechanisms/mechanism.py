@@ -15,7 +15,7 @@ from typing import Any
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.advice import Advice, Texts
-from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Step, Validity, WorldChange
+from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Script, Step, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import Primitive
 from workers.planning.world_query import WorldQuery
@@ -23,6 +23,7 @@ from workers.tasks.analyze_task import AnalyzeTask, Changes
 from workers.tasks.anchor import Anchor
 from workers.tasks.bind_task import BindTask
 from workers.tasks.candidate import AskedTask, TaskCandidate
+from workers.tasks.data_sentence import DataSentence
 from workers.tasks.report import Course
 from workers.tasks.unmet import UnmetPrecondition
 
@@ -32,6 +33,10 @@ Partner = tuple[parts.Arm | None, parts.Place | None]
 Instead = Callable[[ElaboratorProgram, Mapping[str, ScriptFile], TaskCandidate, Mapping[str, Need]], str]
 Check = Callable[[ScriptFile, TaskCandidate], None]
 Stated = Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]
+#: changes of stated facts, the world before and after them, figures -> (key, what cannot be)
+Contradiction = Callable[
+    [Sequence[WorldChange], WorldQuery, WorldQuery, Mapping[str, float]], Iterable[tuple[str, str]]
+]
 About = Callable[[WorldQuery, str], Texts]  # texts about a body
 Report = Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]
 
@@ -61,7 +66,8 @@ class Mechanism:
     done: Callable[[ScriptFile, TaskCandidate], tuple[str, str] | None] | None = None
     #: the steps of a script, with what their results say beside
     noted: Callable[[list[Step], TaskCandidate], list[Step]] | None = None
-    #: attribute of a SET sentence -> the facts that it states
+    #: what makes the script of stated facts; attribute of a SET sentence -> the facts that it states
+    states: Callable[[DataSentence, Mapping[str, Stated]], Script] | None = None
     stated: Mapping[str, Stated] = field(default_factory=dict)
     #: whether steps of a trim would harm what the candidate is about
     strains: Callable[[Sequence[ScriptStep], TaskCandidate], bool] | None = None
@@ -94,10 +100,12 @@ class Mechanism:
     spread_in_place: Callable[[AnalyzeTask, Changes], list[float] | None] | None = None
     #: changes of a report -> those that follow from them
     derived: Callable[[WorldQuery, Changes], Changes] | None = None
-    #: attribute of a stated fact -> the facts that follow from it. Raises Refused
+    #: attribute of a stated fact -> why it is not plausible (empty: it is); the facts that follow from it (or Refused)
+    plausible: Mapping[str, Callable[[str, Any, Mapping[str, float]], str]] = field(default_factory=dict)
     follows: Mapping[str, Callable[[str, Any, WorldQuery, Mapping[str, float]], Changes]] = field(default_factory=dict)
     #: attributes with a meaning for an object; why a stated fact of it cannot be (empty: it can)
     attributes: Callable[[parts.Object], Collection[str]] | None = None
+    contradictions: tuple[Contradiction, ...] = ()
     impossible: Callable[[WorldChange, parts.Object, WorldQuery], str] | None = None
     #: predict: when the touch that a step expects is felt on its way (s); None: not of this mechanism
     touch_s: Callable[[WorldQuery, str, EvaluationContext, Course], float | None] | None = None

@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 from rtc.model.cells.cell import Cell
+from rtc.model.cells.taught import WORLD
 from rtc.programs.schema import ActsOn, Branch, BranchCondition, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -28,6 +29,7 @@ EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "refle
 LISTED = [name for name in ParsedCommand.__struct_fields__ if name not in EVERYWHERE]
 NAMED = {"attitude": "attitude", "shared": "part"}  # what a limit names; other limits name a region
 SOFT = "stiffness_n_m"  # figure of a compliant step
+SAVED = "SAVED"  # stands for the facts of a file, in a sentence that states facts
 MIN_REPORT_S = 0.1  # minimum interval of REPORT EVERY, in arm time
 #: field of the record -> its words in a sentence; other fields use their own name
 _WORDS = {
@@ -99,6 +101,13 @@ def refuse_unused_field(parsed: ParsedCommand, script: str, uses: list[str], *, 
             message = f"{parsed.verb} does not take {words}: its script {script} has no use for it"
             clears = f"leave out {words}; in a script of your own, put {name} into its `uses`"
             raise _refused(message, name, clears)
+
+
+def refuse_saved(parsed: ParsedCommand) -> None:
+    """Refuse facts of a file that came with a sentence which does not use them."""
+    if (parsed.object, parsed.attribute, parsed.value) != (WORLD, "FACTS", [SAVED]):
+        message = f"facts of a file came with the sentence, which does not state that {WORLD} FACTS are {SAVED}"
+        raise Refused.because(RefusalReason.SENTENCE, message, clears="the sentence without them; or rtc world restore")
 
 
 def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Limits:

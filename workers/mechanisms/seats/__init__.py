@@ -18,5 +18,6 @@ MECHANISM = Mechanism(
     noted=elaborate.taken_along,
     stated={"seat": elaborate.stated_seat},
     follows={"frame": assess.placed},
+    contradictions=(assess.contradictions,),
     touch_s=predict.touch_s,
 )

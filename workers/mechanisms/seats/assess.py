@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rtc.protocol.causes import NeedUnmet
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
+from rtc.spatial import geometry
+from rtc.world.facts import TRUSTED
+from rtc.world.model import location
 from workers.planning.world_query import WorldQuery
 from workers.tasks import seated
 
@@ -29,3 +32,24 @@ def placed(thing: str, frame: Any, query: WorldQuery, values: Mapping[str, float
             cause=NeedUnmet(need="seat_free", by=others[0]),
         )
     return [WorldChange(key=f"{thing}.seat", value=seat), WorldChange(key=f"{thing}.grasp", value=None)]
+
+
+def contradictions(
+    changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Mapping[str, float]
+) -> Iterator[tuple[str, str]]:
+    """Two objects in one seat, or one that is not where its seat is."""
+    stated = {location(change.key) for change in changes}
+    inside: dict[str, str] = {}
+    for thing in query.cell.objects:
+        key, seat = f"{thing.name}.seat", after.seat(thing.name)
+        if not seat or not after.trusts(key) or not query.is_seat(seat):
+            continue
+        other = inside.setdefault(seat, thing.name)
+        if other != thing.name and stated & {other, thing.name}:
+            yield key, f"{other} and {thing.name} would both be in {seat}"
+        frame = after.world.get(f"{thing.name}.frame")
+        if thing.name not in stated or frame is None or frame.validity not in TRUSTED:
+            continue
+        off_m = geometry.distance(after.frame(thing.name), after.seated_pose(seat))
+        if off_m > values["seated_m"]:
+            yield key, f"{thing.name} would be in {seat}, and {off_m * 1000:.0f} mm from its place there"

@@ -11,10 +11,9 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from rtc.programs.schema import Branch, ElaboratorProgram, ScriptFile
-from rtc.protocol.advice import by_person, by_sentence
+from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import OPERATOR, ParsedCommand
-from workers.elaborator.teach import NONE, Stated
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 
@@ -83,26 +82,3 @@ def refused(parsed: ParsedCommand, others: list[str]) -> Refused:
     message = f"{parsed.verb} VIA {parsed.performer}: this strategy does not fit {parsed.object or 'this'} now"
     clears = by_person("leave out VIA", *(f"VIA {name}" for name in others))
     return Refused.because(RefusalReason.NO_SCRIPT, message, where="performer", expected=others, clears=clears)
-
-
-# --- SET VERB-STRATEGY DEFAULT name ----------------------------------------------------------------------
-
-
-def is_default(program: ElaboratorProgram, parsed: ParsedCommand) -> bool:
-    return (parsed.object or "").removesuffix(STRATEGY) in program.branches
-
-
-def stated(program: ElaboratorProgram, parsed: ParsedCommand) -> Stated:
-    """The default strategy of a verb; NONE forgets it. Raises Refused."""
-    place = parsed.object or ""
-    verb = place.removesuffix(STRATEGY)
-    rows = program.branches[verb]
-    values = parsed.value or []
-    name = values[0] if len(values) == 1 and isinstance(values[0], str) else ""
-    if parsed.attribute != DEFAULT or not name:
-        message = f"of {place} only {DEFAULT} can be set, to the name of a strategy or to {NONE}"
-        clears = by_sentence(f"{parsed.verb} {place} {DEFAULT} {names(rows)[0]}", instead=True)
-        raise Refused.because(RefusalReason.SENTENCE, message, where=parsed.attribute or "", clears=clears)
-    if name != NONE and not any(is_strategy(name, verb, row.script) for row in rows):
-        raise suggestions.unknown(f"{verb} strategy", name, [*names(rows), NONE])
-    return {f"{place}.{DEFAULT.lower()}": None if name == NONE else name}, [place]
