@@ -76,10 +76,7 @@ def _wrong_units(candidate: TaskCandidate, slides: list[int], lengths: list[int]
 
 
 def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor:
-    cell = candidate.query.cell
-    thing = next((t for t in cell.objects if t.name == name), None)
-    if thing is None:
-        raise suggestions.unknown("object", name, [t.name for t in cell.objects])
+    thing = suggestions.part(candidate.query.cell.objects, name, "object")
     if not thing.grasp_points:
         raise no_grasp_point(name)
     base = candidate.arm.base.pose

@@ -19,9 +19,8 @@ from rtc.world.model import BOLT_STATES
 from workers.elaborator.figures import with_figures
 from workers.mechanisms import each
 from workers.planning import suggestions
-from workers.tasks.candidate import AskedTask, TaskCandidate
+from workers.tasks.candidate import AskedTask, TaskCandidate, lets_go_first
 from workers.tasks.command_fields import fits_sentence
-from workers.tasks.scripts import lets_go_first
 
 ARMS, PARTNERS = each(lambda mechanism: mechanism.arms), each(lambda mechanism: mechanism.partners)
 POINTS = each(lambda mechanism: mechanism.points)

@@ -30,7 +30,6 @@ from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
 from rtc.spatial.geometry import Array
 from rtc.world.model import location
-from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.elaborator.anchors import ANCHORS
 from workers.mechanisms.collision_advice import advise_on_collision
 from workers.planning import axes, in_seat, scenes, segments, shared_hold, suggestions, trust
@@ -39,9 +38,8 @@ from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import SpeedLimits
 from workers.planning.segments import Target
 from workers.planning.step_target import target_of
-from workers.tasks.anchor import Anchor, named
-from workers.tasks.candidate import TaskCandidate
-from workers.tasks.scripts import lets_go_first
+from workers.tasks.anchor import POSE_OF_JOINTS, Anchor, named
+from workers.tasks.candidate import TaskCandidate, lets_go_first
 from workers.tasks.sentence_of import sentence_of
 
 MAX_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched

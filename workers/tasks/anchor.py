@@ -12,6 +12,8 @@ from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.candidate import TaskCandidate
 
+POSE_OF_JOINTS = "/plan"  # suffix of a binding: NAME/plan is the pose from which the joint values NAME were solved
+
 
 class Anchor(msgspec.Struct, frozen=True):
     """Joint values (rad), or a tcp pose in `frame` (an object or seat; None = world). `grasp`: pose of the held object

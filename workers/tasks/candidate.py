@@ -120,6 +120,12 @@ class TaskCandidate(msgspec.Struct, frozen=True, dict=True):
         }
 
 
+def lets_go_first(script: ScriptFile, *, of_object: bool = False) -> bool:
+    """Whether the hand of the script opens before the arm moves; `of_object`: and lets go of an object by that."""
+    first = next((step for step in script.steps if step.op or step.to), None)
+    return first is not None and first.op == "open" and (not of_object or first.words.get("effect") == "let_go")
+
+
 def _amount_in_words(parsed: ParsedCommand) -> str:
     quantity = parsed.amount or parsed.to_value
     return in_words(quantity.value, quantity.unit) if quantity else ""

@@ -12,9 +12,9 @@ from rtc.protocol.messages import Binding
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from workers.conditions.binding_names import POSE_OF_JOINTS
 from workers.planning.motion import ik
 from workers.planning.world_query import WorldQuery
+from workers.tasks.anchor import POSE_OF_JOINTS
 
 MOVED_M = 0.0005  # smaller displacements need no replanning
 MOVED_RAD = math.radians(0.2)

@@ -18,8 +18,7 @@ from rtc.world.model import LOOSE, TIGHT
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.anchor import Anchor, refused
-from workers.tasks.candidate import AskedTask, TaskCandidate
-from workers.tasks.scripts import lets_go_first
+from workers.tasks.candidate import AskedTask, TaskCandidate, lets_go_first
 from workers.tasks.unmet import UnmetPrecondition
 
 LEAST_TURNS = 0.02  # a smaller turn is none

@@ -20,7 +20,7 @@ from rtc.sensing import rest
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
 from rtc.world.spread import EXACT, Spread, even, widened
-from workers.planning import pose_spread, trust
+from workers.planning import pose_spread, shared_hold, trust
 from workers.planning.world_query import WorldQuery
 from workers.tasks import flat_grip, seated
 from workers.tasks.analyze_task import AnalyzeTask, Changes
@@ -202,11 +202,7 @@ def _in_hand(query: WorldQuery, thing: str, frame: Array, spread: list[float], v
             WorldChange(key=f"{thing}.grasp", value=None),
         ]
     grasp = geometry.normalise(geometry.relative(tcp, frame)).tolist()
-    return [
-        WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
-        WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
-        WorldChange(key=f"{thing}.grasp", value=grasp, validity=validity, spread=spread),
-    ]
+    return shared_hold.held(arm, thing, grasp, validity, spread)
 
 
 def _seated(task: AnalyzeTask, frame: Array, spread: list[float], validity: Validity) -> Changes:

@@ -16,8 +16,7 @@ from rtc.protocol.sentence import BOTH_ARMS
 from workers.planning import shared_hold, suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.anchor import Anchor, named
-from workers.tasks.candidate import AskedTask, TaskCandidate
-from workers.tasks.scripts import lets_go_first
+from workers.tasks.candidate import AskedTask, TaskCandidate, lets_go_first
 from workers.tasks.unmet import UnmetPrecondition
 
 Partner = tuple[parts.Arm | None, parts.Place | None]
