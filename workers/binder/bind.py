@@ -15,8 +15,8 @@ from rtc.programs import expressions, named_algorithms
 from rtc.programs.extension_names import PERFORMERS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram
-from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
-from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, StopReason
+from rtc.protocol.messages import BinderInput, Binding, BoundStep, EvaluationContext
+from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import HoldStill
 from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.world.model import World
@@ -34,8 +34,6 @@ from workers.tasks.motion import bind_motion
 INPUT = BinderInput
 NEEDS_WORLD = True
 NEEDS_CELL = True
-
-ANSWERED_BY = "RTC"  # performer in the report of an answer
 
 
 def compile(program: bytes) -> BinderProgram:
@@ -113,16 +111,6 @@ def bind_assignment(task: BindTask) -> BoundStep:
     return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
 
 
-def bind_answer(task: BindTask) -> BoundStep:
-    """An answer that the elaborator has given, as a report without facts."""
-    data = task.data
-    report = EndReport(
-        primitive=data.primitive_id, performer=ANSWERED_BY, reason=StopReason.GOAL, at_s=0.0, duration_s=0.0
-    )
-    evaluation = EvaluationContext(context=data.context, step=data.step)
-    return BoundStep(report=report, evaluation=evaluation, note="answered")
-
-
 def bind_procedure(task: BindTask) -> BoundStep:
     known = task.program.procedures
     name = task.data.step.name
@@ -144,7 +132,6 @@ ACTIONS: dict[str, Action] = {
     "still": bind_still,
     "assign": bind_assignment,
     "procedure": bind_procedure,
-    "answered": bind_answer,
     **joined(lambda mechanism: mechanism.actions),
 }
 PROCEDURES: dict[str, Action] = {"grasp_plan": grasp_plan, **joined(lambda mechanism: mechanism.procedures)}

@@ -1,4 +1,4 @@
-"""The facts that a sentence states, as a report (A24); the analyzer judges and writes them. Pure."""
+"""Sentences that move nothing, as reports: stated facts, which the analyzer judges and writes (A24); answers. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.tasks.bind_task import BindTask, refused_program
 
 NOW = "now"  # key of a stated value that stands for a fact
-STATED_BY = "OPERATOR"  # performer in the report of facts that a command states
+#: performers in the report of facts that a command states, and of an answer
+STATED_BY, ANSWERED_BY = "OPERATOR", "RTC"
 
 
 def _now(task: BindTask, stated: Any) -> Any:
@@ -32,16 +33,26 @@ def _now(task: BindTask, stated: Any) -> Any:
 
 def bind_stated_facts(task: BindTask) -> BoundStep:
     """Raises Refused if the command states none, or one that stands for a fact that is not valid."""
-    context = task.data.context
-    if not context.stated:
+    stated = task.data.context.stated
+    if not stated:
         raise refused_program("the command states no facts", "a script for a command that states facts")
-    facts = {key: _now(task, value) for key, value in context.stated.items()}
+    return _reported(task, STATED_BY, "stated", {key: _now(task, value) for key, value in stated.items()})
+
+
+def bind_answer(task: BindTask) -> BoundStep:
+    """An answer that the elaborator has given, as a report without facts."""
+    return _reported(task, ANSWERED_BY, "answered", {})
+
+
+def _reported(task: BindTask, performer: str, note: str, facts: dict[str, Any]) -> BoundStep:
+    """The step as done: nothing moves, so there is no arm time."""
     report = EndReport(
         primitive=task.data.primitive_id,
-        performer=STATED_BY,
+        performer=performer,
         reason=StopReason.GOAL,
-        at_s=0.0,  # no motion, so there is no arm time
+        at_s=0.0,
         duration_s=0.0,
         facts=facts,
     )
-    return BoundStep(report=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="stated")
+    evaluation = EvaluationContext(context=task.data.context, step=task.data.step)
+    return BoundStep(report=report, evaluation=evaluation, note=note)

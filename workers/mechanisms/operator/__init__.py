@@ -10,6 +10,6 @@ MECHANISM = Mechanism(
     name="operator",
     instead=elaborate.by_operator,
     actions={"operated": bind.bind_operated},
-    effects={"handed": assess.handed},
+    effects={"handed": assess.handed, "pointed": assess.pointed},
     reports={Operated: predict.of_operated},
 )

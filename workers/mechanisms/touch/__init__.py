@@ -14,7 +14,6 @@ MECHANISM = Mechanism(
         "pinched": assess.found_by(between_fingers),
         "passed": assess.found_by(assess.beyond),
         "landed": assess.found_by(assess.beside),
-        "pointed": assess.found_by(assess.at_grasp_point),
     },
     touch_s=predict.touch_s,
 )

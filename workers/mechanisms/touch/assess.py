@@ -16,7 +16,7 @@ from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning import pose_spread
 from workers.tasks.analyze_task import AnalyzeTask
-from workers.tasks.flat_grip import HALF_TURN, Found
+from workers.tasks.flat_grip import Found
 
 ALONG_BAR = (1.0, 0.0, 0.0)
 NO_TORQUE_NM = 0.02
@@ -77,34 +77,6 @@ def tilted(task: AnalyzeTask) -> Found:
     after = geometry.normalise(geometry.compose(turned, geometry.inverse(pivot)))
     measured = {3 + axis: (figures.tilt_m or 0.0) / abs(apart_m)}
     return after, pose_spread.spread_after_measurement(before, after, spread, pivot, measured)
-
-
-def at_grasp_point(task: AnalyzeTask) -> Found:
-    """The operator has brought the hand to the grasp point (R149): `pointed_m` and `pointed_rad` of the program are how
-    well a person sees that.
-
-    The object is turned as the hand is, about each axis about which it may be turned so far. A hand that is turned
-    farther is turned itself; so is one about a round bar, and one at an object with a hinge.
-    """
-    within_m, within_rad = task.values["pointed_m"], task.values["pointed_rad"]
-    before, spread = task.object_frame
-    point, tcp = task.point.frame.pose, np.asarray(task.report.tcp_pose)
-    offset = geometry.relative(tcp, geometry.compose(before, point))
-    if abs(geometry.to_rpy(offset)[2]) > 0.5 * math.pi:  # the two fingers are alike
-        tcp = geometry.compose(tcp, HALF_TURN)
-        offset = geometry.relative(tcp, geometry.compose(before, point))
-    rpy, half_widths = geometry.to_rpy(offset), pose_spread.spread_at(spread, point)[3:]
-    hinged = task.query.hinge(task.context.object) is not None
-    shown = [
-        axis
-        for axis in range(3)
-        if abs(rpy[axis]) <= half_widths[axis] + within_rad and not hinged and not (axis == 0 and task.point.round)
-    ]
-    rpy[shown] = 0.0
-    stands = geometry.compose(tcp, geometry.from_rpy([0.0, 0.0, 0.0], rpy))
-    after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
-    measured = dict.fromkeys(range(3), within_m) | {3 + axis: within_rad for axis in shown}
-    return after, pose_spread.spread_after_measurement(before, after, spread, point, measured)
 
 
 def beyond(task: AnalyzeTask) -> Found:
