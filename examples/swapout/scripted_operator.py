@@ -57,7 +57,7 @@ class Hands:
         self._over = over  # the command has ended
 
     @property
-    def operation(self) -> m.Operation:
+    def operation(self) -> m.TeleopState:
         """What may be done now. Raises RtcError if the arm is not the operator's any more."""
         operation = self._hand.operation
         if operation is None:

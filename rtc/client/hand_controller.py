@@ -64,7 +64,7 @@ class HandController:
         self.close()
 
     @property
-    def operation(self) -> m.Operation | None:
+    def operation(self) -> m.TeleopState | None:
         """What the operator may do with the arm now; None: nothing."""
         self._look(0.0)
         return self.state.operation if self.state is not None else None

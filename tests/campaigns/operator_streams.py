@@ -98,9 +98,9 @@ class Judge:
             self._reach_m = max(self.motion.radius_m, math.dist(self._place(), self.motion.centre))
 
     @property
-    def motion(self) -> p.Operated:
+    def motion(self) -> p.TeleopMotion:
         assert self.grant is not None
-        assert isinstance(self.grant.trajectory, p.Operated)
+        assert isinstance(self.grant.trajectory, p.TeleopMotion)
         return self.grant.trajectory
 
     def may_count(self, wanted: m.Operate, caller: bytes, now_s: float) -> bool:
@@ -219,7 +219,7 @@ class Bench:
         kind = str(drawn.choice(list(SENTENCES)))
         given = primitives()[kind, arm]
         motion = given.trajectory
-        assert isinstance(motion, p.Operated)
+        assert isinstance(motion, p.TeleopMotion)
         here = executor.arm.tcp_pose(executor.sample.joints)
         changed: dict[str, Any] = {"speed_m_s": float(drawn.choice([0.01, motion.speed_m_s]))}
         if kind == "shared":

@@ -129,7 +129,7 @@ def test_a_request_is_shown_by_the_camera_on_the_hand_else_by_the_one_that_looks
     on_hand = Camera(name="CAM-D", arm="RIGHT-ARM", **here)
 
     def shown(cameras: list[Camera], *goal: float) -> str:
-        asked = m.Operation(request="move it", centre=list(goal))
+        asked = m.TeleopState(request="move it", centre=list(goal))
         return request_camera(cameras, "RIGHT-ARM", msgspec.structs.replace(sample("C-7.2"), operation=asked))
 
     assert shown([*fixed, on_other], 0.02, 0.0, 0.3) == "CAM-A"

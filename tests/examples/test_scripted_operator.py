@@ -39,8 +39,8 @@ class Arm:
         self.believed, self.given, self.acts, self.over = believed, 0, list[Act](), False
 
     @property
-    def operation(self) -> m.Operation | None:
-        return m.Operation(request=self.request, centre=[0.0, 0.0, 0.0]) if self.request else None
+    def operation(self) -> m.TeleopState | None:
+        return m.TeleopState(request=self.request, centre=[0.0, 0.0, 0.0]) if self.request else None
 
     @property
     def state(self) -> Any:

@@ -15,10 +15,10 @@ from rtc.protocol.primitive import (
     JointTrajectory,
     Load,
     Look,
-    Operated,
     Primitive,
     Reporting,
     StopFunction,
+    TeleopMotion,
     Trajectory,
     Vector,
 )
@@ -51,9 +51,9 @@ def of_arm(
     rows = [*task.stop_class.stops, *(task.program.holding if _keeps(task, trajectory) else [])]
     requested = stop_conditions.from_command(task.data, task.query, values, rows, against=against)
     stops = stop_conditions.stop_functions(rows, values, against, requested, targets.turn_line(task))
-    if isinstance(trajectory, JointTrajectory | Operated):
+    if isinstance(trajectory, JointTrajectory | TeleopMotion):
         stops += stop_conditions.maintained(task.data, task.query, values)
-    if isinstance(trajectory, Operated) and values["near_m"]:
+    if isinstance(trajectory, TeleopMotion) and values["near_m"]:
         stops += stop_conditions.near(task.data, task.query, values["near_m"])
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
     # A hand that closes on something off its middle presses more with one finger. One that opens may have held it

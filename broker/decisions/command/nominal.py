@@ -33,7 +33,7 @@ from rtc.programs.action_stack import NOMINAL
 from rtc.protocol import wire
 from rtc.protocol.messages import Assessment, Breakpoint, EndReport, NoteKind, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
-from rtc.protocol.primitive import Operated, Primitive
+from rtc.protocol.primitive import Primitive, TeleopMotion
 from rtc.protocol.primitive_id import belongs_to, command_of, primitive_id
 
 read_script = wire.decoder(ScriptHead)
@@ -160,7 +160,7 @@ def begin(context: DecisionContext, command: Command, result: BoundHead, primiti
     command.primitive_body = result.primitive
     command.performers = (*primitive.performers,)
     command.subsystem = result.subsystem
-    command.operated = isinstance(primitive.trajectory, Operated)
+    command.operated = isinstance(primitive.trajectory, TeleopMotion)
     command.evaluation = result.evaluation
     command.limit_s = result.limit_s
     for arm in primitive.paths:

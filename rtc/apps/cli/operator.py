@@ -13,7 +13,7 @@ from rtc.client.client import Client
 from rtc.drawing.renderer import ASKED_NICENESS, Renderer
 from rtc.drawing.scene import CameraPicture, Picture, believed, request_camera, true_scene
 from rtc.model.cells.cell import Cell
-from rtc.protocol.messages import ArmSample, Operation, SimTruthReply, SurrenderRow
+from rtc.protocol.messages import ArmSample, SimTruthReply, SurrenderRow, TeleopState
 from rtc.protocol.outcomes import OutcomeKind, TimedOut
 from rtc.protocol.units import in_words
 from rtc.wording.advice import in_one_line
@@ -122,7 +122,7 @@ def _offer(surrendered: SurrenderRow) -> None:
     console.print(f"  to do it: {surrendered.sentence}")
 
 
-def _distance(operation: Operation) -> str:
+def _distance(operation: TeleopState) -> str:
     if operation.off_m is None:
         return ""
     near = f"; {in_words(operation.done_m, 'm')} is near enough" if operation.done_m is not None else ""

@@ -276,7 +276,7 @@ def _keep(kept: dict[str, Kept], command: str, one: Kept) -> None:
         del kept[next(iter(kept))]
 
 
-def _rounded(operation: m.Operation | None) -> m.Operation | None:
+def _rounded(operation: m.TeleopState | None) -> m.TeleopState | None:
     """With the distance to a tenth of a millimetre, so that an arm at rest changes nothing."""
     if operation is None or operation.off_m is None:
         return operation

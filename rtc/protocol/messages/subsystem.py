@@ -186,10 +186,10 @@ class ArmSample(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     tcp_pose: list[float]
     hand_width_m: float
     primitive: str  # being executed; empty = holding
-    operation: Operation | None = None  # the operator moves it
+    operation: TeleopState | None = None  # the operator moves it
 
 
-class Operation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class TeleopState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What the operator may do with an arm, and does. It is a grant: it ends with the primitive of the sample."""
 
     request: str  # what the operator is asked to do

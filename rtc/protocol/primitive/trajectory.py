@@ -115,7 +115,7 @@ class SpindleMotion(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="
             raise ValueError("a spindle needs a speed and a torque above 0")
 
 
-class Operated(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="operated"):
+class TeleopMotion(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="operated"):
     """P for an arm that the operator moves: twists (`messages.Operate`) instead of positions over time.
 
     It ends with DONE, if the measurements prove it, or with CANNOT. The tcp may not leave the ball about
@@ -159,4 +159,4 @@ class Operated(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="opera
             raise ValueError("a shared motion needs both a path and the axes of the operator")
 
 
-Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Look | Operated
+Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Look | TeleopMotion

@@ -106,7 +106,7 @@ def _still(trajectory: p.HoldStill, traits: Traits, joints: Sequence[float]) -> 
         yield f"hold still: duration_s must be 0 or more, not {trajectory.duration_s}"
 
 
-def _operated(trajectory: p.Operated, traits: Traits, joints: Sequence[float]) -> Iterator[str]:
+def _operated(trajectory: p.TeleopMotion, traits: Traits, joints: Sequence[float]) -> Iterator[str]:
     if trajectory.hand and trajectory.grip_n > traits.max_grip_n:
         yield f"a grip of {trajectory.grip_n:g} N is more than the {traits.max_grip_n:g} N of the hand of {traits.name}"
     if trajectory.along is not None:
@@ -122,6 +122,6 @@ CHECKS: dict[type, Callable[[Any, Traits, Sequence[float]], Iterator[str]]] = {
     p.HandMotion: _hand,
     p.HoldStill: _still,
     p.Look: _look,
-    p.Operated: _operated,
+    p.TeleopMotion: _operated,
     p.SpindleMotion: lambda trajectory, traits, joints: iter(()),  # the arm checks it against the driver in its hand
 }

@@ -320,7 +320,7 @@ class Executor:
         self._compliant = self.primitive.control_law.compliance is not None
         if isinstance(trajectory, p.JointTrajectory):
             self._setpoints.follow(trajectory)
-        elif isinstance(trajectory, p.Operated):
+        elif isinstance(trajectory, p.TeleopMotion):
             self._begin_operation(trajectory)
         else:
             self._setpoints.stay()
@@ -334,7 +334,7 @@ class Executor:
         duration_s, within_m = self._setpoints.profile.duration_s, self.primitive.goal_within_m
         self._arrived = arrival(trajectory, self._seen, duration_s, self._turned_rad, within_m)
 
-    def _begin_operation(self, trajectory: p.Operated) -> None:
+    def _begin_operation(self, trajectory: p.TeleopMotion) -> None:
         """Let the operator move the arm, from where it is."""
         operated = self.operated = OperatedArm(trajectory, self._seen, self._hand)
         arm, laden = self.arm, self._hand.grips
@@ -439,7 +439,7 @@ class Executor:
             self._stiffen(self.primitive.control_law)
         self._setpoints.use(profiles.Brake(self.command, laden=self._hand.grips))
         trajectory = self.primitive.trajectory
-        by_hand = isinstance(trajectory, p.Operated) and trajectory.hand
+        by_hand = isinstance(trajectory, p.TeleopMotion) and trajectory.hand
         complete = self.trip.reason in (StopReason.GOAL, StopReason.OPERATOR_DONE)
         hand_moves = (isinstance(trajectory, p.HandMotion) or by_hand) and not complete
         if hand_moves or self._releasing:
@@ -647,7 +647,7 @@ class Executor:
         assert self.primitive is not None
         if self.operated is not None:
             trajectory = self.primitive.trajectory
-            return self.operated.turned_rad if isinstance(trajectory, p.Operated) and trajectory.spindle else None
+            return self.operated.turned_rad if isinstance(trajectory, p.TeleopMotion) and trajectory.spindle else None
         return None if self._spindle is None else self._spindle.turned_rad
 
 

@@ -50,7 +50,7 @@ def arrival(
     if isinstance(trajectory, p.HoldStill):
         hold_s = trajectory.duration_s
         return lambda time_s: None if hold_s is None or time_s < hold_s else (time_s, hold_s, "")
-    if isinstance(trajectory, p.Operated):
+    if isinstance(trajectory, p.TeleopMotion):
         return lambda time_s: None  # the operator states it
     assert isinstance(trajectory, p.JointTrajectory)
     return _Path(trajectory, seen, duration_s, within_m)

@@ -1,4 +1,4 @@
-"""What the operator does with one arm during a primitive `Operated`: who moves it, what they want, what proves DONE.
+"""What the operator does with an arm during a `TeleopMotion`: who moves it, what they want, what proves DONE.
 Pure: the time is an argument, the seconds of this process' clock.
 
 A message counts if it is of this grant, recent, finite, of the one who moves the arm, and only about what is granted.
@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from rtc.protocol.messages import Operate, Operation
-from rtc.protocol.primitive import HandMotion, Operated
+from rtc.protocol.messages import Operate, TeleopState
+from rtc.protocol.primitive import HandMotion, TeleopMotion
 from rtc.protocol.units import in_words
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
@@ -33,7 +33,7 @@ NO_TWIST = (0.0,) * 6
 
 
 class OperatedArm:
-    def __init__(self, motion: Operated, seen: Observation, hand: Hand) -> None:
+    def __init__(self, motion: TeleopMotion, seen: Observation, hand: Hand) -> None:
         self._motion, self._seen, self._hand = motion, seen, hand
         self._caller = b""  # who moves it; empty: no one
         self._operator = ""
@@ -186,10 +186,10 @@ class OperatedArm:
             return self._way.off(self._seen.tcp())[0]
         return math.dist(self._seen.tcp()[:3], self._motion.centre)
 
-    def look(self) -> Operation:
+    def look(self) -> TeleopState:
         """For telemetry."""
         motion, bounded = self._motion, bool(self._motion.centre)
-        return Operation(
+        return TeleopState(
             request=motion.request,
             centre=motion.centre,
             radius_m=self._reach_m if bounded else None,

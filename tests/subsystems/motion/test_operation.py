@@ -31,7 +31,7 @@ class Operator:
         self.rig, self.executor, self.now_s = rig, rig.executor, 100.0
         self.start = rig.arm.tcp_pose(rig.home)
         granted = {"request": "move it", "speed_m_s": 0.1, "turn_rad_s": 0.5} | granted
-        rig.accept(make.primitive(p.Operated(**granted), id=GRANT, limit_s=3600.0))
+        rig.accept(make.primitive(p.TeleopMotion(**granted), id=GRANT, limit_s=3600.0))
 
     def wanted(self, **changed) -> m.Operate:
         given = {"primitive": GRANT, "operator": "ADA", "seen_at_s": self.now_s, "hold": True}
@@ -154,7 +154,7 @@ def test_the_operator_does_not_leave_the_neighbourhood(hands_on, rig) -> None:
 
 
 def test_stop_functions_are_watched(hands_on, rig, make) -> None:
-    wanted = p.Operated(request="move it", speed_m_s=0.1, turn_rad_s=0.5)
+    wanted = p.TeleopMotion(request="move it", speed_m_s=0.1, turn_rad_s=0.5)
     guarded = make.primitive(wanted, make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=5.0)), id="C-7.2")
     it = hands_on()
     it.executor.halt()
@@ -360,12 +360,12 @@ def test_a_path_that_waits_says_which_way(rig, make) -> None:
 @pytest.mark.parametrize("granted", [{"operator_axes": WRIST}, {"operator_axes": [7]}])
 def test_a_shared_motion_needs_its_path_and_its_axes(granted) -> None:
     with pytest.raises(ValueError, match=r"path|axes|<= 5"):
-        msgspec.convert({"request": "turn it", "speed_m_s": 0.1, "turn_rad_s": 0.5} | granted, p.Operated)
+        msgspec.convert({"request": "turn it", "speed_m_s": 0.1, "turn_rad_s": 0.5} | granted, p.TeleopMotion)
 
 
 def test_a_path_that_begins_elsewhere_is_refused(hands_on, rig, make) -> None:
     far = make.joint_path([q + 0.3 for q in rig.home], rig.home, 2.0)
-    shared = p.Operated(request="turn it", speed_m_s=0.1, turn_rad_s=0.5, along=far, operator_axes=WRIST)
+    shared = p.TeleopMotion(request="turn it", speed_m_s=0.1, turn_rad_s=0.5, along=far, operator_axes=WRIST)
     ended = rig.accept(make.primitive(shared, id=GRANT))
     assert isinstance(ended, m.EndReport)
     assert ended.reason is StopReason.REFUSED

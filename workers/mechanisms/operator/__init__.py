@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rtc.protocol.primitive import Operated
+from rtc.protocol.primitive import TeleopMotion
 from workers.mechanisms.mechanism import Mechanism
 from workers.mechanisms.operator import assess, bind, elaborate, predict
 
@@ -11,5 +11,5 @@ MECHANISM = Mechanism(
     instead=elaborate.by_operator,
     actions={"operated": bind.bind_operated},
     effects={"handed": assess.handed, "pointed": assess.pointed},
-    reports={Operated: predict.of_operated},
+    reports={TeleopMotion: predict.of_operated},
 )

@@ -13,7 +13,7 @@ import msgspec
 
 from rtc.protocol.messages import BoundStep, EvaluationContext
 from rtc.protocol.outcomes import RefusalReason, Refused
-from rtc.protocol.primitive import Operated
+from rtc.protocol.primitive import TeleopMotion
 from rtc.protocol.sentence import SHARED_AXES
 from workers.conditions.prediction import Expected
 from workers.planning import shared_hold
@@ -36,7 +36,7 @@ def bind_operated(task: BindTask) -> BoundStep:
     spindle = _spindle(ruled) if step.words.operator_has == SPINDLE else {}
     if step.to:
         return _shared(ruled, pose)
-    motion = Operated(
+    motion = TeleopMotion(
         request=_request(task),
         speed_m_s=values["speed_m_s"],
         turn_rad_s=values["turn_rad_s"],
@@ -57,7 +57,7 @@ def _shared(task: RuledTask, goal: list[float]) -> BoundStep:
             "a shared motion needs the part that the operator has, and within_m", "both in the script"
         )
     way, axes = motion_to_share(task), SHARED_AXES[part]
-    motion = Operated(
+    motion = TeleopMotion(
         request=_request(task),
         speed_m_s=task.values["speed_m_s"],
         turn_rad_s=task.values["turn_rad_s"],
@@ -73,7 +73,7 @@ def _request(task: BindTask) -> str:
 
 
 def _bound(
-    task: RuledTask, motion: Operated, goal: list[float] | None, width_m: list[float] | None = None
+    task: RuledTask, motion: TeleopMotion, goal: list[float] | None, width_m: list[float] | None = None
 ) -> BoundStep:
     evaluation = EvaluationContext(
         context=task.data.context,

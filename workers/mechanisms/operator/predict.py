@@ -8,7 +8,7 @@ import numpy as np
 
 from rtc.protocol.messages import EndReport, EvaluationContext
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
-from rtc.protocol.primitive import Operated, Primitive
+from rtc.protocol.primitive import Primitive, TeleopMotion
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.conditions.prediction import closes_on_m
@@ -19,7 +19,7 @@ from workers.tasks.report import at_rest, replaced
 def of_operated(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
     """Only a shared path takes a time that is known. Raises Refused."""
     asked, name = made.trajectory, made.performer
-    assert isinstance(asked, Operated)
+    assert isinstance(asked, TeleopMotion)
     done = reason is StopReason.OPERATOR_DONE
     joints, takes_s = query.joints(name), 0.0
     if done and asked.along is not None:
@@ -34,7 +34,7 @@ def of_operated(query: WorldQuery, made: Primitive, evaluation: EvaluationContex
     return replaced(report, turned_rad=asked.turn_rad)
 
 
-def _followed(query: WorldQuery, asked: Operated, evaluation: EvaluationContext, goal: list[float]) -> Array:
+def _followed(query: WorldQuery, asked: TeleopMotion, evaluation: EvaluationContext, goal: list[float]) -> Array:
     """The pose of the tcp, which follows the head of a bolt that is turned along its thread."""
     thread = query.thread(evaluation.context.object) if asked.spindle else None
     out_m = -asked.turn_rad / math.tau * thread.pitch_m if thread is not None else 0.0

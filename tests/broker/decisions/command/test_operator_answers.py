@@ -7,11 +7,11 @@ import pytest
 
 from broker.decisions import events
 from rtc.protocol.outcomes import OutcomeKind, StopReason
-from rtc.protocol.primitive import Operated
+from rtc.protocol.primitive import TeleopMotion
 from rtc.wording.advice import in_one_line
 from tests.broker.harness import Harness, bound, record, script
 
-BY_HAND = Operated(request="move it", speed_m_s=0.1, turn_rad_s=0.5)
+BY_HAND = TeleopMotion(request="move it", speed_m_s=0.1, turn_rad_s=0.5)
 
 
 def by_hand(s: Harness, arm: str = "RIGHT-ARM", verb: str = "GRASP") -> str:

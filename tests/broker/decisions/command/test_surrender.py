@@ -8,7 +8,7 @@ import pytest
 from rtc.protocol.advice import by_person, by_sentence
 from rtc.protocol.messages import Assessment
 from rtc.protocol.outcomes import OutcomeKind, StopReason
-from rtc.protocol.primitive import Operated
+from rtc.protocol.primitive import TeleopMotion
 from tests.broker.harness import Harness, bound, give_up, go_on, script
 from tests.simulation.invariants import violations
 
@@ -36,7 +36,7 @@ def by_operator(s: Harness, reason: StopReason) -> str:
     made = bound(f"{command}.1")
     assert made.primitive is not None
     operated = msgspec.structs.replace(
-        made.primitive, trajectory=Operated(request="move it", speed_m_s=0.1, turn_rad_s=0.5)
+        made.primitive, trajectory=TeleopMotion(request="move it", speed_m_s=0.1, turn_rad_s=0.5)
     )
     s.answers(command, msgspec.structs.replace(made, primitive=operated))
     s.reports(command, reason)
