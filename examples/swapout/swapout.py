@@ -34,6 +34,7 @@ from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.protocol.rehearsal import RehearsedStep
 from rtc.protocol.sentence import BOTH_ARMS
 from rtc.spatial import geometry, hinges
+from rtc.wording import commands
 
 LINES = Path(__file__).with_suffix(".txt")
 SLIPS = "C12"  # its bolt slips until the operator has the driver
@@ -184,6 +185,9 @@ def perform(
         if line.label == event.at or kind not in wanted:
             words = " or ".join(one.value for one in wanted)
             narrator.check(f"{line.label} ended {kind.value}, wanted {words}", kind in wanted)
+        if kind not in wanted:
+            for link in commands.why(scene.rtc.trace(end.command)):
+                narrator.line(link, "dim")
         if line.label == event.at and kind in wanted:
             film.caption = f"{event.about};\nhow it is taken"
             event.check(narrator, scene, giving.course)
