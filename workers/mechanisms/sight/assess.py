@@ -76,7 +76,7 @@ def wrong_sighting(task: AnalyzeTask) -> str:
     report, figures, holder = task.report, task.step.figures, task.context.arm
     vague = is_vague(task)
     if task.evaluation.body_pose is not None:
-        if task.off_m > (figures.within_m or 0.0) or task.turned_rad > (figures.within_rad or 0.0):
+        if _is_displaced(task, task.evaluation.body_pose):
             return VAGUE if vague else "displaced"
     elif report.reason is StopReason.GOAL and report.sighting is None:
         return "unseen"
@@ -87,6 +87,17 @@ def wrong_sighting(task: AnalyzeTask) -> str:
     if report.sighting is None or not holder or task.query.held_by(task.evaluation.body) != holder:
         return ""
     return "" if _is_in_hand(task, holder) else DROPPED
+
+
+def _is_displaced(task: AnalyzeTask, place: list[float]) -> bool:
+    """Whether the body was seen farther from its place in the seat than that place is unsure, and `within` more."""
+    sighting, figures, seat = task.report.sighting, task.step.figures, task.step.words.seat
+    if sighting is None:
+        return False
+    inside = task.query.cell.seat(seat).module_frame.pose
+    unsure = pose_spread.spread_at(task.query.spread(f"{seat}.frame"), inside)
+    off = [max(0.0, abs(n) - m) for n, m in zip(pose_spread.error_of(place, sighting.pose), unsure, strict=True)]
+    return math.hypot(*off[:3]) > (figures.within_m or 0.0) or math.hypot(*off[3:]) > (figures.within_rad or 0.0)
 
 
 def after_failure(task: AnalyzeTask, _: bool) -> Changes:

@@ -184,6 +184,15 @@ def test_verify_confirms_a_place_or_makes_the_pose_suspect(bench) -> None:
     assert bench.do(f"VERIFY {OTHER} AT RACK-2").succeeded
 
 
+@pytest.mark.parametrize(("off_m", "confirmed"), [(0.010, True), (0.020, False)])
+def test_verify_counts_by_how_much_the_place_of_the_seat_is_unsure(bench, off_m, confirmed) -> None:
+    """The seat was seen by one tag, and is known to 10 mm; `within_m` of VERIFY is 5 mm."""
+    place = geometry.translate(frame(bench, OTHER).value, [0.0, off_m, 0.0]).tolist()
+    seat = WorldChange(key="RACK-2.frame", value=place, spread=even(0.010, 0.02))
+    bench.world = bench.world.overlay([seat])
+    assert bench.do(f"VERIFY {OTHER} AT RACK-2").succeeded is confirmed
+
+
 def test_verify_at_another_place_leaves_a_pose_that_the_camera_confirms(bench) -> None:
     before = frame(bench, MODULE)
     run = bench.do(f"VERIFY {MODULE} AT BAY-2 VIA CAMERA-1")
