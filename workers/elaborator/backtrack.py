@@ -341,7 +341,7 @@ def _try(
             target = target_of(step, candidate.query, candidate.arm.name, thing, tcp, bound)
         if step.space not in segments.SPACES:
             raise _program(f"step {n}: {unknown('space', step.space, segments.SPACES)}")
-        in_seat.refuse_other_way(candidate.query, candidate.arm.name, step.space, tcp, target.pose, clears)
+        in_seat.refuse_other_way(candidate.query, candidate.arm.name, step, tcp, target.pose, clears)
         test = _Test(n, step, now, target, detours, first=here is start)
         if detours and test.first and step.space == "move_joint" and target.joints is not None:
             last, here = test, np.asarray(target.joints, dtype=float)  # a search is expensive: after the other segments

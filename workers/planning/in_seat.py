@@ -14,6 +14,7 @@ import numpy as np
 from rtc.language.hands import hand_in_words
 from rtc.protocol import causes
 from rtc.protocol.advice import Advice, by_sentence, fill_in
+from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
@@ -24,22 +25,28 @@ ASIDE_M, TURNED_RAD = 0.003, math.radians(1.0)  # maximum deviation of a line fr
 
 
 def refuse_other_way(
-    query: WorldQuery, arm: str, space: str, tcp: Floats, goal: Floats | None, clears: Mapping[str, Advice]
+    query: WorldQuery, arm: str, step: Step, tcp: Floats, goal: Floats | None, clears: Mapping[str, Advice]
 ) -> None:
-    """Refuse a motion that starts with the held object in a slot, and that does not follow the way out.
+    """Refuse a motion that starts with the held object in a slot, and that does not follow the way out, or leads
+    deeper than the object's place in the seat.
 
-    `space`: of the motion; `goal`: the tcp pose at its end, if it is a line. Straight lines of one arm are left to the
-    collision check and to their stop class. `tcp`, `goal`: world frame.
+    `goal`: the tcp pose at its end, if it is a line. Straight lines of one arm are left to the collision check and to
+    their stop class, but for those that should leave the seat: they may touch it. `tcp`, `goal`: world frame.
     """
-    held = query.holding(arm)
-    frame = query.in_hand(held, tcp) if held and space in ("move_joint", "move_both") else None
+    held, leaves = query.holding(arm), step.words.leaves == "seat"
+    frame = query.in_hand(held, tcp) if held and (leaves or step.space in ("move_joint", "move_both")) else None
     seat = query.slot_at(frame) if frame is not None and query.hinge(held) is None else ""
-    if not seat or (goal is not None and space == "move_both" and _follows(query, seat, tcp, goal)):
+    if not seat or frame is None:
         return
+    goal = None if step.space == "move_joint" else goal
+    deeper = goal is not None and _deeper(query, seat, frame, np.asarray(goal[:3]) - np.asarray(tcp[:3]))
+    if goal is not None and not deeper and (leaves or _follows(query, seat, tcp, goal)):
+        return
+    way = "goes no deeper into it" if deeper else "leaves it only in a straight line"
     lift = way_out_in_words(query, arm, seat, frame)
     raise Refused.because(
         RefusalReason.STATE,
-        f"{held} is in {seat}, and leaves it only in a straight line",
+        f"{held} is in {seat}, and {way}",
         where=held,
         clears=fill_in(clears.get("way_seated", by_sentence(lift)), {"lift": lift, "held": held, "seat": seat}),
         cause=causes.InSeat(arm=arm, seat=seat),
@@ -75,3 +82,10 @@ def _follows(query: WorldQuery, seat: str, tcp: Floats, goal: Floats) -> bool:
     way = np.asarray(goal[:3]) - np.asarray(tcp[:3])
     aside_m = float(np.linalg.norm(way - float(way @ out) * out))
     return aside_m <= ASIDE_M and geometry.angle(tcp, goal) <= TURNED_RAD
+
+
+def _deeper(query: WorldQuery, seat: str, frame: Floats, by: Floats) -> bool:
+    """Whether an object at `frame` that moves `by` (m, world) ends deeper than its place in the seat, and than now."""
+    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
+    now_m = float((np.asarray(frame[:3]) - query.seated_pose(seat)[:3]) @ out)
+    return now_m + float(np.asarray(by) @ out) < min(0.0, now_m)

@@ -67,7 +67,7 @@ def allowed_target(task: RuledTask) -> Target:
     partner = task.data.context.partner if step.space == segments.BOTH else ""
     shared_hold.refuse_alone(query, task.arm, partner, clears)
     target = targets.target_of(task)
-    in_seat.refuse_other_way(query, task.arm, step.space, query.tcp(task.arm), target.pose, clears)
+    in_seat.refuse_other_way(query, task.arm, step, query.tcp(task.arm), target.pose, clears)
     return target
 
 

@@ -53,6 +53,13 @@ def test_two_arms_draw_a_module_out_before_they_move_it_elsewhere(both_in_the_ba
     assert getattr(both_in_the_bay.elaborate(sentence), "where", "") != MODULE  # another reason, if any
 
 
+def test_two_arms_do_not_press_a_module_deeper_into_its_seat(both_in_the_bay):
+    refused = both_in_the_bay.elaborate("MOVE BOTH-ARMS BY -5 CM ALONG BACK")
+
+    assert isinstance(refused, Refusal)
+    assert refused.cause == InSeat(arm="RIGHT-ARM", seat="BAY-2")
+
+
 def test_two_arms_do_not_turn_a_module_in_its_seat(both_in_the_bay):
     script = both_in_the_bay.elaborate("MOVE BOTH-ARMS BY 5 CM ALONG BACK")
     step = script.steps[0]
@@ -71,6 +78,19 @@ def test_the_binder_refuses_what_has_been_elaborated_before_the_grasp(bench):
     refused = bench.bind(script, script.steps[0])
 
     assert sentences_of(refused.clears) == [f"LIFT {MODULE} BY 15 CM WITH {RIGHT}"]
+
+
+def test_a_module_is_not_lifted_into_the_floor_of_its_rack(bench):
+    assert bench.do(f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A").succeeded
+
+    for sentence in (f"LIFT {MODULE} BY -5 CM", f"LIFT {MODULE} BY -1 MM"):
+        refused = bench.elaborate(sentence)
+        assert isinstance(refused, Refusal), sentence
+        assert refused.cause == InSeat(arm=RIGHT, seat="RACK-1")
+
+    assert bench.do(f"LIFT {MODULE} BY 5 CM").succeeded
+    assert isinstance(bench.elaborate(f"LIFT {MODULE} BY -6 CM"), Refusal)
+    assert bench.do(f"LIFT {MODULE} BY -4 CM").succeeded  # still in the slot
 
 
 @pytest.mark.parametrize(("by_cm", "left_cm"), [(5, 10), (11, 4)])
