@@ -9,8 +9,10 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import NamedTuple
 
+import msgspec
+
 from broker.decisions.command.limits import await_rest, rest_limit_s
-from broker.decisions.command.scope import has_ended, in_scope, no_target, subsystem_of
+from broker.decisions.command.scope import behind, has_ended, in_scope, no_target, subsystem_of
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import DeclineHalt, PublishHalt, SendHalt
 from broker.decisions.events import HaltCalled, Stimulus
@@ -39,8 +41,10 @@ def on_call(context: DecisionContext, event: HaltCalled) -> None:
     HALT.run(context, f"{order.halt} {order.scope} {order.called_at_s}", HaltStimulus.CALL, event)
 
 
-def on_sentence(context: DecisionContext, command: Command, scope: str) -> None:
+def on_sentence(context: DecisionContext, command: Command, scope: str, unknown: str = "") -> None:
+    """`unknown`: the name that nothing has, for which ALL is halted."""
     HALT.run(context, command.id, HaltStimulus.SENTENCE, scope)
+    context.state.halt_sentences[command.id].unknown = unknown
 
 
 def on_confirmed(context: DecisionContext, name: str, subsystem: str, at_rest: bool) -> None:
@@ -100,6 +104,7 @@ def _order_or_decline(context: DecisionContext, name: str, event: HaltCalled) ->
 def order(context: DecisionContext, called: HaltOrder, spare: str = "") -> bool:
     """Halt the subsystems in scope, then stop the commands, except `spare`. False: the scope is unknown.
 
+    With a command those end that wait for what it holds: after a halt nothing begins by itself (decision 0174).
     A subsystem may forward a halt late, after an absence of the broker. Its time of receipt, if known, then parts the
     commands: those sent later go on. They have not begun to move there, because the subsystem fenced the scope."""
     state, scope = context.state, called.scope
@@ -107,17 +112,30 @@ def order(context: DecisionContext, called: HaltOrder, spare: str = "") -> bool:
     performer = subsystem_of(context, scope)
     if scope != "ALL" and not targets and not performer:
         return False
-    if scope not in state.commands:
-        at_s = min(called.called_at_s or context.now, context.now)
-        state.halted_at_s[scope] = max(at_s, state.halted_at_s.get(scope, 0.0))  # an earlier halt may arrive later
+    halted_names = [scope]
+    if scope in state.commands:
+        halted_names = [name for name, exclusive in state.resources.held.get(scope, {}).items() if exclusive]
+        targets = [*targets, *behind(context, targets[0])]
+    at_s = min(called.called_at_s or context.now, context.now)
+    for name in halted_names:
+        state.halted_at_s[name] = max(at_s, state.halted_at_s.get(name, 0.0))  # an earlier halt may arrive later
     for name, subsystem in state.subsystems.items():
-        concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
-        if concerned and subsystem.link is not LinkState.LOST:
-            context.effects.append(SendHalt(subsystem=name, order=called))
+        if subsystem.link is not LinkState.LOST:
+            orders = [called] if scope == "ALL" or name == performer else _of_commands(called, targets, name)
+            context.effects += [SendHalt(subsystem=name, order=one) for one in orders]
     for command in targets:
         if command.id != spare and not _was_sent_after(command, called.received_at_s):
             context.enqueue_stimulus(command.id, Stimulus.STOP, halted(scope))
     return True
+
+
+def _of_commands(called: HaltOrder, targets: list[Command], subsystem: str) -> list[HaltOrder]:
+    """The orders for a subsystem without a performer of that name: it knows commands, and no objects. One of which no
+    subsystem has anything is confirmed by each, so that the caller gets an answer."""
+    concerned = [c.id for c in targets if c.subsystem == subsystem]
+    if called.scope not in (c.id for c in targets):
+        concerned = concerned or [c.id for c in targets[:1] if not any(c.subsystem for c in targets)]
+    return [msgspec.structs.replace(called, scope=one) for one in concerned]
 
 
 def _was_sent_after(command: Command, received_at_s: float) -> bool:
@@ -156,7 +174,8 @@ def confirm(context: DecisionContext, name: str, subsystem: str) -> None:
     if subsystem in request.unconfirmed:
         request.unconfirmed.remove(subsystem)
         if not request.unconfirmed:
-            _settle(context, name, PendingOutcome(kind=OutcomeKind.SUCCEEDED, message=f"{request.scope} at rest"))
+            why = f": nothing that lives is named {request.unknown}" if request.unknown else ""
+            _settle(context, name, PendingOutcome(kind=OutcomeKind.SUCCEEDED, message=f"{request.scope} at rest{why}"))
 
 
 def fail_moving(context: DecisionContext, name: str, subsystem: str) -> None:

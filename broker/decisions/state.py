@@ -396,6 +396,8 @@ class HaltSentence(msgspec.Struct, kw_only=True):
     """What it halts: ALL, an arm, an object or a command."""
     unconfirmed: list[str]
     """Subsystems that were ordered to halt and have not confirmed rest yet."""
+    unknown: str = ""
+    """The name that nothing has, for which ALL is halted."""
     settled: bool = False
     """Its outcome is decided."""
 

@@ -157,14 +157,18 @@ def order(halt: str, scope: str, called_at_s: float) -> list[bytes]:
     return [b"RTC1", b"\x84" + body + _text("called_at_s") + b"\xcb" + struct.pack(">d", called_at_s)]
 
 
-def scope_of(word: str) -> str:
-    """The scope that a word of a caller names: ALL, an arm, or a command, as in a sentence."""
-    name = word.upper().replace("_", "-")
+def scope_of(words: str) -> str:
+    """The scope that the words of a caller name: ALL, a performer, a command, or another name; ALL for all else.
+
+    As `rtc.language.fastpath.named_scope`, but for reserved words, comments and tabs (a test compares both)."""
+    name = words.strip(" ,.").upper().replace("_", "-")
     with open(HANDS, encoding="utf-8") as hands:
         arm_of = dict(line.split() for line in hands)
-    if name in ("ALL", "BOTH-ARMS"):
-        return "ALL"
-    return arm_of.get(name) or (name if name.startswith("C-") and name[2:].isdecimal() else word.upper())
+    if name.startswith("ARM ") and name[4:] not in arm_of:
+        name = name[4:].lstrip(" ")
+    parts = name.split("-")
+    is_name = len(name) < 200 and name.isascii() and name[:1].isalpha() and all(map(str.isalnum, parts))
+    return arm_of.get(name, name) if is_name and name != "BOTH-ARMS" else "ALL"
 
 
 def _text(value: str) -> bytes:

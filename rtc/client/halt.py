@@ -70,7 +70,8 @@ class HaltResult(msgspec.Struct, kw_only=True):
     sent_to: list[str]  # sockets that accepted it: "halt" (broker), "estop" (MCM)
     subsystems: list[SubsystemHalt]
     message: str = ""  # why it is not confirmed
-    declined: bool = False  # the scope is unknown: nothing was stopped
+    declined: bool = False  # it was refused: nothing was stopped
+    unknown: str = ""  # the name that nothing has, or that only a silent broker knows: `scope` is then ALL
     called_at_s: float = 0.0  # CLOCK_MONOTONIC of the caller's machine; the times of `subsystems` begin with it
 
     @property
@@ -143,7 +144,8 @@ class HaltLine:
     ) -> HaltResult:
         """Send the order and wait for rest, at most `timeout_s` (s) and at most MAX_S. `round_trip_s`: of the link.
 
-        `scope`: ALL, a performer or a command C-n. Raises ClusterError if neither broker nor MCM could be reached.
+        `scope`: ALL, a performer, a command C-n, or what commands in progress are about. ALL is halted for any other
+        (decision 0174). Raises ClusterError if neither broker nor MCM could be reached.
         """
         timeout_s = min(MAX_S, timeout_s)  # in this order nan becomes MAX_S too
         with self._lock:
@@ -161,9 +163,9 @@ class HaltLine:
                     else "neither the broker nor a subsystem of arms answers"
                 )
                 raise ClusterError(f"halt not sent: {who}; use the emergency stop")
-            return self._await_rest(
-                order, sent_to, called_at_s + timeout_s, called_at_s + self._unknown_s + round_trip_s, on_rest
-            )
+            unknown_s = self._unknown_s + round_trip_s
+            found = self._await_rest(order, sent_to, called_at_s + timeout_s, called_at_s + unknown_s, on_rest)
+            return self._halt_all(found, timeout_s, on_rest) if found.unknown else found
 
     def finish(self, timeout_s: float = 2.0, on_rest: OnRest | None = None) -> HaltResult:
         """Wait for the answers to the order that had left before, as `halt` does. The limit begins now: on a busy
@@ -172,8 +174,18 @@ class HaltLine:
         assert first is not None
         order = m.HaltOrder(halt=first.halt, scope=first.scope, called_at_s=first.called_at_s)
         sent_to = [name for name, socket in self._sockets.items() if isinstance(socket, Dealer)]
-        now_s = time.monotonic()
-        return self._await_rest(order, sent_to, now_s + min(MAX_S, timeout_s), now_s + self._unknown_s, on_rest)
+        now_s, timeout_s = time.monotonic(), min(MAX_S, timeout_s)
+        found = self._await_rest(order, sent_to, now_s + timeout_s, now_s + self._unknown_s, on_rest)
+        return self._halt_all(found, timeout_s, on_rest) if found.unknown else found
+
+    def _halt_all(self, unknown: HaltResult, timeout_s: float, on_rest: OnRest | None) -> HaltResult:
+        """Halt everything for a scope that nothing has: an arm may move, and its name was mistyped."""
+        now_s = time.monotonic()  # it covers what was sent until now
+        order = m.HaltOrder(halt=f"{unknown.halt}-ALL", scope=EVERYTHING, called_at_s=now_s)
+        sent_to = self._send(order, self._sockets) or self._send_when_connected(order, now_s + self._connect_s)
+        called = msgspec.structs.replace(order, called_at_s=unknown.called_at_s)  # the latency is that of the caller
+        found = self._await_rest(called, sent_to, now_s + timeout_s, now_s + self._unknown_s, on_rest)
+        return msgspec.structs.replace(found, unknown=unknown.unknown)
 
     def ready(self, timeout_s: float | None = None) -> bool:
         """Wait until both sockets are connected; False after `timeout_s`."""
@@ -231,6 +243,10 @@ class HaltLine:
                 left_s = min(limit_s, unknown_by_s) - time.monotonic()
                 if left_s <= 0:
                     break
+            elif "halt" in unanswered and _all_refuse(sent_to, refusals):
+                left_s = min(limit_s, unknown_by_s) - time.monotonic()
+                if left_s <= 0:
+                    break
             unsent = {name: socket for name, socket in self._sockets.items() if name not in sent_to}
             self._poller.poll(_ms(min(left_s, RETRY_S) if unsent else left_s))
             sent_to += self._send(order, unsent)
@@ -248,13 +264,20 @@ class HaltLine:
                 self._state_rest(on_rest, subsystems, stated)
             if any(map(_is_obeyed, refusals.values())) and all(name in refusals for name in sent_to):
                 break
-        declined = next((one.message for one in refusals.values() if not _is_obeyed(one)), "")
+        # The broker knows the names of all, and a subsystem those of its own.
+        silent_broker = "halt" in unanswered and _all_refuse(sent_to, refusals)
+        deciding = [one for name, one in refusals.items() if name == "halt" or silent_broker]
+        refused = next((one for one in deciding if not _is_obeyed(one)), None)
+        declined = "" if refused is None else refused.message
         doubt = "" if subsystems else next((one.message for one in refusals.values() if _is_obeyed(one)), "")
         if COMMAND.fullmatch(order.scope) and not refusals and not _reached(subsystems.values()):
             declined, doubt = self._check_exists(order.scope, "halt" in sent_to)
             doubt = doubt if subsystems else ""
+        is_unknown = bool(declined) and (refused is None or refused.reason is RefusalReason.NAME)
         silent = [] if order.scope != EVERYTHING else [name for name in self._confirming if name not in subsystems]
-        return _result(order, sent_to, list(subsystems.values()), declined, doubt, silent)
+        result = _result(order, sent_to, list(subsystems.values()), declined, doubt, silent)
+        is_unknown = is_unknown and result.declined and order.scope != EVERYTHING
+        return msgspec.structs.replace(result, unknown=order.scope) if is_unknown else result
 
     def _state_rest(self, on_rest: OnRest, subsystems: dict[str, SubsystemHalt], stated: set[str]) -> None:
         """State which arms' subsystems are at rest while others are not. `stated`: those that were stated already."""
@@ -340,6 +363,12 @@ def _at_rest(subsystems: Collection[SubsystemHalt]) -> bool:
 def _is_obeyed(refusal: Refusal) -> bool:
     """Whether the halt was obeyed, and only its rest will not be confirmed there."""
     return refusal.reason is RefusalReason.OVERLOAD
+
+
+def _all_refuse(sent_to: list[str], refusals: dict[str, Refusal]) -> bool:
+    """Whether every subsystem that has the order refuses it, and one has it."""
+    estops = {name for name in sent_to if name != "halt"}
+    return bool(estops) and estops <= refusals.keys()
 
 
 def _reached(subsystems: Collection[SubsystemHalt]) -> bool:

@@ -3,7 +3,7 @@
 A client calls this before it sends: a halt goes to the halt sockets at once and never waits for the parser. The
 result must agree with the parser (a test compares them). Only a halt of everything, of an arm or of a command is
 recognised here; a halt of another name is sent as an ordinary sentence. What begins with HALT or STOP and is no
-sentence ("STOP!", "HALT RIGHT ARM") halts everything: who types it wants no arm to move (decision 0155).
+sentence ("STOP!", "STOPP", "HALT RIGHT ARM") halts everything: who types it wants no arm to move (decision 0155).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SENTENCE = re.compile(
     re.IGNORECASE | re.ASCII,
 )
 _FIRST_WORDS = ("HALT", "STOP")
-_BEGINS = re.compile(r"[ \t,]*(?:HALT|STOP)(?![A-Z0-9_-])", re.IGNORECASE | re.ASCII)
+_BEGINS = re.compile(r"[ \t,]*(?:HALT|STOP)", re.IGNORECASE | re.ASCII)
 _OF_NAME = re.compile(
     rf"[ \t,]*(?:HALT|STOP)[ \t,]+(?:ARM[ \t,]+)?(?P<NAME>{_NAME})[ \t,]*(?:\.[ \t,]*)?(?:--.*)?",
     re.IGNORECASE | re.ASCII,
@@ -53,9 +53,14 @@ def halt_scope(text: str) -> str | None:
     return EVERYTHING if plain is None and _BEGINS.match(begin) and not _is_of_name(text) else plain
 
 
-def named_scope(word: str) -> str:
-    """The scope that a word of a caller names: ALL, an arm, a command, or the word itself."""
-    return _plain(f"HALT {word}") or word.upper()
+def named_scope(words: str) -> str:
+    """The scope that the words of a caller name, as after HALT in a sentence: ALL, a performer, a command, or another
+    name; ALL too for what is none of these."""
+    text = f"HALT {words}"
+    if scope := halt_scope(text):
+        return scope
+    named = _OF_NAME.fullmatch(text.rstrip("\r\n"))
+    return named["NAME"].upper().replace("_", "-") if named else EVERYTHING
 
 
 def _plain(text: str) -> str | None:

@@ -39,6 +39,8 @@ WORDS = [
     "C-",
     "DOOR-2",
     "S&P",
+    *("RIGHT ARM", "RIGHT-ARM LEFT-ARM", "ALL ALL", " ", "", "arm gantry", "ARM LEFT-ARM", "ARM C-7", "right-arm."),
+    *("!", "RIGHT_ARM, LEFT-ARM", "--all", "C-7 C-8", "X" * 3000, "ÄRM", "macs_new"),
 ]
 
 

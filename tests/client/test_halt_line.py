@@ -15,6 +15,7 @@ from rtc.apps.console.halt_lines import HaltLines
 from rtc.client.client import Client
 from rtc.client.halt import HaltLine, SubsystemHalt
 from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.subsystems import Subsystem
 from rtc.protocol.wire import frames, reader
 from rtc.runtime.process import open_socket
@@ -134,3 +135,64 @@ def test_a_page_learns_at_once_what_rests(settings) -> None:
         finally:
             mcms.end()
     assert [(one["name"], one["awaited"]) for one in stated] == [("MCM", ["MCM-2"])]
+
+
+def _answering(
+    socket: zmq.Socket[bytes], known: str, is_broker: bool, orders: list[str], ended: threading.Event
+) -> None:
+    """A broker or a subsystem: it obeys ALL and `known`, and declines every other scope. A broker has it confirmed."""
+    read = reader(m.HaltOrder)
+    while not ended.is_set():
+        if not socket.poll(20):
+            continue
+        peer, *parts = socket.recv_multipart()
+        order, now_s = read(parts), time.monotonic()
+        orders.append(order.scope)
+        started = m.HaltStarted(
+            halt=order.halt, subsystem="MCM", received_at_s=now_s, decelerating_at_s=now_s, moving=["RIGHT-ARM"]
+        )
+        rest = m.HaltAtRest(halt=order.halt, subsystem="MCM", at_s=now_s, at_rest=True, performers=["RIGHT-ARM"])
+        declined = m.Declined(request=order.halt, refusal=Refusal(reason=RefusalReason.NAME, message="who?"))
+        knows = order.scope == "ALL" or (is_broker and order.scope == known)
+        for answer in (started, rest) if knows else (declined,):
+            socket.send_multipart([peer, *frames(answer)])
+
+
+@pytest.mark.parametrize(
+    ("scope", "broker", "halted"),
+    [
+        ("MODULE", "answers", "MODULE"),  # "NOTHING HALTED: there is no scope MODULE", while it was halted
+        ("RIHGT-ARM", "answers", "ALL"),
+        ("MODULE", "is silent", "ALL"),
+        ("MODULE", "is dead", "ALL"),
+        ("RIGHT ARM", "answers", "ALL"),
+    ],
+)
+def test_a_halt_is_never_refused_for_its_scope_and_says_what_was_halted(tmp_path, scope, broker, halted) -> None:
+    settings = Settings(run_dir=str(tmp_path))
+    orders: list[str] = []
+    ended = threading.Event()
+    with zmq.Context() as context:
+        sockets = [open_socket(context, zmq.ROUTER, settings.endpoint("estop"), bind=True)]
+        if broker != "is dead":
+            sockets.append(open_socket(context, zmq.ROUTER, settings.endpoint("halt"), bind=True))
+        threads = [
+            threading.Thread(target=_answering, args=(socket, "MODULE", n == 1, orders, ended))
+            for n, socket in enumerate(sockets[: 2 if broker == "answers" else 1])
+        ]
+        for thread in threads:
+            thread.start()
+        line = HaltLine(context, settings)
+        try:
+            assert line.ready() or broker == "is dead"
+            result = line.halt(scope, timeout_s=WAIT_S)
+        finally:
+            line.close()
+            ended.set()
+            for thread in threads:
+                thread.join()
+            for socket in sockets:
+                socket.close()
+    assert (result.scope, result.moving, result.confirmed) == (halted, ["RIGHT-ARM"], True)
+    assert (orders[-1] == "ALL") is (halted == "ALL")
+    assert bool(result.unknown) is (halted == "ALL" and scope != "RIGHT ARM")

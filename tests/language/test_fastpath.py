@@ -40,10 +40,9 @@ def test_halts(text: str, scope: str) -> None:
         *(
             "",
             " ",
-            "HALTX",
-            "HALT-",
             "XHALT",
             "HALT C-7X",
+            "HAL",
             "HALT C7",
             "HALT DOOR-2",
             '"HALT"',
@@ -64,6 +63,7 @@ def test_no_plain_halts(text: str) -> None:
         *("HALT RIGHT-ARM AND LEFT-ARM", "HALT HALT", "HALT ALL ALL", "HALT..", "HALT C-", "HALT C-7 C-8", "STOP, IT!"),
         *("HALT ARM", "HALT ARM LEFT-ARM", "HALT ARM ALL", "HALT ARM PARK"),
         *("HALT; STOP", "HALT\nHALT", "HALT\x00", "HALT" + " " * 2000, "HALT " + "x" * 100_000),
+        *("HALTT", "HALT-", "HALT_ALL", "STOPP", "haltx", "HALT-RIGHT-ARM", "STOPALL", "HALTX RIGHT-ARM"),
     ],
 )
 def test_what_begins_like_a_halt_and_is_no_sentence_halts_everything(text: str) -> None:

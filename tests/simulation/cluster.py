@@ -286,9 +286,10 @@ class Cluster:
         if moving and kind not in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM):
             self.wrong(f"{command} ended {kind.value}, and {moving[0]} is still executed")
         if kind is OutcomeKind.HALTED and record.text.startswith("DO"):
-            scopes = ("ALL", skills.ARMS[record.text.split()[1]], command)
+            arm = skills.ARMS[record.text.split()[1]]
             sent_s, _ = self.given(command, record)
-            if not any(self.ledger.last_halt_s.get(scope, 0.0) >= sent_s for scope in scopes):
+            halts = self.ledger.last_halt_s.items()  # one of another command also halts those that wait for it
+            if not any(at_s >= sent_s for scope, at_s in halts if scope in ("ALL", arm) or scope.startswith("C-")):
                 self.wrong(f"{command} ended halted, and no halt of it was received after it was sent")
         if kind in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM) and not (
             self.faults["MCM"] or (record.text.startswith("HALT") and self.faults["broker"])

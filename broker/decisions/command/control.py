@@ -11,11 +11,11 @@ from broker.decisions.command.surrender import is_held
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import Stimulus
-from broker.decisions.halt_request import Settled, halted, on_sentence
+from broker.decisions.halt_request import Settled, on_sentence, order
 from broker.decisions.resources import number
 from broker.decisions.state import Command, ParsedHead, PendingOutcome, path_words
 from rtc.protocol.advice import Advice, by_person, by_sentence
-from rtc.protocol.messages import NoteKind, Phase
+from rtc.protocol.messages import HaltOrder, NoteKind, Phase
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}  # all control verbs except HALT
@@ -59,16 +59,16 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
 
 
 def halt_sentence(context: DecisionContext, command: Command, scope: str) -> None:
-    """Start a HALT sentence; end it at once if its scope is unknown or has moved nothing."""
+    """Start a HALT sentence; end it at once if its scope has moved nothing. One of an unknown name halts ALL."""
     if scope != "ALL" and not subsystem_of(context, scope) and not in_scope(context, scope):
         if has_ended(context, scope):
             end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, f"{scope} has already ended: it moves nothing"))
         else:
-            refuse(context, command, no_target(context, scope, command.id))
+            on_sentence(context, command, "ALL", unknown=scope)
         return
     target = context.state.commands.get(scope)
     if target is not None and not target.subsystem:
-        context.enqueue_stimulus(scope, Stimulus.STOP, halted(scope))
+        order(context, HaltOrder(halt=command.id, scope=scope, called_at_s=context.now), spare=command.id)
         end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, f"{scope} had moved nothing yet"))
         return
     on_sentence(context, command, scope)

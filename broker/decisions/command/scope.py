@@ -27,6 +27,20 @@ def in_scope(context: DecisionContext, scope: str) -> list[Command]:
     return [c for c in state.commands.values() if c.id in claim or (c.head and _names(c.head, scope, hands))]
 
 
+def behind(context: DecisionContext, command: Command) -> list[Command]:
+    """The commands in line for what this one holds, and for what those want: without it, and without them, the next
+    would begin by itself. None for a command that waits in line itself."""
+    state, found, opened = context.state, {command.id}, [command.id]
+    for one in opened:  # it grows
+        claim = (state.resources.held if one == command.id else state.resources.waiting).get(one, {})
+        for name, exclusive in claim.items():
+            for other in state.resources.lines.get(name, ()):
+                if other not in found and (exclusive or state.resources.waiting[other][name]):
+                    found.add(other)
+                    opened.append(other)
+    return [state.commands[one] for one in opened[1:] if one in state.commands]
+
+
 def _names(head: ParsedHead, scope: str, hands: set[str]) -> bool:
     return head.kind == "task" and (head.object == scope or head.hand in hands or head.to_hand in hands)
 

@@ -12,11 +12,12 @@ import zmq
 from rich.console import Console
 from rich.text import Text
 
-from rtc.apps.cli.halt_at_once import NOT_CONFIRMED, SHORTEST_S, TIMEOUT_S
+from rtc.apps.cli.halt_at_once import NOT_CONFIRMED, TIMEOUT_S, seconds
 from rtc.apps.cli.halt_words import confirmed, in_words, state_of
 from rtc.apps.cli.output import AsJson, RunDir, With, console, emit_json, errors, exits_with
 from rtc.apps.cli.stdio import OutputClosed
 from rtc.client.halt import HALT_ENDPOINTS, HaltLine, HaltResult, SubsystemHalt, local_settings
+from rtc.language.fastpath import named_scope
 from rtc.protocol.outcomes import NoCluster
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.run_dir import is_listening, not_running
@@ -27,8 +28,11 @@ if TYPE_CHECKING:
 
 
 def halt(
-    scope: Annotated[str, typer.Argument(help="ALL, an arm by its name, or a command (C-7).")] = "ALL",
-    timeout: Annotated[float, typer.Option(min=SHORTEST_S, help="Seconds to wait for rest.")] = TIMEOUT_S,
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="SCOPE", help="ALL, an arm by its name, a command (C-7), or an object; else ALL."),
+    ] = None,
+    timeout: Annotated[str, typer.Option(metavar="FLOAT", help="Seconds to wait for rest.")] = f"{TIMEOUT_S}",
     json: AsJson = False,
     run_dir: RunDir = None,
     key: With = None,
@@ -41,18 +45,19 @@ def halt(
     Example:  rtc halt
     Example:  rtc halt RIGHT-ARM
     """
+    scope = named_scope(" ".join(words or []))
     with _halt_line(run_dir or default_run_dir(), key) as line:
-        result = line.halt(scope, timeout_s=timeout, on_rest=_show)
+        result = line.halt(scope, timeout_s=seconds(timeout), on_rest=_show)
     code = 0 if result.confirmed else NOT_CONFIRMED
     if json:
         with exits_with(code):
             emit_json(result)
     else:
         print_halt(result)
-        if not result.reached and not result.declined and "halt" in result.sent_to and scope.upper().startswith("C-"):
+        if not result.reached and not result.declined and "halt" in result.sent_to and result.scope.startswith("C-"):
             with suppress(OutputClosed):
-                for words in state_of(scope.upper(), run_dir, key):
-                    console.print(Text(words))
+                for line_of_state in state_of(result.scope, run_dir, key):
+                    console.print(Text(line_of_state))
     raise typer.Exit(code)
 
 

@@ -31,24 +31,33 @@ def run(words: list[str]) -> int | None:
 
 
 def plain(words: list[str]) -> tuple[str, float, bool, str] | None:
-    """(scope, timeout in s, as JSON, run directory) of the words after `halt`; None if they are not plain."""
-    scope, timeout, as_json, run_dir = "", "", False, ""
+    """(scope, timeout in s, as JSON, run directory) of the words after `halt`; None for those of the complete command.
+
+    All other words are the scope, as after HALT in a sentence: no halt is refused for a word (decision 0174)."""
+    scope, timeout, as_json, run_dir = list[str](), "", False, ""
     left = [part for word in words for part in (word.split("=", 1) if word.startswith("--") else [word])]
     while left:
         word = left.pop(0)
+        if word in ("-h", "--help", "--with", "--run-dir") and not (word == "--run-dir" and left and left[0]):
+            return None
         if word == "--json":
             as_json = True
-        elif word in ("--timeout", "--run-dir") and left and left[0]:
-            timeout, run_dir = (left.pop(0), run_dir) if word == "--timeout" else (timeout, left.pop(0))
-        elif scope or word.startswith("-") or not word.isascii() or not 0 < len(word) < 200:
-            return None
+        elif word == "--timeout":
+            timeout = left.pop(0) if left else ""
+        elif word == "--run-dir":
+            run_dir = left.pop(0)
         else:
-            scope = word
+            scope.append(word)
+    return " ".join(scope) or "ALL", seconds(timeout), as_json, run_dir or environment.run_dir()
+
+
+def seconds(timeout: str) -> float:
+    """A time limit; the usual one for what is no number, since no halt is refused for that."""
     try:
-        timeout_s = float(timeout or TIMEOUT_S)
+        wanted_s = float(timeout or TIMEOUT_S)
     except ValueError:
-        return None
-    return (scope or "ALL", timeout_s, as_json, run_dir or environment.run_dir()) if timeout_s >= SHORTEST_S else None
+        return TIMEOUT_S
+    return max(SHORTEST_S, wanted_s) if wanted_s == wanted_s else TIMEOUT_S
 
 
 def _finish(first: FirstOrder, timeout_s: float, as_json: bool, run_dir: str) -> int:

@@ -21,6 +21,8 @@ LATE_S = 0.2  # an MCM that answers later may have been restarted and have lost 
 
 def in_words(result: HaltResult) -> list[Line]:
     lines: list[Line] = [[(f"HALT {result.scope}: ", "bold"), *_result(result)]]
+    if result.unknown:
+        lines.append([(f"nothing that moves is known as {result.unknown}: ALL was halted", "")])
     if "halt" not in result.sent_to:
         late = "the broker did not get this order; subsystems pass it on, and start nothing until the broker has it"
         lines.append([(late, "")])
@@ -37,11 +39,13 @@ def confirmed(found: SubsystemHalt, awaited: list[str]) -> Line:
 def _result(result: HaltResult) -> Line:
     if result.declined:
         return [(f"NOTHING HALTED: {result.message}", BAD)]
-    if result.latency_s is None:
-        return [(f"REST NOT CONFIRMED: {result.message}", BAD)]
+    rest = max((sub.rest_s for sub in result.subsystems if sub.rest_s is not None), default=None)
+    if result.latency_s is None:  # a camera that takes no picture has nothing to decelerate
+        if not result.confirmed:
+            return [(f"REST NOT CONFIRMED: {result.message}", BAD)]
+        return [("nothing was moving; ", ""), (f"rest confirmed after {(rest or 0.0) * 1e3:.0f} ms", "bold green")]
     nothing = f"nothing of {result.scope} moves: it has ended, or has not begun"
     late = "nothing moves; it is not known whether something moved at the call"
-    rest = max((sub.rest_s for sub in result.subsystems if sub.rest_s is not None), default=None)
     resting = "no joint was moving" + (SETTLED if (rest or 0.0) > SETTLED_S else "")
     still = nothing if not result.reached else late if result.latency_s > LATE_S else resting
     what = f"{', '.join(result.moving)} decelerating" if result.moving else f"{still}; the order arrived"

@@ -85,7 +85,8 @@ def build(names: list[str]) -> typer.Typer:
             app.add_typer(module.app, name=name)
         else:
             function = getattr(module, f"{name}_" if iskeyword(name) else name)
-            app.command(name)(_interruptible(function))
+            odd = {"ignore_unknown_options": name == "halt"}  # an option that it lacks is a scope, and halts ALL
+            app.command(name, context_settings=odd)(_interruptible(function))
     return app
 
 

@@ -130,4 +130,5 @@ def as_json(result: HaltResult) -> dict[str, Any]:
         "sent_to": result.sent_to,
         "message": result.message,
         "declined": result.declined,
+        "unknown": result.unknown,
     }

@@ -131,8 +131,12 @@ def test_a_lone_halt_submitted_to_do_is_that_halt(rtc: Run) -> None:
     assert "rest confirmed" in done.stdout
 
 
-def test_a_halt_of_an_unknown_arm_is_not_confirmed(rtc: Run) -> None:
-    assert rtc("halt", "C-9999").returncode != 0
+@pytest.mark.parametrize("words", [["C-9999"], ["RIHGT-ARM"], ["--all"], ["RIGHT", "ARM", "--timeout", "soon"]])
+def test_a_halt_of_an_unknown_scope_halts_everything_and_says_so(rtc: Run, words: list[str]) -> None:
+    done = rtc("halt", *words, "--json")
+    assert done.returncode == 0, done.stdout + done.stderr
+    result = last_json(done)
+    assert (result["scope"], result["confirmed"]) == ("ALL", True)
 
 
 def test_trace_and_why_tell_the_story(rtc: Run) -> None:

@@ -52,6 +52,18 @@ def test_a_halt_in_words(rest_s: float, moving: list[str], line: str) -> None:
     assert printed(0.002, rest_s, moving) == line
 
 
+def test_rest_of_a_camera_that_takes_no_picture_is_confirmed() -> None:
+    """Its subsystem sends no first deceleration: the words were REST NOT CONFIRMED, with exit status 0."""
+    text = io.StringIO()
+    eyes = SubsystemHalt(name="S&P", performers=["CAMERA-1"], at_rest=True, rest_s=0.001)
+    result = HaltResult(
+        halt="h", scope="CAMERA-1", latency_s=None, confirmed=True, sent_to=["halt", "estop"], subsystems=[eyes]
+    )
+    print_halt(result, Console(file=text, soft_wrap=True, color_system=None))
+    assert "NOT CONFIRMED" not in text.getvalue()  # wording: the state
+    assert "rest confirmed" in text.getvalue()
+
+
 def test_a_halt_of_an_ended_command_states_how_it_ended_and_what_moves() -> None:
     about = {"text": "X", "source": "operator", "request": "1", "accepted_at_s": 0.0}
     ended = Outcome(kind=OutcomeKind.SUCCEEDED)
@@ -70,10 +82,15 @@ def test_a_halt_of_an_ended_command_states_how_it_ended_and_what_moves() -> None
 def test_plain_halts_take_the_short_way_and_others_the_long_one() -> None:
     assert plain(["right-arm", "--timeout", "3", "--json", "--run-dir=/x"]) == ("right-arm", 3.0, True, "/x")
     assert plain(["--run-dir", "/x"]) == ("ALL", 2.0, False, "/x")
-    for words in (["-h"], ["--help"], ["--with", "k"], ["--bogus"], ["A", "B"], ["--timeout"], ["--timeout", "x"]):
+    for words in (["-h"], ["--help"], ["--with", "k"], ["--run-dir", ""], ["--run-dir"]):
         assert plain(words) is None
-    for words in (["--timeout", "0"], ["--timeout", "nan"], ["--run-dir", ""], ["ÄRM"], ["X" * 300]):
-        assert plain([*words, "--run-dir", "/x"] if words[0] != "--run-dir" else words) is None
+
+
+@pytest.mark.parametrize("timeout", [["--timeout"], ["--timeout", "x"], ["--timeout", "nan"]])
+def test_no_halt_is_refused_for_a_word(timeout: list[str]) -> None:
+    for words in (["--bogus"], ["A", "B"], ["RIGHT", "ARM"], [" "], ["-all"], ["ÄRM"], ["X" * 300]):
+        assert plain([*words, "--run-dir=/x", *timeout]) == (" ".join(words), 2.0, False, "/x")
+    assert plain(["--timeout", "0", "--run-dir", "/x"]) == ("ALL", 0.01, False, "/x")
 
 
 #: the command line, and the modules that it has loaded, on stderr
@@ -89,20 +106,23 @@ finally:
 
 @pytest.mark.slow
 @pytest.mark.untimed
-@pytest.mark.parametrize("at_rest", [True, False])
-def test_a_halt_from_a_terminal_loads_nothing_slow(tmp_path: Path, at_rest: bool) -> None:
+@pytest.mark.parametrize(
+    ("words", "scope", "at_rest"),
+    [(["RIGHT-ARM"], "RIGHT-ARM", True), (["RIGHT-ARM"], "RIGHT-ARM", False), (["RIGHT", "ARM"], "ALL", True)],
+)
+def test_a_halt_from_a_terminal_loads_nothing_slow(tmp_path: Path, words: list[str], scope: str, at_rest: bool) -> None:
     with zmq.Context() as context, context.socket(zmq.ROUTER) as broker, context.socket(zmq.ROUTER) as arms:
         for socket, name in ((broker, "halt"), (arms, "estop")):
             socket.bind(f"ipc://{tmp_path}/{name}.sock")
         orders: list[m.HaltOrder] = []
         serving = threading.Thread(target=_serve, args=([broker, arms], orders, at_rest))
         serving.start()
-        line = [sys.executable, "-P", "-c", LISTED, "halt", "RIGHT-ARM", "--run-dir", str(tmp_path)]
+        line = [sys.executable, "-P", "-c", LISTED, "halt", *words, "--run-dir", str(tmp_path)]
         done = subprocess.run(line, capture_output=True, text=True, timeout=60, env={**os.environ, "COLUMNS": "80"})
         serving.join()
     assert done.returncode == (0 if at_rest else 3), done.stderr
     assert ("rest confirmed" in done.stdout) == at_rest
-    assert [order.scope for order in orders] == ["RIGHT-ARM", "RIGHT-ARM"]
+    assert [order.scope for order in orders] == [scope, scope]
     assert not {"typer", "rich", "numpy", "pinocchio", "lark"} & set(done.stderr.split())
 
 

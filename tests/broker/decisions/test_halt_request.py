@@ -260,3 +260,62 @@ def test_halt_of_an_arm_stops_what_names_it_alone_or_with_the_other_and_nothing_
     s.parsed(hand="RIGHT-ARM")
     s.halts("LEFT-ARM")
     assert list(s.state.commands) == ["C-1", "C-5"]
+
+
+def test_halt_of_an_object_names_its_commands_to_the_subsystem_that_knows_no_objects():
+    """The MCM got the name of the object, confirmed rest of nothing, and the answer was that nothing had halted."""
+    s = Harness()
+    s.executing(object="MODULE")
+    s.parsed(object="MODULE")  # waits for the arm
+    assert s.halts("MODULE")[:2] == ["halt C-1 to MCM", "halt C-1 to MCM"]  # that of the caller, and of the command
+    assert next(e.order.halt for e in s.log if isinstance(e, SendHalt)) == "h1"
+    assert (s.phase("C-1"), s.phase("C-2")) == ("halting", "gone")
+
+
+def test_halt_of_an_object_of_which_nothing_moves_is_answered():
+    s = Harness()
+    s.parsed(object="MODULE")
+    assert s.halts("MODULE")[0] == "halt C-1 to MCM"
+    assert s.phase("C-1") == "gone"
+
+
+def test_halt_typed_of_an_object_ends_when_its_motion_rests():
+    s = Harness()
+    s.executing(object="MODULE")
+    s.says("HALT MODULE")
+    s.answers("C-2", record(verb="HALT", kind="control", object="MODULE"))
+    assert (s.phase("C-1"), s.phase("C-2")) == ("halting", "halting")
+    assert [e.order.scope for e in s.log if isinstance(e, SendHalt)] == ["C-1", "C-1"]
+
+
+@pytest.mark.parametrize("as_sentence", [True, False])
+@pytest.mark.parametrize("moves", [True, False])
+def test_after_a_halt_of_one_command_none_that_waits_for_it_begins(as_sentence, moves):
+    """It began at once: the arm that had been halted moved on by itself."""
+    s = Harness()
+    s.executing() if moves else s.elaborated()
+    s.elaborated(script(resources=("RIGHT-ARM", "LEFT-ARM")), hand="LEFT-ARM")
+    s.parsed(hand="LEFT-ARM")  # behind C-2
+    s.elaborated(script(resources=("CAMERA",)), hand="")
+    planned = s.parsed(hand="")
+    s.says("HALT C-1") if as_sentence else s.halts("C-1")
+    assert [s.phase(c) for c in ("C-1", "C-2", "C-3")] == ["halting" if moves else "gone", "gone", "gone"]
+    assert s.phase("C-4") != "gone"
+    s.answers(planned, script())  # it was given before, and its plan comes later
+    assert s.phase(planned) == "gone"
+    if moves:
+        s.reports("C-1", StopReason.HALT)
+        s.answers("C-1", go_on())
+    assert s.phase(s.executing()) == "executing"
+
+
+def test_halt_typed_of_a_name_that_nothing_has_halts_everything():
+    s = Harness()
+    s.executing()
+    s.says("HALT RIHGT-ARM")
+    s.answers("C-2", record(verb="HALT", kind="control", object="RIHGT-ARM"))
+    assert s.phase("C-1") == "halting"
+    s.rests("C-2")
+    assert s.outcome("C-2").kind is OutcomeKind.SUCCEEDED
+    assert "ALL" in s.outcome("C-2").message  # wording: what was halted
+    assert "RIHGT-ARM" in s.outcome("C-2").message  # wording: and why

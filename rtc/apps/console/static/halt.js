@@ -66,7 +66,8 @@ function showResult({ scope, result, tookS }) {
   // From the key to the first decelerating tick: the way to the gateway and back is in it, so it is an upper bound.
   const reachedS = tookS - result.took_s + (result.latency_s ?? 0);
   const moving = result.moving.length ? `${result.moving.join(', ')} slow down` : 'no joint was moving; reached';
-  const first = `${moving} after ${seconds(reachedS)}`;
+  const all = result.unknown ? 'ALL was halted: nothing that moves has this name; ' : '';
+  const first = `${all}${moving} after ${seconds(reachedS)}`;
   if (!result.confirmed) return show('bad', `REST NOT CONFIRMED${of}`, `${first}; ${result.message}`, true);
   return show('good', `REST CONFIRMED${of}`, `${first}; at rest after ${seconds(tookS - result.took_s + (result.rest_s ?? 0))}`, true);
 }
