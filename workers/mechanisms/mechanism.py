@@ -29,8 +29,9 @@ from workers.tasks.unmet import UnmetPrecondition
 
 Thing = parts.Object | parts.Seat
 Need = Callable[[TaskCandidate], UnmetPrecondition | None]
+Needs = Mapping[str, Need]
 Partner = tuple[parts.Arm | None, parts.Place | None]
-Instead = Callable[[ElaboratorProgram, Mapping[str, ScriptFile], TaskCandidate, Mapping[str, Need]], str]
+Instead = Callable[[ElaboratorProgram, Mapping[str, ScriptFile], TaskCandidate, Needs], str]
 Check = Callable[[ScriptFile, TaskCandidate], None]
 Stated = Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]
 #: changes of stated facts, the world before and after them, figures -> (key, what cannot be)
@@ -59,7 +60,7 @@ class Mechanism:
     performers: Mapping[str, Callable[[ScriptStep, TaskCandidate, str], list[str]]] = field(default_factory=dict)
     #: the sentence that asks someone else for what no script has achieved; empty: none
     instead: Instead | None = None
-    needs: Mapping[str, Need] = field(default_factory=dict)
+    needs: Needs = field(default_factory=dict)
     anchors: Mapping[str, Callable[[TaskCandidate], Anchor]] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
     #: that what a script does is so before it begins, and the row of `needs` with what is left to do; None: it is not
@@ -103,9 +104,10 @@ class Mechanism:
     #: attribute of a stated fact -> why it is not plausible (empty: it is); the facts that follow from it (or Refused)
     plausible: Mapping[str, Callable[[str, Any, Mapping[str, float]], str]] = field(default_factory=dict)
     follows: Mapping[str, Callable[[str, Any, WorldQuery, Mapping[str, float]], Changes]] = field(default_factory=dict)
+    #: what stated facts cannot be together
+    contradictions: tuple[Contradiction, ...] = ()
     #: attributes with a meaning for an object; why a stated fact of it cannot be (empty: it can)
     attributes: Callable[[parts.Object], Collection[str]] | None = None
-    contradictions: tuple[Contradiction, ...] = ()
     impossible: Callable[[WorldChange, parts.Object, WorldQuery], str] | None = None
     #: predict: when the touch that a step expects is felt on its way (s); None: not of this mechanism
     touch_s: Callable[[WorldQuery, str, EvaluationContext, Course], float | None] | None = None

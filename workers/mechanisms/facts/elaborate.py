@@ -8,7 +8,7 @@ FACTS INITIAL` or `SAVED`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -24,6 +24,7 @@ from rtc.protocol.spelling import nearest
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from rtc.world.model import location
+from workers.mechanisms.mechanism import Stated, Thing
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks import command_fields
@@ -32,15 +33,13 @@ from workers.tasks.data_sentence import DataSentence
 from workers.tasks.strategies import DEFAULT, STRATEGY, is_strategy, names
 from workers.tasks.unmet import let_go, refuse_held
 
-Thing = parts.Object | parts.Seat
 Concerned = tuple[dict[str, Any], list[str]]  # facts by key, and what is claimed and may be written
-Attribute = Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any]]
 
 HERE, NONE, INITIAL, UNKNOWN = "HERE", "NONE", "INITIAL", "UNKNOWN"
 ANGLES = ("roll", "pitch", "yaw")
 
 
-def script(sentence: DataSentence, attributes: Mapping[str, Attribute]) -> Script:
+def script(sentence: DataSentence, attributes: Mapping[str, Stated]) -> Script:
     """The script for a SET command; its context holds the stated facts. `attributes`: what makes the facts of an
     attribute; of another one its values are the fact. Raises Refused."""
     program, parsed, query = sentence.program, sentence.parsed, sentence.query
@@ -76,7 +75,7 @@ def _attribute(parsed: ParsedCommand) -> str:
     return (parsed.attribute or "").lower().replace("-", "_")
 
 
-def _facts(sentence: DataSentence, thing: Thing, attributes: Mapping[str, Attribute]) -> dict[str, Any]:
+def _facts(sentence: DataSentence, thing: Thing, attributes: Mapping[str, Stated]) -> dict[str, Any]:
     """The stated facts by key, in SI units. The refusal of a wrong form states the correct one."""
     program, parsed, query = sentence.program, sentence.parsed, sentence.query
     attribute = _attribute(parsed)

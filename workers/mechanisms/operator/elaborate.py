@@ -6,7 +6,7 @@ program's motions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from msgspec.structs import replace
 
@@ -15,12 +15,12 @@ from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.advice import fill_in, sentences_of
 from rtc.protocol.outcomes import Refused
 from rtc.protocol.sentence import OPERATOR, SHARED, ParsedCommand
+from workers.mechanisms.mechanism import Needs
 from workers.tasks import command_fields
 from workers.tasks.candidate import TaskCandidate
 from workers.tasks.sentence_of import sentence_of
 
 Scripts = Mapping[str, ScriptFile]
-Needs = Mapping[str, Callable[[TaskCandidate], object]]  # that a script requires -> what is unmet of it
 KEPT_LIMITS = ("AVOID-TASK-REGION", "SAFE-WORK-RANGE")
 
 

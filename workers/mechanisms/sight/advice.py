@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from rtc.language.hands import hand_in_words
-from rtc.protocol.advice import Advice, Alternative, Texts, fill_in
+from rtc.protocol.advice import Advice, Alternative, fill_in
 from rtc.protocol.messages import WorldChange
+from workers.mechanisms.mechanism import About
 from workers.planning import in_seat, trust
 from workers.planning.lines_of_sight import hiders
-from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import AnalyzeTask
 
 FAR = [0.0, 0.0, -1000.0, 0.0, 0.0, 0.0, 1.0]  # pose of what is before nothing
 
 
-def unseen(task: AnalyzeTask, about: Callable[[WorldQuery, str], Texts]) -> Advice:
+def unseen(task: AnalyzeTask, about: About) -> Advice:
     """Of a body that is covered, what uncovers it. Mounted on another body, it is where that is. In a hand, the fingers
     tell whether it is there."""
     query, clears, body = task.query, task.program.clears, task.evaluation.body
@@ -29,7 +27,7 @@ def unseen(task: AnalyzeTask, about: Callable[[WorldQuery, str], Texts]) -> Advi
     return trust.remedy(query, f"{body}.grasp", {"grasp": clears.get("unseen_in_hand", [])})
 
 
-def _uncovered(task: AnalyzeTask, body: str, about: Callable[[WorldQuery, str], Texts]) -> Advice:
+def _uncovered(task: AnalyzeTask, body: str, about: About) -> Advice:
     """How to take away what is before a body, if a camera then sees it: a door is opened, an arm goes away."""
     query, clears, cameras = task.query, task.program.clears, task.step.cameras
     if query.held_by(body):

@@ -13,13 +13,12 @@ from rtc.protocol.advice import by_person, by_sentence, fill_in
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import BOTH_ARMS
+from workers.mechanisms.mechanism import Partner
 from workers.planning import shared_hold, suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.anchor import Anchor, named
 from workers.tasks.candidate import AskedTask, TaskCandidate, lets_go_first
 from workers.tasks.unmet import UnmetPrecondition
-
-Partner = tuple[parts.Arm | None, parts.Place | None]
 
 
 def arms(asked: AskedTask) -> list[str]:

@@ -426,6 +426,18 @@ def test_an_object_that_was_lost_stops_the_command_before_the_arm_moves(holding)
     assert geometry.distance(frame(holding, MODULE).value, holding.subsystem.poses[MODULE]) < 1e-6
 
 
+def test_a_look_that_is_halted_stays_halted_although_it_has_seen_the_object_elsewhere(holding) -> None:
+    """It was judged a loss, and the reason of the halt was gone."""
+    lifted(holding, slip=(0.1, 0.0, 0.0))
+    script = holding.elaborate(f"PLACE {MODULE} ON RACK-1")
+    bound = holding.bind(script, script.steps[0])
+    seen = holding.subsystem.perform(bound.primitive, bound)
+    assert seen.sighting is not None
+    judged = holding.analyze(bound, msgspec.structs.replace(seen, reason=StopReason.HALT), closing=True)
+    assert (judged.verdict, judged.reason) == ("abort", StopReason.HALT)
+    assert ("RIGHT-ARM.holding", "") in [(change.key, change.value) for change in judged.changes]
+
+
 def test_a_doubtful_seat_is_sensed_before_an_object_is_placed_in_it(holding) -> None:
     assert holding.do(f"LIFT {MODULE} BY 15 CM").succeeded
     rack = CELL.seat("RACK-1").frame.pose
