@@ -90,7 +90,7 @@ class Facts:
     def slot_at(self, frame: Floats) -> str:
         """The seat in whose slot an object with this frame is; empty if there is none."""
         for seat in self.cell.seats:
-            out = geometry.rotate(self.seat_frame(seat.name), seat.way_out)
+            out = self.out_of(seat.name)
             off = np.asarray(frame[:3]) - self.seated_pose(seat.name)[:3]
             along = float(off @ out)
             if -BESIDE_M < along < seat.depth_m and float(np.linalg.norm(off - along * out)) < BESIDE_M:
@@ -109,6 +109,14 @@ class Facts:
     def seated_pose(self, seat: str) -> Array:
         """The frame of an object seated in this seat."""
         return geometry.compose(self.seat_frame(seat), self.cell.seat(seat).module_frame.pose)
+
+    def out_of(self, seat: str) -> Array:
+        """Unit vector (world) along which an object leaves this seat."""
+        return geometry.rotate(self.seat_frame(seat), self.cell.seat(seat).way_out)
+
+    def out_m(self, seat: str, frame: Floats) -> float:
+        """How far an object at this frame (world) is out of the seat, along its way out (m)."""
+        return float((np.asarray(frame[:3]) - self.seated_pose(seat)[:3]) @ self.out_of(seat))
 
     def frame(self, thing: str) -> Array:
         """The object's frame, trusted or not: the fact if there is one, else the pose in the cell description."""
@@ -231,6 +239,11 @@ class Facts:
             return None
         points = self.cell.object(thing).grasp_points
         return min(points, key=lambda p: math.hypot(*geometry.compose(grasp, p.frame.pose)[:3]), default=None)
+
+    def off_hand_m(self, thing: str, frame: Floats, tcp: Floats) -> float:
+        """Distance (m) of the nearest grasp point of an object at this frame from the tcp (world); inf without one."""
+        points = (geometry.compose(frame, point.frame.pose) for point in self.cell.object(thing).grasp_points)
+        return min((geometry.distance(tcp, point) for point in points), default=math.inf)
 
     def spread(self, key: str) -> Spread:
         """Uncertainty of the pose of this fact; EXACT if the fact has none."""

@@ -21,7 +21,7 @@ from workers.analyzer import analyze
 from workers.analyzer.failure_words import fill_in
 from workers.binder import bind
 from workers.conditions import stop_conditions
-from workers.elaborator import anchors, preconditions
+from workers.elaborator import anchors, script_checks
 from workers.planning import axes, segments
 from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import AnalyzeTask
@@ -32,7 +32,7 @@ WORKERS = ROOT / "workers"
 @pytest.mark.parametrize(
     ("registered", "there"),
     [
-        (extension_names.NEEDS, preconditions.NEEDS),
+        (extension_names.NEEDS, script_checks.NEEDS),
         (extension_names.ANCHORS, anchors.ANCHORS),
         (extension_names.AXES, axes.AXES),
         (extension_names.SPACES, segments.SPACES),
@@ -63,7 +63,7 @@ def test_every_placeholder_of_a_label_is_filled_in(bench):
 
 #: modules whose texts are given to all rows, or that compute the name of a row
 OF_ALL_ROWS = (
-    *("tasks/candidate.py", "elaborator/preconditions.py", "planning/trust.py"),
+    *("tasks/candidate.py", "elaborator/script_checks.py", "planning/trust.py"),
     *("mechanisms/collision_advice.py", "mechanisms/hinges/advice.py"),
 )
 

@@ -18,7 +18,7 @@ from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport,
 from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, Refused, StopReason
 from rtc.protocol.spelling import unknown
 from rtc.world.model import World
-from workers.analyzer import comparison, nearby, reported_facts, trimmers, what_is_left
+from workers.analyzer import comparison, reported_facts, trimmers, what_is_left
 from workers.analyzer.failure_advice import what_clears
 from workers.analyzer.failure_words import what_happened
 from workers.analyzer.held_object import held_object_changes, moved_in_hand, with_spread
@@ -26,6 +26,7 @@ from workers.analyzer.post_conditions import UNMET, squeezed, unmoved_joint, vio
 from workers.analyzer.step_changes import (
     arm_changes,
     merged,
+    nearby_changes,
     partner_changes,
     pressed_on,
     target_changes,
@@ -245,7 +246,7 @@ def _failure_changes(task: AnalyzeTask, failure: OutcomeClass, *, retried: bool)
         changes += interrupted(task)
     changes += held_object_changes(task, changes, suspect="held" in failure.suspect, drops=failure.drops)
     changes += touched_object_changes(task, failure)
-    changes += nearby.doubtful(task) if "near" in failure.suspect else []
+    changes += nearby_changes(task) if "near" in failure.suspect else []
     changes += target_changes(task) if "target" in failure.suspect else []
     if (of_mechanism := AFTER_FAILURE.get(task.step.words.effect)) is not None:
         changes += of_mechanism(task, retried)

@@ -144,9 +144,7 @@ def _way_to_leave(task: AnalyzeTask) -> tuple[str, str]:
 def _along_slot_m(task: AnalyzeTask, seat: str, frame: Floats, came: Floats) -> float:
     """The way back along a slot (m), out of it or, less than 0, into it. Downwards it ends before the bottom, which
     carries the object: its place in the hand is in doubt. `came`: from here to where the hand began."""
-    query = task.query
-    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
-    along_m, above_m = float(np.asarray(came) @ out), float((frame[:3] - query.seated_pose(seat)[:3]) @ out)
+    along_m, above_m = float(np.asarray(came) @ task.query.out_of(seat)), task.query.out_m(seat, frame)
     if along_m > 0.0:
         return min(AWAY_CM / 100.0, along_m)
     return -min(AWAY_CM / 100.0, -along_m, max(0.0, above_m - IN_SLOT_M))

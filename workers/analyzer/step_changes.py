@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-import msgspec
+from collections.abc import Iterator
+
+from msgspec.structs import replace
 
 from rtc.programs.schema import OutcomeClass
-from rtc.protocol.messages import EndReport, Validity, WorldChange
+from rtc.protocol.messages import EndReport, Limits, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
-from rtc.spatial import geometry
-from workers.planning import segments
+from rtc.spatial.geometry import Floats
+from workers.planning import scenes, segments
+from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import AnalyzeTask, Changes
 
+NEAR_M = 0.03  # an arm at full speed rests at most this far from the place of a touch
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
 
@@ -51,7 +55,7 @@ def partner_changes(task: AnalyzeTask) -> Changes:
         return []  # only one arm moves in this step, or a camera looks
     if report.partner is None and report.reason in (StopReason.REFUSED, StopReason.BLOCKED):
         return []
-    second = report.partner or msgspec.structs.replace(report, joints=[])
+    second = report.partner or replace(report, joints=[])
     return _reported(task, second, partner, hand_commanded=False)
 
 
@@ -65,11 +69,8 @@ def pressed_on(task: AnalyzeTask) -> Changes:
         return []
     if report.hand_force_n < task.values["pressing_n"] or report.hand_width_m < THIN_M:
         return []
-    near = []
-    for thing in task.query.cell.objects:
-        points = [geometry.compose(task.query.frame(thing.name), point.frame.pose) for point in thing.grasp_points]
-        if any(geometry.distance(report.tcp_pose, point) < task.values["in_hand_m"] for point in points):
-            near.append(thing.name)
+    query, names = task.query, [thing.name for thing in task.query.cell.objects]
+    near = [n for n in names if query.off_hand_m(n, query.frame(n), report.tcp_pose) < task.values["in_hand_m"]]
     return [WorldChange(key=f"{name}.frame", keep_value=True, validity=Validity.SUSPECT) for name in near]
 
 
@@ -83,6 +84,35 @@ def touched_object_changes(task: AnalyzeTask, failure: OutcomeClass) -> Changes:
         doubtful = ("frame", "grasp") if task.query.held_by(thing) else ("frame",)
         return [WorldChange(key=f"{thing}.{name}", keep_value=True, validity=Validity.SUSPECT) for name in doubtful]
     return []
+
+
+def nearby_changes(task: AnalyzeTask) -> Changes:
+    """The frames of the objects near the arms of the step where they stopped, as suspect (R151).
+
+    A touch in a path that was planned free contradicts the world, and the report does not name the body."""
+    partner, report = task.context.partner, task.report
+    reports = {task.evaluation.arm: report, **({partner: report.partner} if partner else {})}
+    joints = {name: one.joints for name, one in reports.items() if name and one is not None and one.joints}
+    rest = {arm.name: task.query.joints(arm.name) for arm in task.query.cell.arms}
+    near = dict.fromkeys(name for arm in joints for name in _near(task.query, arm, {**rest, **joints}))
+    keys = [f"{name}.frame" for name in near if task.query.trusts(f"{name}.frame")]
+    return [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in keys]
+
+
+def _near(query: WorldQuery, arm: str, joints: dict[str, Floats]) -> Iterator[str]:
+    """The free objects within `NEAR_M` and their own spread of an arm, or of what it holds."""
+    free = {thing.name for thing in query.cell.objects if not thing.fixed and not query.held_by(thing.name)}
+    scene = scenes.scene_of(query, arm, Limits())
+    pose_tolerance_m = {name: NEAR_M + scene.pose_tolerance_m.get(name, 0.0) for name in free}
+    ignore = list(scene.ignore)
+    for _ in range(len(query.cell.objects) * (len(query.cell.objects) + 1)):
+        here = replace(scene, pose_tolerance_m=pose_tolerance_m, clearance_m=0.0, near=(), ignore=ignore)
+        hit = query.model.collision.check(joints, here)
+        if hit is None:
+            return
+        pair = hit.body_a.split()[0], hit.body_b.split()[0]
+        yield from (name for name in pair if name in free)
+        ignore.append(pair)
 
 
 def target_changes(task: AnalyzeTask) -> Changes:
@@ -99,6 +129,6 @@ def merged(changes: Changes) -> Changes:
     for change in changes:
         earlier = merged.get(change.key)
         if change.keep_value and earlier is not None and not earlier.keep_value:
-            change = msgspec.structs.replace(earlier, validity=change.validity)
+            change = replace(earlier, validity=change.validity)
         merged[change.key] = change
     return list(merged.values())

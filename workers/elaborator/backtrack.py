@@ -139,7 +139,7 @@ def _way_out(candidate: TaskCandidate, target: parts.Seat) -> Array:
     query, thing = candidate.query, candidate.thing
     if thing is not None and target.name in (query.seat(thing.name), query.seat_around(thing.name)):
         return query.leaves_along(thing.name)
-    return geometry.rotate(query.seat_frame(target.name), target.way_out)
+    return query.out_of(target.name)
 
 
 def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[str, Binding]:

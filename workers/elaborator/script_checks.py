@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from rtc.language.hands import hand_in_words
 from rtc.programs.schema import ScriptFile
 from rtc.protocol import causes
-from rtc.protocol.advice import fill_in
+from rtc.protocol.advice import Texts, fill_in
 from rtc.protocol.messages import Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.world.spread import in_words
 from workers.conditions import reflexes
-from workers.elaborator import preconditions
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
-from workers.mechanisms import MECHANISMS
+from workers.mechanisms import MECHANISMS, each, joined
 from workers.planning import trust
 from workers.planning.scenes import clearance_of
 from workers.tasks import anchor, command_fields
 from workers.tasks.candidate import TaskCandidate
+from workers.tasks.unmet import let_go
+
+NEEDS = joined(lambda mechanism: mechanism.needs)  # preconditions of scripts by name
+DONE = each(lambda mechanism: mechanism.done)
 
 
 def _refuse_too_tight(_: ScriptFile, candidate: TaskCandidate) -> None:
@@ -45,10 +49,40 @@ def _refuse_nothing_held(script: ScriptFile, candidate: TaskCandidate) -> None:
         reflexes.refuse_without_grip(condition, arm, holding, closes)
 
 
+def _refuse_done(script: ScriptFile, candidate: TaskCandidate) -> None:
+    """Refuse a sentence whose end is so before it begins, as that of a task that was halted while its hand backed off.
+
+    What precedes in the script would be refused with advice that undoes the task: to take again what was put down."""
+    thing = candidate.thing
+    if thing is None or candidate.hand is None or not candidate.query.trusts(f"{thing.name}.held_by"):
+        return
+    for message, row in filter(None, (done(script, candidate) for done in DONE)):
+        texts = {"hand": hand_in_words(candidate.arm.name), "place": [place.name for place in candidate.query.places]}
+        clears = fill_in(candidate.program.needs.get(row, []), {**texts, **candidate.texts})
+        raise Refused.because(RefusalReason.STATE, message, clears=clears, cause=causes.AlreadyDone(object=thing.name))
+
+
 def _refuse_unmet(script: ScriptFile, candidate: TaskCandidate) -> None:
-    preconditions.refuse_if_done(script, candidate)
-    for need in script.needs:
-        preconditions.refuse_if_unmet(need, candidate)
+    """Refuse the first unmet precondition, with the sentence that establishes it."""
+    unmet = ((need, lack) for need in script.needs if (lack := NEEDS[need](candidate)) is not None)
+    if (first := next(unmet, None)) is None:
+        return
+    need, lack = first
+    rows = candidate.program.needs
+    thing = lack.thing or lack.held
+    row = lack.row or need
+    if candidate.parsed.hand and f"{row}_by" in rows:  # with the hand of the sentence first
+        row = f"{row}_by"
+    texts: Texts = {"let_go": let_go(rows, candidate.query, thing), "hand": hand_in_words(candidate.arm.name)}
+    clears = fill_in(rows.get(row, []), {**texts, **candidate.texts, "held": lack.held})
+    doubt = (
+        trust.distrusted(candidate.query, f"{candidate.thing.name}.held_by", {})
+        if candidate.thing is not None
+        else None
+    )
+    message = lack.message + (f", but {doubt.message}" if doubt else "")
+    cause = causes.NeedUnmet(need=lack.row or need, by=lack.held, doubt=doubt.where if doubt else "")
+    raise Refused.because(RefusalReason.STATE, message, clears=clears, cause=cause)
 
 
 def _refuse_unknown_place(_: ScriptFile, candidate: TaskCandidate) -> None:
@@ -56,18 +90,15 @@ def _refuse_unknown_place(_: ScriptFile, candidate: TaskCandidate) -> None:
         anchor.place(candidate.query, place.name)
 
 
-def _refuse_unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> None:
-    """Refuse to move a held object whose grasp is suspect (R151), and that no camera can sense before."""
-    unsure = why_unsure_grasp(script, candidate)
-    if unsure is not None and not can_be_seen(unsure.where, candidate):
-        raise Refused(unsure)
-
-
-def _refuse_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> None:
-    """Refuse a script for which the pose of the object is too uncertain, and that no camera finds before."""
-    unplaced = why_unsure_place(script, candidate)
-    if unplaced is not None and not candidate.query.finds(candidate.body):
-        raise Refused(unplaced)
+def _refuse_unsure(script: ScriptFile, candidate: TaskCandidate) -> None:
+    """Refuse to move a held object whose grasp is suspect (R151), and a script for which the pose of the object is too
+    uncertain; but not what a camera senses before."""
+    grasp = why_unsure_grasp(script, candidate)
+    if grasp is not None and not can_be_seen(grasp.where, candidate):
+        raise Refused(grasp)
+    place = why_unsure_place(script, candidate)
+    if place is not None and not candidate.query.finds(candidate.body):
+        raise Refused(place)
 
 
 def why_unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
@@ -132,9 +163,9 @@ CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
     command_fields.refuse_without_effect,
     _refuse_too_tight,
     _refuse_nothing_held,
+    _refuse_done,
     _refuse_unmet,
     _refuse_unknown_place,
     *(check for mechanism in MECHANISMS for check in mechanism.checks),
-    _refuse_unsure_grasp,
-    _refuse_unsure_place,
+    _refuse_unsure,
 )

@@ -17,7 +17,7 @@ from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.conditions import reflexes
 from workers.elaborator.backtrack import FRAME, GRASP
 from workers.elaborator.figures import of_partner
-from workers.elaborator.preconditions import NEEDS
+from workers.elaborator.script_checks import NEEDS
 from workers.elaborator.script_options import ScriptOption
 from workers.mechanisms import each, joined
 from workers.planning import segments, suggestions

@@ -56,9 +56,7 @@ def refuse_other_way(
 def way_out_in_words(query: WorldQuery, arm: str, seat: str, frame: Floats | None = None) -> str:
     """The sentence that takes the held object out of this seat. `frame`: of the object; None: as believed."""
     held = query.holding(arm)
-    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
-    where = query.frame(held) if frame is None else np.asarray(frame)
-    left_m = query.cell.seat(seat).depth_m + SPARE_M - float((where[:3] - query.seated_pose(seat)[:3]) @ out)
+    left_m = query.cell.seat(seat).depth_m + SPARE_M - query.out_m(seat, query.frame(held) if frame is None else frame)
     by = f"BY {max(1, math.ceil(100 * left_m - 0.05))} CM"
     if query.sharers(arm):
         return f"MOVE BOTH-ARMS {by} ALONG {query.way_out_of(seat)}"
@@ -78,7 +76,7 @@ def remark_on_slot(query: WorldQuery, arm: str, tcp: Floats) -> str:
 
 def _follows(query: WorldQuery, seat: str, tcp: Floats, goal: Floats) -> bool:
     """Whether a line of the hand is parallel to the way out."""
-    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
+    out = query.out_of(seat)
     way = np.asarray(goal[:3]) - np.asarray(tcp[:3])
     aside_m = float(np.linalg.norm(way - float(way @ out) * out))
     return aside_m <= ASIDE_M and geometry.angle(tcp, goal) <= TURNED_RAD
@@ -86,6 +84,5 @@ def _follows(query: WorldQuery, seat: str, tcp: Floats, goal: Floats) -> bool:
 
 def _deeper(query: WorldQuery, seat: str, frame: Floats, by: Floats) -> bool:
     """Whether an object at `frame` that moves `by` (m, world) ends deeper than its place in the seat, and than now."""
-    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
-    now_m = float((np.asarray(frame[:3]) - query.seated_pose(seat)[:3]) @ out)
-    return now_m + float(np.asarray(by) @ out) < min(0.0, now_m)
+    now_m = query.out_m(seat, frame)
+    return now_m + float(np.asarray(by) @ query.out_of(seat)) < min(0.0, now_m)

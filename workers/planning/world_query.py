@@ -83,7 +83,7 @@ class WorldQuery(Facts):
 
     def way_out_of(self, seat: str) -> str:
         """Name of the direction in which an object leaves this seat."""
-        return axes.name_of(geometry.rotate(self.seat_frame(seat), self.cell.seat(seat).way_out).tolist())
+        return axes.name_of(self.out_of(seat).tolist())
 
     def cameras(self, body: str) -> list[parts.Camera]:
         """The cameras that can see an object or seat where it is believed to be, the best one first. If there is no

@@ -61,6 +61,19 @@ def seat_at(frame: Floats, query: WorldQuery, within_m: float, within_rad: float
     return min(near, key=lambda name: away_m[name], default="")
 
 
+def its_frame(
+    query: WorldQuery, thing: str, frame: Floats, spread: Spread, play_m: float, validity: Validity
+) -> list[WorldChange]:
+    """The frame of the seat that holds an object at this frame (world), up to its play; nothing without a play."""
+    seat = query.seat(thing)
+    if not seat or play_m <= 0.0:
+        return []
+    inside = geometry.inverse(query.cell.seat(seat).module_frame.pose)
+    place = geometry.normalise(geometry.compose(frame, inside)).tolist()
+    wider = pose_spread.spread_at(widened(spread, even(play_m, 0.0)), inside)
+    return [WorldChange(key=f"{seat}.frame", value=place, validity=validity, spread=wider)]
+
+
 def set_down(query: WorldQuery, thing: str, seat: str) -> tuple[Array, list[float]]:
     """Pose of an object that was let go of in a seat: from its catch or from the hand, whichever is narrower.
 

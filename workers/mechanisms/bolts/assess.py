@@ -32,6 +32,13 @@ WHOLE_TURN = 1e-6  # tolerance of stated turns
 FELT_TURNS = 0.1  # accuracy of a touch of the head
 
 
+def _thread(task: AnalyzeTask) -> parts.Thread:
+    """That of the bolt of the command."""
+    thread = task.query.thread(task.context.object)
+    assert thread is not None
+    return thread
+
+
 def driven_turns(task: AnalyzeTask) -> float:
     """The turns of the spindle in this step, positive outwards."""
     return -(task.report.turned_rad or 0.0) / math.tau
@@ -49,8 +56,7 @@ def moved_turns(task: AnalyzeTask) -> float:
 
 def is_unproved(task: AnalyzeTask) -> bool:
     """Whether the spindle has turned without the bolt."""
-    thread = task.query.thread(task.context.object)
-    assert thread is not None
+    thread = _thread(task)
     driven_m, moved_m = thread.pitch_m * driven_turns(task), thread.pitch_m * moved_turns(task)
     return abs(moved_m - driven_m) > SLACK_M + SLACK_SHARE * abs(driven_m)
 
@@ -63,8 +69,7 @@ def is_before_seat(task: AnalyzeTask) -> bool:
 def has_come_free(task: AnalyzeTask) -> bool:
     """Whether the torque of the thread has ended where the thread does."""
     bolt = task.context.object
-    thread = task.query.thread(bolt)
-    assert thread is not None
+    thread = _thread(task)
     return task.query.turns(bolt) + driven_turns(task) > thread.turns - FREE_TURNS
 
 
@@ -88,8 +93,7 @@ def tightened(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
 
 def free(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
     """The driver turns the bolt outwards without the torque of a thread: it is out by all its turns."""
-    thread = task.query.thread(task.context.object)
-    assert thread is not None
+    thread = _thread(task)
     return [*_at(task, thread.turns, validity, LOOSE), *_on_head(task, validity)]
 
 
@@ -155,8 +159,7 @@ def after_failure(task: AnalyzeTask, retried: bool) -> list[WorldChange]:
     the hand says, or a little farther in, and in doubt. A driver that has not felt the torque of the thread has turned
     nothing: it is seated again (`retried`). If it is not, the thread may be stripped: the state is in doubt. The place
     is not, where the operator turns the bolt by hand."""
-    bolt, thread = task.context.object, task.query.thread(task.context.object)
-    assert thread is not None
+    bolt, thread = task.context.object, _thread(task)
     complete = task.report.reason is StopReason.GOAL
     if abs(driven_turns(task)) < LEAST_TURNS:
         return []
@@ -192,12 +195,10 @@ def _on_head(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
 
     A tip that should be too far from the axis is of a tilted driver. One that should be before the head, or in it, is
     of a driver that stands farther out of the hand, or less far."""
-    query, bolt, tcp = task.query, task.context.object, task.report.trip_pose or task.report.tcp_pose
-    tip = _tip(task)
+    query, tcp, tip = task.query, task.report.trip_pose or task.report.tcp_pose, _tip(task)
     if tip is None or not is_proved(task):
         return []
-    thread = query.thread(bolt)
-    assert thread is not None
+    thread = _thread(task)
     head = _head(task)
     x, y, z = geometry.relative(head, tip)[:3].tolist()
     tilts = math.hypot(x, y) > task.values["engaged_m"]
@@ -229,8 +230,7 @@ def _on_head(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
 def _head(task: AnalyzeTask) -> Array:
     """The frame of the bolt after this turn."""
     query, bolt = task.query, task.context.object
-    thread = query.thread(bolt)
-    assert thread is not None
+    thread = _thread(task)
     turns = thread.turns if task.report.reason is StopReason.SLIP else query.turns(bolt) + driven_turns(task)
     return query.turned_out(bolt, min(max(0.0, turns), thread.turns))
 
@@ -317,8 +317,7 @@ def in_words(task: AnalyzeTask) -> str:
 def _at(task: AnalyzeTask, turns: float, validity: Validity, state: str = "") -> list[WorldChange]:
     """The facts of a bolt that is out by this many turns. `state`: if more is known than its turns say."""
     bolt, query = task.context.object, task.query
-    thread = query.thread(bolt)
-    assert thread is not None
+    thread = _thread(task)
     turns = min(max(0.0, turns), thread.turns)
     state = state or (LOOSE if turns > thread.turns - LEAST_TURNS else TURNED)
     frame: Floats = geometry.normalise(query.turned_out(bolt, turns)).tolist()

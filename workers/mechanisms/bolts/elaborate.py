@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rtc.model.cells import parts
 from rtc.programs import expressions
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol import causes
@@ -15,6 +14,7 @@ from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
 from rtc.spatial.geometry import Array
 from rtc.world.model import LOOSE, TIGHT
+from workers.mechanisms.mechanism import Thing
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.anchor import Anchor, refused
@@ -61,9 +61,7 @@ def driver_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
     return UnmetPrecondition(f"{arm} holds no driver", driver)
 
 
-def stated_state(
-    _: ElaboratorProgram, values: list[Any], thing: parts.Object | parts.Seat, query: WorldQuery
-) -> dict[str, Any]:
+def stated_state(_: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """The state of a bolt; of another object a new attribute. Its turns and its frame follow from it."""
     stated = (TIGHT, LOOSE)
     if query.thread(thing.name) is not None and values[0] not in stated:

@@ -22,7 +22,6 @@ from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
 from rtc.protocol.spelling import nearest
 from rtc.spatial import geometry
-from rtc.spatial.geometry import Array
 from rtc.world.model import location
 from workers.mechanisms.mechanism import Stated, Thing
 from workers.planning import suggestions
@@ -150,7 +149,7 @@ def _misfit(row: SettableAttribute, parsed: ParsedCommand, thing: Thing) -> Refu
 def frame(_: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """A position, with the stated attitude or the current one."""
     angles = values[3:]
-    turned = geometry.from_rpy((0, 0, 0), angles)[3:] if angles else _current_pose(thing, query)[3:]
+    turned = geometry.from_rpy((0, 0, 0), angles)[3:] if angles else query.pose(thing.name)[3:]
     return _pose(values[:3], turned, thing)
 
 
@@ -163,16 +162,12 @@ def _unplaced(program: ElaboratorProgram, thing: Thing, query: WorldQuery) -> di
 
 def attitude(_: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """An attitude, at the current position."""
-    return _pose(_current_pose(thing, query)[:3], geometry.from_rpy((0, 0, 0), values)[3:], thing)
+    return _pose(query.pose(thing.name)[:3], geometry.from_rpy((0, 0, 0), values)[3:], thing)
 
 
 def _refuse_fixed(thing: Thing) -> None:
     if isinstance(thing, parts.Object) and thing.fixed:
         raise Refused.because(RefusalReason.STATE, f"{thing.name} is fixed", clears="another object")
-
-
-def _current_pose(thing: Thing, query: WorldQuery) -> Array:
-    return query.seat_frame(thing.name) if isinstance(thing, parts.Seat) else query.frame(thing.name)
 
 
 def _pose(place: Any, turned: Any, thing: Thing) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,9 +9,8 @@ from rtc.protocol.causes import NeedUnmet
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.spatial import geometry
-from rtc.spatial.geometry import Array
 from rtc.world.spread import EXACT, Spread, even, widened
-from workers.planning import pose_spread, shared_hold
+from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery
 from workers.tasks import flat_grip, seated
 from workers.tasks.analyze_task import AnalyzeTask, Changes
@@ -39,19 +37,8 @@ def taken(task: AnalyzeTask, validity: Validity) -> Changes:
     return [
         *shared_hold.held(arm, thing, grasp.tolist(), validity, spread),
         WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity, spread=spread),
-        *_its_seat(task, frame, spread, validity),
+        *seated.its_frame(query, thing, frame, spread, task.step.figures.play_m or 0.0, validity),
     ]
-
-
-def _its_seat(task: AnalyzeTask, frame: Array, spread: list[float], validity: Validity) -> Changes:
-    """The frame of the seat that holds the object, up to the play `play_m` of the step; nothing without it."""
-    seat, play_m = task.query.seat(task.context.object), task.step.figures.play_m or 0.0
-    if not seat or play_m <= 0.0:
-        return []
-    inside = geometry.inverse(task.query.cell.seat(seat).module_frame.pose)
-    place = geometry.normalise(geometry.compose(frame, inside)).tolist()
-    wider = pose_spread.spread_at(widened(spread, even(play_m, 0.0)), inside)
-    return [WorldChange(key=f"{seat}.frame", value=place, validity=validity, spread=wider)]
 
 
 def interrupted(task: AnalyzeTask) -> Changes:
@@ -151,8 +138,7 @@ def stated_in_hand(thing: str, frame: Any, query: WorldQuery, values: Mapping[st
     if not arm:
         return []
     tcp, most_mm = query.tcp(arm), values["in_hand_m"] * 1000
-    points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
-    away_m = min((geometry.distance(tcp, point) for point in points), default=math.inf)
+    away_m = query.off_hand_m(thing, frame, tcp)
     if away_m > values["in_hand_m"]:
         raise Refused.because(
             RefusalReason.INFEASIBLE,

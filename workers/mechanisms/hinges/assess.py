@@ -63,13 +63,12 @@ def _gone_rad(task: AnalyzeTask) -> float:
 def rolled(task: AnalyzeTask, changes: Changes) -> list[float] | None:
     """The spread of a held object with a hinge: it keeps its place, and a round bar rolls when its hand turns it."""
     thing, query = task.evaluation.held, task.query
-    hinge, grasp = query.hinge(thing), query.grasp(thing)
-    if hinge is None or grasp is None:
+    hinge = query.hinge(thing)
+    if hinge is None:
         return None
     turned = next((change.value for change in changes if change.key == f"{thing}.frame"), None)
     spread = query.spread(f"{thing}.grasp")
-    points = query.cell.object(thing).grasp_points
-    point = min(points, key=lambda one: geometry.distance(one.frame.pose, geometry.inverse(grasp)), default=None)
+    point = query.point_in_hand(thing)
     if turned is None or point is None or not point.round:
         return list(spread)
     lever_m = float(np.linalg.norm(np.cross(point.frame.xyz, hinge.axis)))

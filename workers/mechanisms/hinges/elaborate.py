@@ -17,6 +17,7 @@ from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry, hinges
 from workers.conditions import reflexes
 from workers.mechanisms.hinges.advice import SHARE_OF_RANGE
+from workers.mechanisms.mechanism import Thing
 from workers.planning.world_query import WorldQuery
 from workers.tasks.anchor import Anchor, refused
 from workers.tasks.candidate import TaskCandidate
@@ -57,9 +58,7 @@ def hinge(candidate: TaskCandidate) -> Anchor:
     return Anchor(pose=pose, frame=name, relies_on=(f"{name}.frame", f"{name}.angle"))
 
 
-def stated_angle(
-    _: ElaboratorProgram, values: list[Any], thing: parts.Object | parts.Seat, query: WorldQuery
-) -> dict[str, Any]:
+def stated_angle(_: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """The pose of an object with a hinge at this angle."""
     its = thing.hinge if isinstance(thing, parts.Object) else None
     if its is None:

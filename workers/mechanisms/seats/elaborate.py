@@ -11,6 +11,7 @@ from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.protocol.messages import Step
 from rtc.spatial import geometry
 from rtc.world.spread import narrowest
+from workers.mechanisms.mechanism import Thing
 from workers.planning import suggestions, trust
 from workers.planning.trust import AHEAD_S
 from workers.planning.world_query import WorldQuery
@@ -38,9 +39,7 @@ def _slot_m(query: WorldQuery, thing: parts.Object) -> float:
     seat = query.seat(thing.name) or query.seat_around(thing.name)
     if not seat or thing.hinge is not None:
         return 0.0
-    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
-    gone_m = float((query.frame(thing.name)[:3] - query.seated_pose(seat)[:3]) @ out)
-    return max(0.0, query.cell.seat(seat).depth_m - gone_m)
+    return max(0.0, query.cell.seat(seat).depth_m - query.out_m(seat, query.frame(thing.name)))
 
 
 def _held_unsure_m(query: WorldQuery, thing: parts.Object, target: parts.Seat) -> float:
@@ -104,9 +103,7 @@ def seat(candidate: TaskCandidate) -> Anchor:
     return Anchor(pose=pose, frame=candidate.target.name, grasp=grasp.tolist(), relies_on=relies_on)
 
 
-def stated_seat(
-    program: ElaboratorProgram, values: list[Any], thing: parts.Object | parts.Seat, query: WorldQuery
-) -> dict[str, Any]:
+def stated_seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
     """The pose of an object seated in the named seat."""
     seats = [seat.name for seat in query.cell.seats]
     if values[0] not in seats:

@@ -188,8 +188,7 @@ def _is_in_hand(task: AnalyzeTask, arm: str) -> bool:
 
 
 def _is_at(query: WorldQuery, tcp: Array, thing: str, frame: Array) -> bool:
-    points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
-    return min((geometry.distance(tcp, point) for point in points), default=math.inf) <= IN_HAND_M
+    return query.off_hand_m(thing, frame, tcp) <= IN_HAND_M
 
 
 def _between_pads(task: AnalyzeTask, arm: str, frame: Array, spread: list[float]) -> Found:
@@ -218,19 +217,16 @@ def _in_hand(query: WorldQuery, thing: str, frame: Array, spread: list[float], v
 
 def _seated(task: AnalyzeTask, frame: Array, spread: list[float], validity: Validity) -> Changes:
     """The seat that the object is in. A step with `play_m` also locates it: it holds the object up to this play."""
-    thing, play_m = task.evaluation.body, task.step.figures.play_m or 0.0
+    thing, figures = task.evaluation.body, task.step.figures
     if task.query.cell.object(thing).fixed or task.query.hinge(thing) is not None:
         return []
-    seat = seated.seat_at(frame, task.query, task.step.figures.seated_m or 0.0)
-    if any(task.query.seat(other.name) == seat for other in task.query.cell.objects if seat and other.name != thing):
+    seat = seated.seat_at(frame, task.query, figures.seated_m or 0.0)
+    if any(other != thing for other in task.query.inside(seat)):
         seat = ""
     changes = [WorldChange(key=f"{thing}.seat", value=seat, validity=validity)]
-    if not seat or seat != task.query.seat(thing) or play_m <= 0.0:
+    if seat != task.query.seat(thing):
         return changes
-    inside = geometry.inverse(task.query.cell.seat(seat).module_frame.pose)
-    place = geometry.normalise(geometry.compose(frame, inside)).tolist()
-    wider = pose_spread.spread_at(widened(spread, even(play_m, 0.0)), inside)
-    return [*changes, WorldChange(key=f"{seat}.frame", value=place, validity=validity, spread=wider)]
+    return [*changes, *seated.its_frame(task.query, thing, frame, spread, figures.play_m or 0.0, validity)]
 
 
 def _mounted(query: WorldQuery, body: WorldChange) -> Changes:
