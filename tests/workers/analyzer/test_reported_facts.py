@@ -24,6 +24,7 @@ VALUES = {
     "stated_rad": 0.035,
 }
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
+BODY = ("SATELLITE", "BAY-2")
 
 
 @pytest.fixture
@@ -183,6 +184,9 @@ NO_PLACES = [
         *((lambda q, key=key: {key: {"value": STANDING}}, key) for key in NO_PLACES),
         *((lambda q, value=value: {TAUGHT: {"value": value}}, TAUGHT) for value in ([0.0], [], "home", True)),
         (lambda q: {"MACS-NEW.colour": {"value": "x" * 100_000}}, "MACS-NEW.colour"),
+        (lambda q: {"SATELLITE.frame": {"value": [0.0, 0.0, 0.0, *UPRIGHT]}}, "SATELLITE.frame"),  # it is fixed
+        (lambda q: {"SATELLITE.frame": {"value": [*q.frame("SATELLITE")[:3], 0.0, 0.0, 1.0, 0.0]}}, "SATELLITE.frame"),
+        (lambda q: {"BAY-2.frame": {"value": [0.0, 0.45, 0.6, *UPRIGHT]}}, "BAY-2.frame"),  # mounted on it
     ],
 )
 def test_facts_of_a_file_that_cannot_be_are_refused_together(query, make, where):
@@ -190,6 +194,25 @@ def test_facts_of_a_file_that_cannot_be_are_refused_together(query, make, where)
 
     assert (refusal.reason, refusal.where) == (RefusalReason.INFEASIBLE, where)
     assert refusal.clears
+
+
+def test_a_seat_is_not_stated_away_from_the_body_that_has_it(query):
+    refusal = refusal_of(changes_from, {"BAY-2.frame": [0.0, 0.45, 0.6, *UPRIGHT]}, query, VALUES)
+
+    assert (refusal.reason, refusal.where) == (RefusalReason.INFEASIBLE, "BAY-2.frame")
+
+
+def test_a_body_that_was_located_comes_back_with_what_is_mounted_on_it(query):
+    spread = [0.05, 0.05, 0.05, 0.0, 0.0, 0.0]
+    moved = {name: geometry.compose((0.0, 0.0, 0.08, *UPRIGHT), pose(query, name)).tolist() for name in BODY}
+    facts = {f"{name}.frame": {"value": value, "spread": spread} for name, value in moved.items()}
+
+    changes = changes_from({"WORLD.facts": {"saved": facts}}, query, VALUES)
+    assert {change.key: change.value for change in changes}["BAY-2.frame"] == moved["BAY-2"]
+
+
+def pose(query, name):
+    return (query.seat_frame(name) if query.is_seat(name) else query.frame(name)).tolist()
 
 
 def test_what_the_world_believes_can_be_restored(query):

@@ -13,5 +13,5 @@ MECHANISM = Mechanism(
     plausible=assess.PLAUSIBLE,
     follows={"facts": assess.whole},
     impossible=assess.too_heavy,
-    contradictions=(assess.postures, assess.spreads, assess.names),
+    contradictions=(assess.postures, assess.spreads, assess.names, assess.mounts),
 )

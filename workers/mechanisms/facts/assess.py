@@ -17,7 +17,9 @@ from rtc.model.cells import parts, taught
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused, refuse_if
 from rtc.protocol.primitive.limits import HEAVIEST_KG
+from rtc.spatial import geometry
 from rtc.world.model import initial_facts, location, problem
+from rtc.world.spread import EXACT
 from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import Changes
 
@@ -81,6 +83,29 @@ def spreads(changes: Sequence[WorldChange], query: WorldQuery, _: WorldQuery, va
             yield change.key, f"the spread of {change.key} does not say where it is; {most}"
         elif not any(change.spread) and (now is None or now.spread is None or any(now.spread)):
             yield change.key, f"the spread of {change.key} is 0 about all axes; nothing is known that well"
+
+
+def mounts(changes: Sequence[WorldChange], _: WorldQuery, after: WorldQuery, values: Values) -> Problems:
+    """What is fixed is where the cell has it, and what is mounted on it where it has that, as far as both are known."""
+    stated = {location(change.key) for change in changes if change.key.endswith(".frame")}
+    for part in [*after.cell.seats, *after.cell.objects]:
+        key, on, thing = f"{part.name}.frame", part.mounted_on, part if isinstance(part, parts.Object) else None
+        is_free = on is None and (thing is None or not thing.fixed or thing.unsurveyed)
+        if is_free or not stated & {part.name, on} or after.world.value(key) is None or not after.trusts(key):
+            continue
+        known = [after.spread(key), (thing and thing.surveyed_spread) or EXACT, after.spread(f"{on}.frame")]
+        thread_m = thing.thread.pitch_m * thing.thread.turns if thing and thing.thread else 0.0
+        home, frame = after.mount(part), after.world.value(key)
+        off_m, off_rad = geometry.distance(home, frame), geometry.angle(home, frame)
+        most_m = values["seated_m"] + thread_m + sum(max(one[:3]) for one in known)
+        most_rad = values["seated_rad"] + sum(max(one[3:]) for one in known)
+        turns = thing is not None and (thing.hinge or thing.thread) is not None
+        if off_m > most_m or (off_rad > most_rad and not turns):
+            where = f"{on} has it" if on else "the cell has it"
+            yield (
+                key,
+                f"{part.name} would be {off_m * 1000:.0f} mm and {math.degrees(off_rad):.0f} deg from where {where}",
+            )
 
 
 def names(changes: Sequence[WorldChange], query: WorldQuery, _: WorldQuery, __: Values) -> Problems:
