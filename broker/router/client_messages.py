@@ -145,7 +145,12 @@ class ClientMessages:
     def _step(self, peer: bytes, message: m.StepCommand, now: float) -> None:
         live = self._core.state.commands.get(message.command)
         if live is None or live.phase is not m.Phase.PAUSED:
-            words = f"{message.command} is {live.shown_phase.value if live else 'not in progress'}"
+            query = m.TraceQuery(request=message.request, command=message.command)
+            found = trace(self._core.state, self._core.journal.record, query)
+            if isinstance(found, m.Declined):  # there is no such command
+                self._egress.answer(peer, found)
+                return
+            words = f"{message.command} {f'is {live.shown_phase.value}' if live else 'has ended'}"
             clears = "rtc break GRASP:5 pauses each GRASP before its fifth step"
             self._decline(peer, message, RefusalReason.STATE, f"{words}, not paused between two steps", clears)
             return

@@ -99,7 +99,7 @@ def in_order(*steps: Advice) -> Advice:
     known = [step for n, step in enumerate(steps) if step and step not in steps[:n]]
     if not known:
         return []
-    return [_joined(choice) for choice in _choices(known)]
+    return [joined(*choice) for choice in _choices(known)]
 
 
 def _choices(steps: Sequence[Advice]) -> Iterator[Advice]:
@@ -109,7 +109,8 @@ def _choices(steps: Sequence[Advice]) -> Iterator[Advice]:
         yield from ([*first[:n], other, *first[n + 1 :]] for other in step[1:])
 
 
-def _joined(parts: Advice) -> Alternative:
+def joined(*parts: Alternative) -> Alternative:
+    """One alternative: all these, one after the other."""
     return Alternative(
         sentences=sentences_of(parts),
         words="; ".join(part.words for part in parts if part.words),

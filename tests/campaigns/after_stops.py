@@ -36,6 +36,7 @@ from tests.campaigns import advice, numbered_runs
 from tests.campaigns.advice import Answer
 from tests.workers.conftest import MODEL, Bench, Reporter
 from workers.planning.robot_models import CellModel
+from workers.planning.world_query import WorldQuery
 
 SEED = 41
 ATTEMPTS = 60  # sentences that are refused, or end before the halt, are drawn anew
@@ -128,11 +129,12 @@ LATER = {
 
 
 class Halting(Reporter):
-    """Stops one motion of an arm on its way."""
+    """Stops one motion of an arm on its way. It feels what its arm knows nothing of: the front and the end of a bar."""
 
     motions = 0  # that are left until the one that is halted; 0: none
     share = 1.0
     stop = StopReason.HALT
+    bench: Bench  # whose world states where a bar is believed to be
 
     def perform(self, made: Primitive, bound: BoundStep) -> EndReport:
         if isinstance(made.trajectory, JointTrajectory):
@@ -140,6 +142,29 @@ class Halting(Reporter):
             if self.motions == 0:
                 return self._halted(made, bound)
         return super().perform(made, bound)
+
+    def _move(self, arm: str, way: JointTrajectory, made: Primitive, bound: BoundStep) -> StopReason:
+        reason = super()._move(arm, way, made, bound)
+        assert bound.evaluation is not None
+        step = bound.evaluation.step
+        feels = reason is StopReason.GOAL and step.expect == [StopReason.CONTACT]
+        beyond_m = step.figures.beyond_m if feels else None
+        return reason if beyond_m is None else self._felt(arm, way, bound, beyond_m)
+
+    def _felt(self, arm: str, way: JointTrajectory, bound: BoundStep, beyond_m: float) -> StopReason:
+        """The touch of a search that ends `beyond_m` behind where it would be: as much sooner or later as the object is
+        nearer or farther along the way."""
+        assert bound.evaluation is not None
+        name = bound.evaluation.context.object
+        off = self.poses[name][:3] - WorldQuery(self.bench.model, self.bench.world).frame(name)[:3]
+        places = [MODEL.arms[arm].fk(np.array(joints))[:3] for joints in way.positions]
+        along = (places[-1] - places[0]) / max(1e-9, float(np.linalg.norm(places[-1] - places[0])))
+        at_m = float((places[-1] - places[0] + off) @ along) - beyond_m
+        touching = (n for n, place in enumerate(places) if float((place - places[0]) @ along) >= at_m)
+        if (first := next(touching, None)) is None:
+            return StopReason.GOAL
+        self.joints[arm] = np.array(way.positions[first])
+        return StopReason.CONTACT
 
     def _halted(self, made: Primitive, bound: BoundStep) -> EndReport:
         assert bound.evaluation is not None
@@ -183,12 +208,18 @@ def _model(cell: str, cameras: bool = True) -> CellModel:
     return MODEL if cell == "swapout" else CellModel(Cell.load(cell))
 
 
+def _bench(model: CellModel) -> Bench:
+    bench = Bench(Halting(model.cell), model)
+    bench.subsystem.bench = bench
+    return bench
+
+
 @cache
 def _known(start: str, arm: str) -> tuple[World, dict[str, Any]]:
     """World and truth after the sentences that lead to a start."""
     name, led, _ = STARTS[start]
     model = _model(name)
-    bench = Bench(Halting(model.cell), model)
+    bench = _bench(model)
     for sentence in led:
         run = bench.do(sentence.format(**_names(arm)))
         assert run.succeeded, (sentence, run.refusal, run.failure)
@@ -199,7 +230,7 @@ def _known(start: str, arm: str) -> tuple[World, dict[str, Any]]:
 def _at(start: str, arm: str, cameras: bool) -> Bench:
     world, truth = _known(start, arm)
     model = _model(STARTS[start][0], cameras)
-    bench = Bench(Halting(model.cell), model)
+    bench = _bench(model)
     bench.world = world
     for key, value in copy.deepcopy(truth).items():
         setattr(bench.subsystem, key, value)

@@ -141,6 +141,7 @@ class Peer:
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.IDENTITY, uuid.uuid4().hex.encode())
         self._socket.connect(settings.endpoint(name))
+        self.ended: dict[str, str] = {}  # request of a sentence that has ended -> kind of its end
         if hello:
             self.say(type="ClientHello", protocol=VERSION, client="odd_values", at_s=time.monotonic(), abilities=[])
             assert self.receive(10.0, lambda message: message["type"] == "Welcome")
@@ -153,6 +154,8 @@ class Peer:
         while (left_s := end_s - time.monotonic()) > 0.0:
             if self._socket.poll(int(1000 * left_s) + 1):
                 message = msgspec.msgpack.decode(self._socket.recv_multipart()[-1])
+                if message.get("type") == "CommandEnded":
+                    self.ended[message["request"]] = message["outcome"]["kind"]
                 if wanted(message):
                     return message
         return None
@@ -211,6 +214,16 @@ class Doors:
 
     def packages(self) -> str:
         place, deed = self.rng.choice(PLACES), self.rng.choice(self._deeds)
+        answer = self._beside(place, deed)
+        if answer and not _names_it(answer):  # other attacks may have left the arm where it has no room
+            home = self.peer.outcome("STOW RIGHT-ARM")
+            answer = self._beside(place, deed) if home.startswith("succeeded") else f"STOW RIGHT-ARM: {home}"
+        if not answer:
+            return f"{place} {deed}: no answer in {ANSWER_S:g} s; live: {self._live()}"
+        return "" if _names_it(answer) else f"{place} {deed}: {answer[:200]}"
+
+    def _beside(self, place: str, deed: list[Any]) -> str:
+        """The outcome of a short motion while the function of the package at this place does what it should not."""
         self.mode.write_text(json.dumps([place, deed]))
         self._ways += 1
         distance = 1 if self._ways % 2 else -1
@@ -218,10 +231,7 @@ class Doors:
         answer = self.peer.outcome(SENTENCE.format(distance) + report)
         self.mode.write_text("")
         self._name_all()  # a failed first job has rolled them back
-        if not answer:
-            return f"{place} {deed}: no answer in {ANSWER_S:g} s; live: {self._live()}"
-        named = answer.startswith(("succeeded", "halted")) or "ODD" in answer
-        return "" if named else f"{place} {deed}: {answer[:200]}"
+        return answer
 
     def _live(self) -> str:
         """The commands that have not ended, and what each waits for."""
@@ -356,11 +366,16 @@ class Doors:
             unanswered += hand.receive(5.0) is None
         hand.close()
         taken, end_s = "", time.monotonic() + ANSWER_S
-        while not taken.startswith("succeeded") and time.monotonic() < end_s:  # it may not have begun, or still move
+        # It may not have begun, or still move. A twist may also have ended it, at a joint limit, say.
+        while not self._is_over(request, taken) and time.monotonic() < end_s:
             taken = self.peer.outcome("TAKE RIGHT-ARM FROM OPERATOR")
-        if unanswered or not taken.startswith("succeeded"):
+        if unanswered or not self._is_over(request, taken):
             return f"twists: {unanswered} without an answer, TAKE {taken or 'no answer'}; live: {self._live()}"
         return ""
+
+    def _is_over(self, request: str, taken: str) -> bool:
+        """Whether the operator has no arm: TAKE has succeeded, or the GIVE of this request has ended."""
+        return taken.startswith("succeeded") or request in self.peer.ended
 
     def pages(self) -> str:
         if self.page is None:
@@ -438,6 +453,11 @@ class Doors:
     def close(self) -> None:
         self.peer.close()
         self.context.destroy(linger=0)
+
+
+def _names_it(answer: str) -> bool:
+    """Whether the outcome of a motion is that of a healthy cluster, or names the package."""
+    return answer.startswith(("succeeded", "halted")) or "ODD" in answer
 
 
 DOORS = ("packages", "facts", "sentences", "programs", "messages", "twists", "pages")

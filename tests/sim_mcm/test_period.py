@@ -7,8 +7,12 @@ import ast
 import pybullet
 import pytest
 
+from sim_mcm import __main__ as product
 from sim_mcm.arms.bullet_arm import BulletCell
 from tests.source_files import ROOT, place
+from tests.subsystems.motion import conftest as servo
+from tests.workers import conftest as bench
+from tests.workers import one_process
 from tests.workers.conftest import CELL
 from tests.workers.one_process import OneProcess
 
@@ -27,6 +31,12 @@ def test_no_loop_has_an_order_of_its_own() -> None:
             if isinstance(node, ast.FunctionDef) and {"tick", "step"} <= _called(node):
                 found.add(f"{place(path)}: {node.name}")
     assert found <= OWN_ORDER
+
+
+def test_the_harness_ticks_by_the_function_of_the_product() -> None:
+    assert product.period is one_process.period
+    assert product.period is bench.period
+    assert product.period is servo.period
 
 
 def _called(function: ast.FunctionDef) -> set[str]:

@@ -66,7 +66,7 @@ FOUND = joined(lambda mechanism: mechanism.found)
 
 #: figures that the program must define
 VALUES = (
-    *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "stated_m", "stated_rad"),
+    *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m"),
     *("seated_m", "seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
     *("struck_n", "struck_m", "struck_rad", "twisted_n", "twisted_rad", "pressed_m", "pressed_rad"),
     *(
@@ -80,7 +80,7 @@ VALUES = (
     *comparison.VALUES,
 )
 #: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
-OF_CELL = {"creep_m_s", "creep_rad_s"}
+OF_CELL = {"creep_m_s", "creep_rad_s", "stated_m", "stated_rad"}
 
 
 def compile(program: bytes) -> AnalyzerProgram:

@@ -19,9 +19,8 @@ from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.world.model import ATTRIBUTES, location, problem
-from rtc.world.spread import even
 from workers.mechanisms import each, joined
-from workers.planning import scenes
+from workers.planning import scenes, trust
 from workers.planning.world_query import WorldQuery
 from workers.tasks.analyze_task import Changes
 
@@ -45,7 +44,7 @@ def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) ->
             changes += _unplaced(thing, query)
             continue
         stored = next(iter(value)) if attribute == "facts" and isinstance(value, dict) else value
-        spread = even(values["stated_m"], values["stated_rad"]) if attribute == "frame" else None
+        spread = trust.stated_spread(query.cell.numbers) if attribute == "frame" else None
         change = WorldChange(key=key, value=stored, spread=spread)
         if wrong := problem(change) or (PLAUSIBLE[attribute](key, value, values) if attribute in PLAUSIBLE else ""):
             clears = "repeat it with the correct value and unit"

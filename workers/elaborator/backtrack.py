@@ -22,7 +22,8 @@ from msgspec.structs import replace
 from rtc.model.cells import parts
 from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile
-from rtc.protocol.messages import Binding, PlannedPath, Step
+from rtc.protocol.causes import OutOfReach
+from rtc.protocol.messages import Binding, PlannedPath, Step, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import Constraint, ParsedCommand, Quantity
 from rtc.protocol.spelling import unknown
@@ -55,16 +56,17 @@ class Planned(msgspec.Struct, frozen=True):
     ways: dict[int, PlannedPath]  # free way of the first segment, by index of its step in the script
     doubtful: list[str]  # bodies whose poses it uses although they are not trusted: a camera looks for them first
     end: Array | None  # rad, joint values of the arm after its last motion; None: it does not move
+    changes: list[WorldChange] | None = None  # of the world by its success, as predicted; None: not known
 
     @staticmethod
     def nothing() -> Planned:
         return Planned({}, [], [], False, {}, [], None)
 
 
-def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned:
+def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate) -> Planned:
     """The tested bindings of the script for this candidate. Raises Refused with the obstacle.
 
-    `steps`: of the script, for this candidate. `sensed`: held objects that a camera looks for before the script begins.
+    `steps`: of the script, for this candidate.
     """
     lines = _lines(script, candidate)
     relies_on = list(dict.fromkeys(key for anchor in lines.values() for key in anchor.relies_on))
@@ -75,7 +77,7 @@ def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, se
             raise Refused(distrusted)
         if distrusted is not None and location(distrusted.where) not in doubtful:
             doubtful.append(location(distrusted.where))
-    joints, notes, ways, end = _search(script, steps, candidate, lines, {*sensed, *doubtful})
+    joints, notes, ways, end = _search(script, steps, candidate, lines, set(doubtful))
     chosen = any(line.solve and lines[line.name].joints is None for line in script.plan)
     return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways, doubtful, end)
 
@@ -171,6 +173,7 @@ def _search(
 ) -> Solved:
     """`sensed`: bodies whose poses are measured before the script begins, so that their spread does not count."""
     request = _request(script, candidate, sensed)
+    _refuse_beyond_reach(steps, candidate, lines, request)
     solvers: dict[str, None] = {}
     ways = list(_ways(script, candidate, lines, request, solvers))
     if not ways:
@@ -205,9 +208,7 @@ def _search(
     out = any(step.words.get("leaves") == "seat" for step in script.steps)
     closer = partial(_closer, candidate.parsed)
     query, arm = candidate.query, candidate.arm.name
-    first = advise_on_collision(
-        first, query, arm, clears, limits, goal, out, closer, has_others=True, has_left=has_left
-    )
+    first = advise_on_collision(first, query, arm, clears, limits, goal, out, closer, has_left=has_left)
     raise Refused(first.after(ways_tried=len(ways)))
 
 
@@ -308,6 +309,17 @@ def _unreachable(
                 return Refused(_where(why, line.name, words=""))
     message = f"{candidate.arm.name} cannot reach the postures of the plan in one chain"
     return Refused.because(RefusalReason.INFEASIBLE, message)
+
+
+def _refuse_beyond_reach(
+    steps: Sequence[Step], candidate: TaskCandidate, lines: dict[str, Anchor], request: PlanningRequest
+) -> None:
+    """Refuse to ask the operator for a place that the arm does not reach."""
+    for name in dict.fromkeys(step.words.place for step in steps):
+        if name in lines and lines[name].pose is not None and lines[name].joints is None:
+            why = request.arm.why_no_ik(_world(candidate, lines[name]))
+            if why is not None and isinstance(why.cause, OutOfReach):
+                raise Refused(_where(why, name, words=""))
 
 
 def _try(

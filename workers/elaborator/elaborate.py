@@ -8,7 +8,8 @@ scripts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import msgspec
 
@@ -17,15 +18,15 @@ from rtc.programs import attributes, expressions, named_algorithms
 from rtc.programs.extension_names import CAMERA
 from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE
-from rtc.programs.schema import ElaboratorProgram
+from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.programs.splice import spliced
 from rtc.protocol.advice import Advice, Alternative, sentences_of
 from rtc.protocol.causes import Changing, Collides, Distrusted, OutOfReach, TooUncertain
-from rtc.protocol.messages import ElaboratorInput, SavedWorld, Script, Validity, WorldChange
+from rtc.protocol.messages import ElaboratorInput, SavedWorld, Script, Step, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
-from rtc.world.model import World
+from rtc.world.model import World, location
 from rtc.world.spread import EXACT
 from workers.conditions import installed_phases, reflexes
 from workers.elaborator import (
@@ -41,11 +42,12 @@ from workers.elaborator import (
     tested_advice,
     what_is_left,
 )
-from workers.elaborator.backtrack import Planned, can_be_seen
+from workers.elaborator.backtrack import Planned
 from workers.elaborator.figures import with_figures
 from workers.elaborator.script_checks import (
     CHECKS,
     a_look_makes_room,
+    after_a_look,
     why_uncertain,
     why_unsure_grasp,
     why_unsure_place,
@@ -107,11 +109,18 @@ def run(
         as_tested.refuse_stale(data.rests_on, world)
         if data.saved is not None:
             command_fields.refuse_saved(data.parsed)
-        script = _elaborated(compiled, query, data.parsed, data.owners, data.saved, advise=advise)
+        script = _elaborated(compiled, query, data.parsed, data.owners, data.saved, advise=advise).script
         exact_arms.refuse(script, data.rigid)
         return installed_phases.applied(compiled.program.phases, data, script)
     except Refused as refused:
         return _advised(compiled, query, data.parsed, refused.refusal) if advise else refused.refusal
+
+
+class Chosen(NamedTuple):
+    """The script of a sentence, and what its success changes in the world, as predicted; None: that is not known."""
+
+    script: Script
+    changes: list[WorldChange] | None
 
 
 def _advised(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal) -> Refusal:
@@ -126,7 +135,9 @@ def _advised(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusa
         able = [(arm, parsed) for arm, parsed in changed.items() if why(parsed) is None]
         sentences = [(sentence_of(parsed), arm) for arm, parsed in able]
         return [
-            Alternative(sentences=[one] if one else [], words="" if one else hand_in_words(arm), instead=True)
+            Alternative(
+                sentences=[one] if one else [], words="" if one else f"the same with {hand_in_words(arm)}", instead=True
+            )
             for one, arm in sentences
         ]
 
@@ -142,20 +153,38 @@ class _Why:
 
     def __init__(self, compiled: Compiled, query: WorldQuery) -> None:
         self._compiled, self._query = compiled, query
-        self._known: dict[bytes, Refusal | None] = {}
+        self._known: dict[bytes, Refusal | Chosen] = {}
 
     def __call__(self, parsed: ParsedCommand) -> Refusal | None:
+        found = self._found(parsed)
+        return found if isinstance(found, Refusal) else None
+
+    def after(self, parsed: ParsedCommand) -> _Why | None:
+        found = self._found(parsed)
+        return None if isinstance(found, Refusal) or found.changes is None else self._in(found.changes)
+
+    def stated(self, keys: Iterable[str]) -> _Why:
+        spread = trust.stated_spread(self._query.cell.numbers)
+        return self._in(
+            WorldChange(key=key, keep_value=True, validity=Validity.VALID, spread=spread)
+            for one in keys
+            for key in (one, *([f"{location(one)}.grasp"] if self._query.held_by(location(one)) else []))
+        )
+
+    def _in(self, changes: Iterable[WorldChange]) -> _Why:
+        return _Why(self._compiled, self._query.after(changes))
+
+    def _found(self, parsed: ParsedCommand) -> Refusal | Chosen:
         key = msgspec.json.encode(parsed)
         if key not in self._known:
-            self._known[key] = self._refusal(parsed)
+            self._known[key] = self._elaborated(parsed)
         return self._known[key]
 
-    def _refusal(self, parsed: ParsedCommand) -> Refusal | None:
+    def _elaborated(self, parsed: ParsedCommand) -> Refusal | Chosen:
         try:
-            _elaborated(self._compiled, self._query, parsed, {}, advise=False)
+            return _elaborated(self._compiled, self._query, parsed, {}, advise=False)
         except Refused as why:
             return _of_what_remains(self._compiled, self._query, parsed, why.refusal)
-        return None
 
 
 def _of_what_remains(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal) -> Refusal:
@@ -189,7 +218,7 @@ def _elaborated(
     saved: SavedWorld | None = None,
     *,
     advise: bool = True,
-) -> Script:
+) -> Chosen:
     """The first feasible script of those that the decision tree has for this sentence. Raises Refused."""
     program, scripts = compiled.program, compiled.scripts
     branches = [branch for branch in program.branches.get(parsed.verb, []) if branch.enabled]
@@ -204,7 +233,7 @@ def _elaborated(
     command_fields.refuse_longer_than_limit(parsed, limits)
     _refuse_unmeasured(parsed, query)
     if parsed.kind == "data":
-        return _of_data(DataSentence(program, scripts[branches[0].script], parsed, query, owners, saved))
+        return Chosen(_of_data(DataSentence(program, scripts[branches[0].script], parsed, query, owners, saved)), None)
     branches = [branch for branch in branches if command_fields.fits_sentence(branch, parsed)] or branches
     candidates: list[TaskCandidate] = []
     asked_for = AskedTask(program, scripts, parsed, limits, query)
@@ -251,7 +280,7 @@ def _refuse_unmeasured(parsed: ParsedCommand, query: WorldQuery) -> None:
 # --- choose the script -----------------------------------------------------------------------------------
 
 
-def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list[str], *, advise: bool) -> Script:
+def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list[str], *, advise: bool) -> Chosen:
     """The script of the first feasible option. Raises the most informative refusal, with the number of options.
 
     `notes`: on scripts that are no options; those of this choice are added."""
@@ -259,15 +288,16 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption], notes: list
     unasked: list[ScriptOption] = []
     for option in options:
         try:
-            script = _script(compiled, option, options, notes)
+            chosen = _script(compiled, option, options, notes)
         except Refused as problem:
             notes.append(f"generated {option.name}; tested: {problem}")
             refused.append((problem.refusal, option))
             continue
         if not refused:
-            return script
+            return chosen
         if not other_motion.is_unasked(compiled.scripts, options[0], option):
-            return other_motion.stated(script, compiled.scripts, options[0], option, refused[0][0])
+            why, (script, changes) = refused[0][0], chosen
+            return Chosen(other_motion.stated(script, compiled.scripts, options[0], option, why), changes)
         notes.append(f"generated {option.name}; tested: free, but another kind of motion, which is not asked for")
         unasked.append(option)
     first = _most_informative(compiled, refused, options, advise=advise)
@@ -336,7 +366,7 @@ def _rank(refusal: Refusal) -> tuple[int, bool, bool]:
 # --- the script ------------------------------------------------------------------------------------------
 
 
-def _script(compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]) -> Script:
+def _script(compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]) -> Chosen:
     """The planned script of one option. Raises Refused with the first problem."""
     candidate, script = option.candidate, compiled.scripts[option.branch.script]
     chosen = any("performer" in check.equals for check in option.branch.when)
@@ -351,9 +381,27 @@ def _script(compiled: Compiled, option: ScriptOption, options: list[ScriptOption
         raise no_script.wrong_program(f"{script.script}: {error}", script.script) from error
 
 
-def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]) -> Script:
+def _sighted(candidate: TaskCandidate) -> list[WorldChange] | None:
+    """What a camera's look for the body of a sentence changes, if it finds that where it is believed to be."""
+    query, body = candidate.query, candidate.body
+    if candidate.camera is None or not query.placed(body):
+        return None
+    spread = trust.last_look(query, body) or [*EXACT]
+    attributes = ("frame", "grasp") if query.held_by(body) else ("frame",)
+    return [
+        WorldChange(key=f"{body}.{one}", keep_value=True, validity=Validity.VALID, spread=spread) for one in attributes
+    ]
+
+
+def _with_bindings(script: ScriptFile, steps: list[Step], candidate: TaskCandidate | None) -> Planned:
+    """The plan of the steps; without an arm there is none. Raises Refused."""
+    assert candidate is not None
+    return in_turn.plan(script, steps, candidate) if candidate.hand else Planned.nothing()
+
+
+def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]) -> Chosen:
     """The script of an option that has passed the checks. Raises Refused and ExpressionError."""
-    candidate, query = option.candidate, option.candidate.query
+    candidate = option.candidate
     script = through_places(compiled.scripts[option.branch.script], candidate)
     entries, left_out = trims_for(compiled, script, candidate)
     nominal = [step_for(step, candidate, entries, nominal=True) for step in script.steps]
@@ -361,17 +409,19 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     for noted in NOTED:
         nominal = noted(nominal, candidate)
     held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
-    lacks = why_uncertain(nominal, candidate)
-    if lacks is not None and (trust.just_seen(query, lacks.where) or not can_be_seen(lacks.where, candidate)):
-        raise Refused(lacks)
-    in_hand = [held] if lacks is not None or why_unsure_grasp(script, candidate) is not None else []
+    seen = after_a_look(candidate)
+    lacks, still_lacks = why_uncertain(nominal, candidate), seen is None or why_uncertain(nominal, seen) is not None
+    doubt = lacks or why_unsure_grasp(script, candidate)
+    if doubt is not None and still_lacks:
+        raise Refused(doubt)
+    in_hand = [held] if doubt is not None else []
     try:
-        planned = in_turn.plan(script, nominal, candidate, in_hand) if candidate.hand else Planned.nothing()
+        planned = _with_bindings(script, nominal, seen if in_hand else candidate)
     except Refused as refused:
-        if in_hand or not a_look_makes_room(refused.refusal, script, candidate):
+        if in_hand or still_lacks or not a_look_makes_room(refused.refusal, script, candidate):
             raise
         in_hand = [held]
-        planned = in_turn.plan(script, nominal, candidate, in_hand)
+        planned = _with_bindings(script, nominal, seen)
     for index, way in planned.ways.items():
         nominal[index] = msgspec.structs.replace(nominal[index], way=way)
     looked_for = [candidate.body] if why_unsure_place(script, candidate) is not None else []
@@ -385,7 +435,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     in_reserve = any(entry.n > RESERVE for entry in entries)
     own = (*option.notes, *planned.notes)
     writes = [*script.writes, *(WRITES_OF_RESERVE if in_reserve else ())]
-    return Script(
+    made = Script(
         context=context_for(compiled, script, option, candidate, entries),
         case=case,
         steps=steps,
@@ -396,3 +446,4 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
         notes=[*notes, *(f"{option.name}: {note}" for note in own), *left_out, *in_words(options)],
     )
+    return Chosen(made, planned.changes if candidate.hand else _sighted(candidate))

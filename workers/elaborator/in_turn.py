@@ -31,21 +31,23 @@ from workers.tasks.analyze_task import Changes
 from workers.tasks.candidate import TaskCandidate
 from workers.tasks.unmet import let_go
 
-#: effect of a step -> what it changes in the plan of the steps after it
+#: effect of a step -> what it changes for the steps and sentences after it
 FORESEEN = joined(lambda mechanism: mechanism.foreseen)
 
 
-def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate, sensed: Sequence[str] = ()) -> Planned:
+def plan(script: ScriptFile, steps: Sequence[Step], candidate: TaskCandidate) -> Planned:
     """As `backtrack.plan`, for steps of one arm or of two in turn. Raises Refused."""
     stages = list(_stages(script, steps))
     if len(stages) == 1:
-        return backtrack.plan(script, steps, candidate, sensed)
+        found = backtrack.plan(script, steps, candidate)
+        joint = any(step.space == BOTH for step in steps)  # `end` is that of one of two arms
+        return found if joint else msgspec.structs.replace(found, changes=_predicted(steps, candidate, found))
     query, whole = candidate.query, Planned.nothing()
     for first, part in stages:
         part_steps = steps[first : first + len(part.steps)]
         now = _seen_by(part, candidate, query)
         try:
-            found = backtrack.plan(part, part_steps, now, sensed)
+            found = backtrack.plan(part, part_steps, now)
         except Refused as refused:
             raise Refused(_of_stage(refused.refusal, candidate, now.arm.name)) from None
         query = query.after(_predicted(part_steps, now, found))
@@ -124,11 +126,13 @@ def _predicted(steps: Sequence[Step], candidate: TaskCandidate, found: Planned) 
     if found.end is not None:
         changes.append(WorldChange(key=f"{arm}.joints", value=[float(q) for q in found.end]))
         held = query.holding(arm)
-        if held and query.held_by(held) == arm:
-            frame = query.in_hand(held, query.model.arms[arm].fk(found.end))
-            assert frame is not None
+        keeps = held and query.held_by(held) == arm and not any(step.op == "open" for step in steps)
+        frame = query.in_hand(held, query.model.arms[arm].fk(found.end)) if keeps else None
+        if frame is not None:
             changes.append(WorldChange(key=f"{held}.frame", value=geometry.normalise(frame).tolist()))
     for step in steps:
         if effect := FORESEEN.get(step.words.effect):
             changes += effect(candidate, query.after(changes))
+        if step.words.leaves == "seat" and (held := query.holding(arm)):
+            changes.append(WorldChange(key=f"{held}.seat", value=""))
     return changes

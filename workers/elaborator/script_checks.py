@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from msgspec.structs import replace
+
 from rtc.language.hands import hand_in_words
 from rtc.programs.schema import ScriptFile
 from rtc.protocol import causes
 from rtc.protocol.advice import Texts, fill_in
-from rtc.protocol.messages import Step
+from rtc.protocol.messages import Step, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
-from rtc.world.spread import in_words
+from rtc.world.spread import EXACT, in_words
 from workers.conditions import reflexes
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
@@ -112,18 +114,26 @@ def why_unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | 
     return trust.distrusted(candidate.query, f"{held}.grasp", candidate.program.clears)
 
 
+def after_a_look(candidate: TaskCandidate) -> TaskCandidate | None:
+    """The candidate after a camera has seen what its hand holds: as well known as by the last look from there, without
+    one exactly. None: it holds nothing that a camera can see."""
+    query = candidate.query
+    held = query.holding(candidate.hand.name) if candidate.hand else ""
+    key = f"{held}.grasp"
+    if not held or not can_be_seen(key, candidate):
+        return None
+    spread = trust.last_look(query, held) or [*EXACT]
+    seen = WorldChange(key=key, keep_value=True, validity=Validity.VALID, spread=spread)
+    return replace(candidate, query=query.after([seen]))
+
+
 def a_look_makes_room(refusal: Refusal, script: ScriptFile, candidate: TaskCandidate) -> bool:
-    """Whether the held object lacks room on its way only because its pose in the hand is uncertain, and a camera can
-    see it before."""
+    """Whether the held object lacks room on its way only because its pose in the hand is uncertain."""
     held = candidate.query.holding(candidate.hand.name) if candidate.hand else ""
     cause = refusal.cause
     if not held or script.despite_grasp or not isinstance(cause, causes.Collides) or held not in cause.owners:
         return False
-    query, key = candidate.query, f"{held}.grasp"
-    # as much as by the last look, if there was one
-    narrower_m = trust.off_m(query, held, query.spread(key)) - trust.seen_within_m(query, held)
-    room = cause.distance_m >= max(clearance_of(candidate.limits), cause.margin_m - narrower_m)
-    return room and can_be_seen(key, candidate)
+    return cause.distance_m >= clearance_of(candidate.limits)
 
 
 def why_unsure_place(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:

@@ -18,7 +18,7 @@ from rtc.protocol.causes import Collides, TooUncertain
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, Quantity
 from workers.elaborator.script_steps import Compiled
-from workers.elaborator.tested_advice import AdviceTest
+from workers.elaborator.tested_advice import FREES, AdviceTest
 from workers.planning.world_query import WorldQuery
 from workers.tasks.sentence_of import relative_amount, sentence_of
 
@@ -31,8 +31,9 @@ STEPS = {"m": 0.01, "rad": math.radians(1.0)}  # an advised amount is a multiple
 
 def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: WorldQuery, test: AdviceTest) -> Refusal:
     """The refusal, with a sentence in the place of the `asked` one if no task that it advises is accepted now. One for
-    which the command waits is unchanged, and that of a doubt, which a measurement clears."""
-    doubt = refusal.reason is RefusalReason.SUSPECT and not isinstance(refusal.cause, TooUncertain)
+    which the command waits is unchanged, and that of a doubt that a measurement clears."""
+    clearable = refusal.reason is RefusalReason.SUSPECT and bool(refusal.clears)
+    doubt = clearable and not isinstance(refusal.cause, TooUncertain)
     if asked.kind != "task" or doubt or refusal.reason not in ABOUT or refusal.in_the_way:
         return refusal
     ways = (*_by_less(asked, refusal), *_by_any_way(asked)) if isinstance(refusal.cause, Collides) else ()
@@ -41,14 +42,14 @@ def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: Wor
     if any(map(test.leads_on, sentences_of(refusal.clears))):
         return refusal
     kept = [one for one in refusal.clears if not test.is_refused(one)]
-    clear = refusal.reason is not RefusalReason.SUSPECT  # else the same measurement clears the way for the asked one
-    if other := _instead(test, _other_forms(compiled, asked, query, refusal), later=clear):
+    # the measurement that clears a doubt clears the way for the asked one too
+    if other := _instead(test, _other_forms(compiled, asked, query, refusal), later=not clearable):
         return replace(refusal, clears=[*other, *kept])
     if refusal.reason is RefusalReason.NO_SCRIPT:
         return refusal
     freeing = list(_freeing(compiled.program.frees, asked, query))
     if free := by_sentence(test.first(freeing), instead=True) or test.after_another(freeing):
-        words = [replace(one, words="; ".join(filter(None, (one.words, "which frees the arm")))) for one in free]
+        words = [replace(one, words="; ".join(filter(None, (one.words, FREES)))) for one in free]
         return replace(refusal, clears=[*kept, *words])
     return refusal
 

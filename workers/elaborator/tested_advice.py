@@ -1,27 +1,46 @@
 """The advice of a refusal, without the sentences that would be refused themselves. Pure.
 
 Tested is what can be given now: the first sentence of each alternative. Left out is what has no way: what is out of
-reach, say. A sentence that is refused for a state or a doubt comes after the sentence that its own refusal advises, if
-that can be given. For another arm its sentence is stated, or nothing if none can do it.
+reach, say. A sentence that is refused for a state or a doubt comes after the sentences that its own refusal advises, if
+they can be given. Each is tested in the world after those before it, as far as that is known: what can be grasped in a
+rack may not be carried out of it. For another arm its sentence is stated, or nothing if none can do it.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable
+from typing import NamedTuple, Protocol
 
 from msgspec.structs import replace
 
 from rtc.language.parse import default_grammar, parse
-from rtc.protocol.advice import ANOTHER_ARM, Advice, Alternative, sentences_of
+from rtc.protocol.advice import ANOTHER_ARM, NOTHING, Advice, Alternative, joined, sentences_of
+from rtc.protocol.causes import Collides, Distrusted, TooUncertain
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.sentence import OPERATOR, ParsedCommand
+from rtc.protocol.sentence import ParsedCommand
+from workers.planning.scenes import CLEARANCE_M
 
 TESTED = 6  # maximum number of sentences of an advice that are tested
 TRIED = 8  # maximum number of sentences of each kind that are tested in the place of the refused one
 ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.SUSPECT)
 
-Why = Callable[[ParsedCommand], Refusal | None]  # the refusal of a sentence in this world; None: it is accepted
+FREES = "which frees the arm"
+BEFORE = 3  # maximum number of sentences before one that is not accepted yet
+
+
+class Why(Protocol):
+    """The refusal of a sentence in one world; None: it is accepted."""
+
+    def __call__(self, parsed: ParsedCommand, /) -> Refusal | None: ...
+
+    def after(self, parsed: ParsedCommand, /) -> Why | None:
+        """The same in the world after this sentence, which is accepted; None: that is not known."""
+
+    def stated(self, keys: Iterable[str], /) -> Why | None:
+        """The same after a person has stated these facts as they are believed to be; None: that is not known."""
+
+
 OtherArms = Callable[[], Advice]  # that can do what is asked
 
 
@@ -32,8 +51,9 @@ def without_infeasible(refusal: Refusal, test: AdviceTest) -> Refusal:
         return refusal
     kept = test.feasible(refusal.clears)
     if not kept or (_gives_nothing_up(refusal.clears) and sentences_of(kept) and not _gives_nothing_up(kept)):
-        return refusal
-    return replace(refusal, clears=kept)
+        kept = refusal.clears
+    by_operator = refusal.by_operator if refusal.by_operator in sentences_of(kept) else ""
+    return replace(refusal, clears=test.leading(refusal, kept), by_operator=by_operator)
 
 
 def _gives_nothing_up(advice: Advice) -> bool:
@@ -62,6 +82,30 @@ class AdviceTest:
             known += [anywhere] if anywhere is not None and options else []
         return kept
 
+    def leading(self, refusal: Refusal, advice: Advice) -> Advice:
+        """The alternatives without those after which the `asked` sentence is refused for the same: a doubt about a pose
+        that a look or a statement leaves too large, or bodies that still meet. A motion of these frees the arm."""
+        kept: Advice = []
+        for one in advice:
+            remains = self._remains(one) if isinstance(refusal.cause, Collides | TooUncertain | Distrusted) else None
+            if remains is None or not _is_the_same(refusal, remains):
+                kept.append(one)
+            elif not one.again and not one.states:
+                kept.append(replace(one, words="; ".join(filter(None, (one.words, FREES))), instead=True))
+        return kept
+
+    def _remains(self, one: Alternative) -> Refusal | None:
+        """The refusal of the `asked` sentence after an alternative; None: it is accepted then, or that is not known."""
+        for_person = one.instead or not (one.sentences or one.states)
+        now: Why | None = None if for_person or self._asked is None else self._why
+        if now is not None and one.states:
+            now = now.stated(one.states)
+        for sentence in one.sentences:
+            task = _task(sentence)
+            if task is not None or not one.states:  # else it states what `states` names
+                now = now.after(task) if now is not None and task is not None and now(task) is None else None
+        return now(self._asked) if now is not None and self._asked is not None else None
+
     def leads_on(self, sentence: str) -> bool:
         """Whether it is a task of an arm or a camera that is accepted, and not the `asked` one."""
         task = _task(sentence)
@@ -76,26 +120,36 @@ class AdviceTest:
         """The first sentence of a few that is accepted after another one, which its own refusal advises and which can
         be given now, with that one before it, in its place; empty if there is none."""
         for one in itertools.islice(dict.fromkeys(sentences), TRIED):
-            if (before := self._clears(one)) is not None:
-                return [replace(before, sentences=[*before.sentences, one], again=False, instead=True)]
+            led = self._led(self._why, one, BEFORE)
+            if led is not None and (led.before.sentences or led.before.states):
+                return [replace(led.before, sentences=[*led.before.sentences, one], instead=True)]
         return []
 
-    def _clears(self, sentence: str, *, twice: bool = True) -> Alternative | None:
-        """What the refusal of this sentence advises first, if it can be given now, or asks a person for a pose; else
-        None. `twice`: or after what its own refusal advises."""
+    def _led(self, why: Why, sentence: str, most: int) -> _Led | None:
+        """What comes before a sentence so that it is accepted: what its refusals advise first, one after the other, or
+        the pose that they ask a person for. None: that is not known, or more than `most` sentences."""
         task = _task(sentence)
-        refusal = self._why(task) if task is not None and task != self._asked else None
-        if refusal is None or refusal.in_the_way or refusal.reason not in (RefusalReason.STATE, RefusalReason.SUSPECT):
+        if task is None or task == self._asked:
             return None
-        if (stated := _stated(refusal)) is not None:
-            return stated
-        before = next(iter(sentences_of(refusal.clears[:1])), "")
-        if before in ("", sentence):
-            return None
-        if self.leads_on(before):
-            return Alternative(sentences=[before])
-        first = self._clears(before, twice=False) if twice else None
-        return None if first is None else replace(first, sentences=[*first.sentences, before])
+        now: Why | None = why
+        before = NOTHING
+        while now is not None and (refusal := now(task)) is not None:
+            if refusal.in_the_way or refusal.reason not in (RefusalReason.STATE, RefusalReason.SUSPECT):
+                return None
+            if (stated := _stated(refusal)) is not None:
+                if set(stated.states) <= set(before.states):
+                    return None
+                led = _Led(stated, now.stated(stated.states))
+            else:
+                first = next(iter(sentences_of(refusal.clears[:1])), "")
+                needs = None if first in ("", sentence, *before.sentences) else self._led(now, first, most - 1)
+                if needs is None:
+                    return None
+                led = needs.then(first)
+            before, now = joined(before, led.before), led.now
+            if len(before.sentences) > most:
+                return None
+        return _Led(before, now)
 
     def is_refused(self, one: Alternative) -> bool:
         """Whether this alternative has nothing but sentences of arms that have no way."""
@@ -111,7 +165,7 @@ class AdviceTest:
         first = next(iter(one.sentences), "")
         refusal = self._refusal(first) if first else None
         if refusal is None:
-            return [one]
+            return [self._with_what_the_rest_needs(one)]
         if refusal.reason is RefusalReason.INFEASIBLE:
             return []
         if refusal.reason is RefusalReason.SUSPECT and (stated := _stated(refusal)) is not None:
@@ -121,7 +175,18 @@ class AdviceTest:
             return []  # it is refused for what it should clear
         if not before or not self._is_accepted(before):
             return [one]
-        return [replace(one, sentences=[before, *one.sentences])]
+        return [self._with_what_the_rest_needs(replace(one, sentences=[before, *one.sentences]))]
+
+    def _with_what_the_rest_needs(self, one: Alternative) -> Alternative:
+        """The alternative, whose first sentence is accepted, with what its later ones need before them in the worlds
+        after those before."""
+        parts: list[Alternative] = []
+        now: Why | None = self._why
+        for sentence in one.sentences:
+            led = self._led(now, sentence, 1) if now is not None and _task(sentence) is not None else None
+            parts.append(joined(NOTHING if led is None else led.before, Alternative(sentences=[sentence])))
+            now = None if led is None else led.then(sentence).now
+        return one if len(parts) < 2 else joined(*parts, replace(one, sentences=[]))
 
     def _is_accepted(self, sentence: str) -> bool:
         """Whether it is a task that can be given now."""
@@ -135,6 +200,30 @@ class AdviceTest:
         return self._known[sentence]
 
 
+def _is_the_same(refusal: Refusal, remains: Refusal) -> bool:
+    """Whether what remains is what was refused: a doubt that is too large, or the same bodies."""
+    before, after = refusal.cause, remains.cause
+    if isinstance(after, TooUncertain):
+        return True
+    if not isinstance(after, Collides):
+        return False
+    unsure = after.distance_m >= CLEARANCE_M
+    return unsure if not isinstance(before, Collides) else unsure or {*before.owners} == {*after.owners}
+
+
+class _Led(NamedTuple):
+    """What comes before a sentence, and the world then; None: that is not known."""
+
+    before: Alternative
+    now: Why | None
+
+    def then(self, sentence: str) -> _Led:
+        """The same with this sentence, which is accepted now."""
+        task = _task(sentence)
+        now = None if self.now is None or task is None else self.now.after(task)
+        return _Led(joined(self.before, Alternative(sentences=[sentence])), now)
+
+
 def _stated(refusal: Refusal) -> Alternative | None:
     """The first alternative of its advice, if that asks a person for the pose of a body; None if it is another one."""
     first = next(iter(refusal.clears), None)
@@ -143,7 +232,6 @@ def _stated(refusal: Refusal) -> Alternative | None:
 
 
 def _task(sentence: str) -> ParsedCommand | None:
-    """The record of a task of an arm or a camera; None for other sentences."""
+    """The record of a task; None for other sentences."""
     parsed = parse(default_grammar(), sentence)
-    is_task = isinstance(parsed, ParsedCommand) and parsed.kind == "task" and parsed.performer != OPERATOR
-    return parsed if is_task else None  # type: ignore[return-value]
+    return parsed if isinstance(parsed, ParsedCommand) and parsed.kind == "task" else None

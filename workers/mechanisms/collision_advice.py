@@ -12,13 +12,14 @@ from rtc.protocol.advice import ANOTHER_ARM, Advice, Alternative, Texts, fill_in
 from rtc.protocol.causes import Collides
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal
+from rtc.world.model import location
+from rtc.world.spread import Spread
 from workers.mechanisms import each
 from workers.planning import in_seat, lines_of_sight, trust
 from workers.planning.scenes import CLEARANCE_M, clearance_of
 from workers.planning.world_query import WorldQuery
 
 UNLIMITED = Limits()
-PICTURES = 2  # of a look for a body at rest, as its primitive has them
 LEAST_ROOM_MM = 1  # that is advised: the least of AVOID-NEIGHBORS
 
 WAYS, ABOUT = each(lambda mechanism: mechanism.way), each(lambda mechanism: mechanism.about)
@@ -33,13 +34,11 @@ def advise_on_collision(
     goal: str = "",
     leaves_seat: bool = False,
     closer: Callable[[int], str] = lambda _: "",
-    has_others: bool = False,
     has_left: bool = False,
 ) -> Refusal:
     """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged. `limits`: of
     the command. `goal`: the place that it names. `leaves_seat`: it takes the held object out of its seat. `closer`: the
-    same sentence with AVOID-NEIGHBORS of so many millimetres. `has_others`: there may be sentences in its place, so
-    no look is advised that is not expected to make enough room. `has_left`: the held object has left its seat before.
+    same sentence with AVOID-NEIGHBORS of so many millimetres. `has_left`: the held object has left its seat before.
     """
     cause = refusal.cause
     if not isinstance(cause, Collides):
@@ -52,11 +51,16 @@ def advise_on_collision(
     leaves = cause.leaving  # first: other arms are passed by ways that are not sought before
     seated = bool(seat) and held in bodies
     own = next(filter(None, (way(refusal, query, arm, body) for way in WAYS)), "")
-    unsure = "" if seated or other or leaves else _unsure(cause, query, bodies, limits)
-    if unsure and has_others and not _looks_make_room(cause, query, bodies):
-        unsure = ""
-    if unsure and (not own or query.cameras(unsure.rpartition(".")[0])):
-        return msgspec.structs.replace(refusal, clears=trust.narrows(query, unsure, clears))
+    # what an arm may touch at its start is left first, unless another arm holds it and may hold it otherwise
+    passes_by = seated or bool(other) != bool(leaves)
+    unsure, within_m = ("", 0.0) if passes_by else _unsure(cause, query, bodies, limits)
+    if unsure and (leaves or not own or query.cameras(location(unsure))):
+
+        def makes_room(spread: Spread) -> bool:
+            return trust.off_m(query, location(unsure), spread) <= within_m
+
+        back = fill_in(clears.get("way_unsure", []), {"arm": hand_in_words(arm), "body": leaves}) if leaves else []
+        return msgspec.structs.replace(refusal, clears=[*trust.narrows(query, unsure, clears, makes_room), *back])
     if leaves and held in bodies and not seated and query.cameras(held):  # it creeps in the hand
         return msgspec.structs.replace(refusal, clears=trust.narrows(query, f"{held}.grasp", clears))
     row = (
@@ -104,27 +108,31 @@ def _another_may(query: WorldQuery, arm: str, goal: str) -> bool:
     return able is None or bool(able - {arm})
 
 
-def _unsure(cause: Collides, query: WorldQuery, bodies: Iterable[str], limits: Limits) -> str:
-    """The key of the fact whose spread alone asks for more room than there is; empty if there is none."""
+def _unsure(cause: Collides, query: WorldQuery, bodies: Iterable[str], limits: Limits) -> tuple[str, float]:
+    """The key of the fact whose spread asks for more room than there is, and how far off its body may be (m) for there
+    to be enough; empty if neither looks nor statements are expected to make enough room."""
     if cause.distance_m < clearance_of(limits):
-        return ""
-    keys = [key for body in bodies if (key := trust.unsure_key(query, body)) and not trust.better_than_seen(query, key)]
-    return max(keys, key=lambda key: trust.off_m(query, key.rpartition(".")[0], query.spread(key)), default="")
-
-
-def _looks_make_room(cause: Collides, query: WorldQuery, bodies: Iterable[str]) -> bool:
-    """Whether looks at these bodies, or poses that a person states, are expected to make enough room."""
-    keys = filter(None, (trust.unsure_key(query, body) for body in bodies))
-    return cause.distance_m + sum(_gain_m(query, key) for key in keys) >= cause.margin_m
+        return "", 0.0
+    gains = {key: _gain_m(query, key) for body in bodies if (key := trust.unsure_key(query, body))}
+    lacks_m = cause.margin_m - cause.distance_m - sum(gains.values())
+    key = max(gains, key=lambda key: gains[key], default="")
+    if not key or gains[key] <= 0.0 or lacks_m > 0.0:
+        return "", 0.0
+    return key, trust.off_m(query, location(key), query.spread(key)) - gains[key] - lacks_m
 
 
 def _gain_m(query: WorldQuery, key: str) -> float:
-    """By how much a pose will be known better after a look; a person who states it may know it exactly."""
-    body = key.rpartition(".")[0]
+    """By how much a pose will be known better after a look, or after a person has stated it."""
+    body = location(key)
     known_m = trust.off_m(query, body, query.spread(key))
-    cameras = [camera.name for camera in query.cameras(body)]
-    seen, _ = lines_of_sight.sighting(query, cameras, body, PICTURES)
-    return known_m if seen is None else max(0.0, known_m - trust.sees_within_m(query, body, seen))
+    better_m = [trust.off_m(query, body, trust.stated_spread(query.cell.numbers))]
+    if (seen := trust.last_look(query, body)) is not None:
+        better_m.append(trust.off_m(query, body, seen))
+    else:
+        cameras = [camera.name for camera in query.cameras(body)]
+        expected, _ = lines_of_sight.sighting(query, cameras, body, query.cell.numbers.pictures)
+        better_m += [] if expected is None else [trust.sees_within_m(query, body, expected)]
+    return max(0.0, known_m - min(better_m))
 
 
 def _kept_out(cause: Collides, body: str, limits: Limits) -> str:

@@ -72,7 +72,7 @@ class Mechanism:
     stated: Mapping[str, Stated] = field(default_factory=dict)
     #: whether steps of a trim would harm what the candidate is about
     strains: Callable[[Sequence[ScriptStep], TaskCandidate], bool] | None = None
-    #: effect of a step -> what it changes in the plan of the steps after it
+    #: effect of a step -> what it changes for the steps and sentences after it
     foreseen: Mapping[str, Callable[[TaskCandidate, WorldQuery], Changes]] = field(default_factory=dict)
     #: bind: kind of action -> what makes its primitive
     actions: Mapping[str, Callable[[BindTask], BoundStep]] = field(default_factory=dict)

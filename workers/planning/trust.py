@@ -10,11 +10,12 @@ accepted command can end. No time of a clock enters: a doubt is as large after a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
 from rtc.language.hands import hand_in_words
+from rtc.model.cells.parts import Numbers
 from rtc.protocol import causes
 from rtc.protocol.advice import Advice, by_person, fill_in
 from rtc.protocol.messages import Limits, Step
@@ -31,6 +32,7 @@ UNSURE_STEP_M = 0.001  # spreads are rounded up to a multiple of this: a way sta
 # Time allowed for a motion at the cell's speed, in which a held object creeps. A carry across the default cell takes
 # 7.5 s.
 AHEAD_S = 10.0
+THERE_M, THERE_RAD = 0.05, 0.2  # a body that has gone farther may be seen with another accuracy
 
 
 def distrusted(query: WorldQuery, key: str, clears: Mapping[str, Advice], own: str = "") -> Refusal | None:
@@ -90,36 +92,47 @@ def remedy(query: WorldQuery, key: str, clears: Mapping[str, Advice]) -> Advice:
     return fill_in(clears.get(row, []), texts) or by_person(f"sense {location} again")
 
 
-def narrows(query: WorldQuery, key: str, clears: Mapping[str, Advice]) -> Advice:
-    """The remedy that makes the spread of the pose of an object or seat smaller. What a look has just measured, the
-    next one does not know better."""
+def narrows(
+    query: WorldQuery, key: str, clears: Mapping[str, Advice], suffices: Callable[[Spread], bool] = lambda _: True
+) -> Advice:
+    """The remedy that makes the spread of the pose of an object or seat small enough: a look, or a statement.
+
+    `suffices`: whether a spread is. A look knows as much as the last one from there."""
     location, _, _ = key.rpartition(".")
-    row, place = "spread", ""
-    if "spread_seen" in clears and not just_seen(query, key) and _look_helps(query, location):
+    row, place, seen = "spread", "", last_look(query, location)
+    tells_more = seen is None or (not as_seen(query, key) and suffices(seen))
+    if "spread_seen" in clears and tells_more and _look_helps(query, location):
         row = "spread_seen"
     elif "spread_shown" in clears and not query.cameras(location) and (place := shown_at(query, location)):
         row = "spread_shown"
     texts = {"location": location, "place": place, "holder": hand_in_words(query.held_by(location))}
-    return fill_in(clears.get(row, []), texts) or by_person(f"sense {location} again")
+    stated = suffices(stated_spread(query.cell.numbers))
+    advice = [one for one in fill_in(clears.get(row, []), texts) if stated or not one.states]
+    down = query.held_by(location) and not stated
+    return advice or by_person(f"put {location} down, and grasp it again" if down else f"sense {location} again")
 
 
-def just_seen(query: WorldQuery, key: str) -> bool:
-    """Whether the last change of the pose of an object or seat is what a look has measured."""
-    fact, sighting = query.world.get(key), query.world.get(f"{key.rpartition('.')[0]}.sighting")
-    return fact is not None and sighting is not None and fact.source == sighting.source
+def stated_spread(numbers: Numbers) -> list[float]:
+    """Of a pose that a person states."""
+    return even(numbers.stated_m, numbers.stated_rad)
 
 
-def better_than_seen(query: WorldQuery, key: str) -> bool:
-    """Whether the pose of an object is known better than a look has measured it: by a statement, say. Then another look
-    does not help."""
-    body = key.rpartition(".")[0]
-    return not just_seen(query, key) and 0.0 < off_m(query, body, query.spread(key)) < seen_within_m(query, body)
-
-
-def seen_within_m(query: WorldQuery, body: str) -> float:
-    """How far a point of a body was from its place at most, as the last look has measured it; 0 without a look."""
+def last_look(query: WorldQuery, body: str) -> list[float] | None:
+    """The spread of the pose of a body as the last look has measured it; None: it has not been seen about there."""
     seen = query.world.value(f"{body}.sighting")
-    return 0.0 if seen is None else _within_m(query, body, seen["deviation_m"], seen["deviation_rad"])
+    if seen is None or "spread" not in seen:
+        return None
+    here = query.pose(body)
+    near = geometry.distance(seen["pose"], here) <= THERE_M and geometry.angle(seen["pose"], here) <= THERE_RAD
+    return seen["spread"] if near else None
+
+
+def as_seen(query: WorldQuery, key: str) -> bool:
+    """Whether the pose of an object or seat is known as well as the last look has measured it, or better: by a
+    statement, say. Then another look does not help."""
+    body = key.rpartition(".")[0]
+    seen = last_look(query, body)
+    return seen is not None and 0.0 < off_m(query, body, query.spread(key)) <= off_m(query, body, seen)
 
 
 def sees_within_m(query: WorldQuery, body: str, sighting: Sighting) -> float:
@@ -215,16 +228,20 @@ def why_uncertain(
     if within is None:
         return None
     key = f"{held}.grasp"
-    axes = exceeded(grasp_spread(query, held, ahead_s), within)
+    axes = _too_wide(query, query.spread(key), within, ahead_s)
     if not axes:
         return None
     return Refusal(
         reason=RefusalReason.SUSPECT,
         message=f"the grasp of {held} by {arm} is too uncertain for this: {', '.join(axes)}",
         where=key,
-        clears=narrows(query, key, clears),
+        clears=narrows(query, key, clears, lambda spread: not _too_wide(query, spread, within, ahead_s)),
         cause=causes.TooUncertain(fact=key),
     )
+
+
+def _too_wide(query: WorldQuery, spread: Spread, within: Spread, ahead_s: float) -> list[str]:
+    return exceeded(pose_spread.crept_spread(spread, ahead_s, query.cell.numbers), within)
 
 
 def needed(query: WorldQuery, step: Step) -> Spread | None:

@@ -12,7 +12,7 @@ import msgspec
 
 from rtc.language.hands import hand_in_words
 from rtc.language.parse import default_grammar, parse
-from rtc.protocol.sentence import Constraint, Destination, ParsedCommand, Quantity, ReflexItem
+from rtc.protocol.sentence import OPERATOR, Constraint, Destination, ParsedCommand, Quantity, ReflexItem
 from rtc.protocol.units import in_words
 
 PATHS = {"joint": "JOINT-MOTION", "straight_line": "STRAIGHT-LINE"}
@@ -20,7 +20,7 @@ PATHS = {"joint": "JOINT-MOTION", "straight_line": "STRAIGHT-LINE"}
 
 def sentence_of(parsed: ParsedCommand, amount: str = "") -> str:
     """The sentence; empty if it is of another form. `amount`: words in the place of its own amount."""
-    if parsed.until or parsed.performer or parsed.to_hand:
+    if parsed.until or parsed.performer not in (None, OPERATOR) or parsed.to_hand:
         return ""
     if goal := _goal(parsed, amount):
         return "" if parsed.grasp_point or parsed.target else _written(parsed, goal)
@@ -33,7 +33,8 @@ def _written(parsed: ParsedCommand, goal: str) -> str:
     words = [parsed.verb, parsed.object or hand, goal, *(f"THROUGH {name}" for name in parsed.through), path]
     if parsed.object and hand:
         words.append(f"WITH {hand}")
-    return " ".join(filter(None, [*words, *_clauses(parsed)]))
+    via = f"VIA {OPERATOR}-INTERVENTION" if parsed.performer else ""
+    return " ".join(filter(None, [*words, *_clauses(parsed), via]))
 
 
 def relative_amount(parsed: ParsedCommand) -> Quantity | None:

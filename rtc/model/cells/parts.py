@@ -400,6 +400,10 @@ class Numbers(CellPart, frozen=True, kw_only=True):
     # 0.003 to 0.014 deg/s; with 1.5 times the mass and 0.6 of the friction 0.068 to 0.084 mm/s.
     creep_m_s: NotNegative = 0.00008
     creep_rad_s: NotNegative = 0.0004
+    # Half-widths of a pose that a person states with SET, along and about each axis.
+    stated_m: NotNegative = 0.005
+    stated_rad: NotNegative = 0.035
+    pictures: Annotated[int, Meta(ge=1)] = 2  # of each camera that looks for a body at rest
 
 
 Named = TypeVar("Named", Arm, Seat, Object, Place, Region, GraspPoint, Camera)

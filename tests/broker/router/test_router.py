@@ -223,3 +223,11 @@ def test_a_breakpoint_is_a_step_that_a_command_can_reach(bench: Bench, verb: str
     (answer,) = bench.send("front", b"ann", m.SetBreakpoints(request="b", breakpoints=points))
     assert isinstance(answer, kind)
     assert bench.state.breakpoints == (points if kind is m.Debugged else [])
+
+
+def test_a_step_of_a_command_that_does_not_exist_is_declined_for_its_name(working: Bench) -> None:
+    (declined,) = working.send("front", b"ann", m.StepCommand(request="1", command="C-99"))
+    assert declined.refusal.reason is RefusalReason.NAME
+    working.send("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
+    (declined,) = working.send("front", b"ann", m.StepCommand(request="3", command="C-1"))
+    assert declined.refusal.reason is RefusalReason.STATE

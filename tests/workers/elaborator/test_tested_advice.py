@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 import pytest
 
 from rtc.protocol.advice import ANOTHER_ARM, Advice, Alternative, by_person, by_sentence, sentences_of
@@ -14,6 +16,22 @@ from workers.planning import trust
 from workers.planning.world_query import WorldQuery
 
 
+class Unforeseen:
+    """The refusals of a world after which no other one is known."""
+
+    def __init__(self, why: Callable[[ParsedCommand], Refusal | None]) -> None:
+        self._why = why
+
+    def __call__(self, parsed: ParsedCommand) -> Refusal | None:
+        return self._why(parsed)
+
+    def after(self, parsed: ParsedCommand) -> None:
+        return None
+
+    def stated(self, keys: Iterable[str]) -> None:
+        return None
+
+
 def advised(clears: Advice, *not_feasible: str, in_the_way: str = "") -> Advice:
     refusal = Refusal(reason=RefusalReason.INFEASIBLE, message="blocked", clears=clears, in_the_way=in_the_way)
 
@@ -22,7 +40,7 @@ def advised(clears: Advice, *not_feasible: str, in_the_way: str = "") -> Advice:
         refused = f"{parsed.verb} {place or parsed.object or parsed.hand}" in not_feasible
         return Refusal(reason=RefusalReason.INFEASIBLE, message="no way") if refused else None
 
-    return without_infeasible(refusal, AdviceTest(why)).clears
+    return without_infeasible(refusal, AdviceTest(Unforeseen(why))).clears
 
 
 RETRACT, CLEAR = by_sentence("RETRACT RIGHT-ARM"), by_sentence("MOVE RIGHT-ARM TO CLEAR-POINT-1")
@@ -142,7 +160,7 @@ def test_what_comes_before_a_sentence_that_is_not_accepted_yet(
         reason, clears = NOT_YET[parsed.verb]
         return Refusal(reason=reason, message="not yet", clears=clears)
 
-    advice = AdviceTest(why).after_another([sentence])
+    advice = AdviceTest(Unforeseen(why)).after_another([sentence])
     if before is None:
         assert advice == []
     else:
@@ -151,3 +169,21 @@ def test_what_comes_before_a_sentence_that_is_not_accepted_yet(
         assert one.states == states
         assert one.instead
         assert not one.again
+
+
+@pytest.mark.parametrize("sentence", ["MOVE RIGHT-ARM TO RACK-2-FRONT", "GRASP MACS-OLD WITH RIGHT-ARM"])
+def test_the_operator_is_not_asked_for_what_the_arm_does_not_reach(bench: Bench, sentence: str) -> None:
+    refusal = bench.do(sentence).refusal
+    assert refusal is not None
+    assert not any("VIA" in one for one in sentences_of(refusal.clears))
+    assert refusal.by_operator == ""
+    asked = bench.do(f"{sentence} VIA OPERATOR-INTERVENTION").refusal
+    assert asked is not None
+    assert asked.reason is RefusalReason.INFEASIBLE
+
+
+def test_another_arm_is_advised_by_its_sentence_for_the_operator_too(bench: Bench) -> None:
+    refusal = bench.do("MOVE RIGHT-ARM TO RACK-2-FRONT VIA OPERATOR-INTERVENTION").refusal
+    assert refusal is not None
+    assert refusal.clears[0].sentences == ["MOVE LEFT-ARM TO RACK-2-FRONT VIA OPERATOR-INTERVENTION"]
+    assert not isinstance(bench.elaborate(refusal.clears[0].sentences[0]), Refusal)

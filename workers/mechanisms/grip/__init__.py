@@ -17,6 +17,7 @@ MECHANISM = Mechanism(
     },
     anchors={"grasp_point": elaborate.grasp_point},
     done=elaborate.let_go_of,
+    foreseen={"verified": elaborate.verified},
     actions={"hand": bind.bind_hand},
     procedures={"open_hand": bind.open_hand},
     effects={

@@ -10,7 +10,7 @@ from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.spatial import geometry
 from rtc.world.spread import EXACT, Spread, even, widened
-from workers.planning import shared_hold
+from workers.planning import shared_hold, trust
 from workers.planning.world_query import WorldQuery
 from workers.tasks import flat_grip, seated
 from workers.tasks.analyze_task import AnalyzeTask, Changes
@@ -150,4 +150,4 @@ def stated_in_hand(thing: str, frame: Any, query: WorldQuery, values: Mapping[st
             cause=NeedUnmet(need="object_free", by=arm),
         )
     grasp = geometry.normalise(geometry.relative(tcp, frame)).tolist()
-    return shared_hold.held(arm, thing, grasp, spread=even(values["stated_m"], values["stated_rad"]))
+    return shared_hold.held(arm, thing, grasp, spread=trust.stated_spread(query.cell.numbers))

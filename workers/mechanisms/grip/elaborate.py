@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 
 from rtc.programs.schema import ScriptFile
+from rtc.protocol.messages import Validity, WorldChange
 from rtc.spatial import geometry, hinges
+from workers.planning.world_query import WorldQuery
 from workers.tasks.anchor import Anchor, no_grasp_point
 from workers.tasks.candidate import TaskCandidate
 from workers.tasks.unmet import UnmetPrecondition
@@ -119,3 +121,10 @@ def grasp_point(candidate: TaskCandidate) -> Anchor:
         home = candidate.query.model.arms[candidate.arm.name].fk(candidate.arm.home_rad)
         pose = hinges.turned(pose, ALONG_BAR, hinges.angle_of(at, ALONG_BAR, home))
     return Anchor(pose=pose.tolist(), frame=name, relies_on=(f"{name}.frame",))
+
+
+def verified(candidate: TaskCandidate, query: WorldQuery) -> list[WorldChange]:
+    """What the sentences after a check of the grip are planned with."""
+    held = query.holding(candidate.arm.name)
+    keys = [f"{held}.grasp", f"{held}.frame"] if held else []
+    return [WorldChange(key=key, keep_value=True, validity=Validity.VALID) for key in keys]

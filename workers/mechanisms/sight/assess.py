@@ -45,7 +45,7 @@ def sighted(task: AnalyzeTask, validity: Validity) -> Changes:
     if holder and task.query.hinge(body) is None:
         frame, spread = _between_pads(task, holder, frame, spread)
     change = WorldChange(key=f"{body}.frame", value=frame.tolist(), validity=validity, spread=spread)
-    evidence = WorldChange(key=f"{body}.sighting", value=_evidence(sighting, task.report.performer))
+    evidence = WorldChange(key=f"{body}.sighting", value=_evidence(sighting, task.report.performer, frame, spread))
     if _only_watched(task):
         return [WorldChange(key=change.key, keep_value=True, validity=validity), evidence]
     changes = [change, evidence]
@@ -123,8 +123,8 @@ def _vagueness(sighting: Sighting) -> str:
     return f"not well enough: two attitudes, some {degrees:.0f} deg apart, fit tags {tags}; its pose is known better"
 
 
-def _evidence(sighting: Sighting, camera: str) -> dict[str, Any]:
-    """What the pose of a body is based on, as a fact for people: nothing plans with it."""
+def _evidence(sighting: Sighting, camera: str, frame: Array, spread: list[float]) -> dict[str, Any]:
+    """What the pose of a body is based on, for people; and how well a look from there knows it (`trust.last_look`)."""
     metres, radians = trust.deviations(sighting)
     return {
         "cameras": sighting.cameras or [camera],
@@ -135,6 +135,8 @@ def _evidence(sighting: Sighting, camera: str) -> dict[str, Any]:
         "deviation_rad": radians,
         "age_s": sighting.age_s,  # at the report
         "ambiguous": sighting.ambiguous,
+        "pose": frame.tolist(),
+        "spread": [*spread],
     }
 
 

@@ -13,6 +13,7 @@ from rtc.protocol.advice import by_person, by_sentence, fill_in
 from rtc.protocol.messages import WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import BOTH_ARMS
+from rtc.spatial import geometry
 from workers.mechanisms.mechanism import Partner
 from workers.planning import shared_hold, suggestions
 from workers.planning.world_query import WorldQuery
@@ -151,19 +152,22 @@ def partner_empty(candidate: TaskCandidate) -> UnmetPrecondition | None:
     return UnmetPrecondition(f"{arm} holds {held}", held, "hand_empty") if held else None
 
 
-def taken(candidate: TaskCandidate, _: WorldQuery) -> list[WorldChange]:
-    """What the steps after a grasp are planned with."""
+def taken(candidate: TaskCandidate, query: WorldQuery) -> list[WorldChange]:
+    """What the steps and sentences after a grasp are planned with. The facts of an object are those of its first
+    hand."""
     assert candidate.thing is not None
     assert candidate.point is not None
-    arm = candidate.arm.name
+    arm, thing = candidate.arm.name, candidate.thing.name
+    grasp = geometry.normalise(geometry.inverse(candidate.point.frame.pose)).tolist()
     return [
-        WorldChange(key=f"{arm}.holding", value=candidate.thing.name),
+        *([] if query.held_by(thing) else shared_hold.held(arm, thing, grasp)),
+        WorldChange(key=f"{arm}.holding", value=thing),
         WorldChange(key=f"{arm}.hand_width", value=candidate.point.width_m),
     ]
 
 
 def let_go(candidate: TaskCandidate, query: WorldQuery) -> list[WorldChange]:
-    """What the steps after a hand has let go are planned with."""
+    """What the steps and sentences after a hand has let go are planned with."""
     assert candidate.thing is not None
     arm = candidate.arm.name
     width = WorldChange(key=f"{arm}.hand_width", value=candidate.arm.gripper.max_opening_m)

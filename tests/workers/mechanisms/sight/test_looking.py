@@ -501,5 +501,7 @@ def test_each_drawn_picture_has_noise_of_its_own() -> None:
     """With one seed for all of them a body at rest has exactly the same pose in each, and a speed of zero."""
     eyes = Drawn(CELL)
     first, second = (eyes.picture("CAMERA-1", SceneView()) for _ in range(2))
-    assert {mark.tag for mark in first.marks} & {mark.tag for mark in second.marks}
+    before, after = ({mark.tag: mark.corners for mark in one.marks} for one in (first, second))
+    assert before.keys() & after.keys()
+    assert all(not np.array_equal(before[tag], after[tag]) for tag in before.keys() & after.keys())
     assert not np.array_equal(np.asarray(first.image), np.asarray(second.image))
