@@ -88,7 +88,8 @@ def spreads(changes: Sequence[WorldChange], query: WorldQuery, _: WorldQuery, va
 def mounts(changes: Sequence[WorldChange], _: WorldQuery, after: WorldQuery, values: Values) -> Problems:
     """What is fixed is where the cell has it, and what is mounted on it where it has that, as far as both are known."""
     stated = {location(change.key) for change in changes if change.key.endswith(".frame")}
-    for part in [*after.cell.seats, *after.cell.objects]:
+    every: list[parts.Seat | parts.Object] = [*after.cell.seats, *after.cell.objects]
+    for part in every:
         key, on, thing = f"{part.name}.frame", part.mounted_on, part if isinstance(part, parts.Object) else None
         is_free = on is None and (thing is None or not thing.fixed or thing.unsurveyed)
         if is_free or not stated & {part.name, on} or after.world.value(key) is None or not after.trusts(key):
