@@ -5,6 +5,7 @@ It compares letters only. All refusals of an unknown name use it and its words.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 MAX_NEAREST = 3
@@ -27,6 +28,11 @@ def nearest(name: str, known: Iterable[str]) -> list[str]:
     """The known names that this one may misspell; else those that it abbreviates (RACK for RACK-1)."""
     names = sorted(set(known))
     return nearest_words(name, names) or [n for n in names if name and n.startswith(name)][:MAX_NEAREST]
+
+
+def is_next_number(name: str, known: Iterable[str]) -> bool:
+    """Whether a name differs from a known one in a number only: SLOT-2 is another name than SLOT-1, and no slip."""
+    return re.sub("[0-9]+", "0", name) in {re.sub("[0-9]+", "0", other) for other in known}
 
 
 def nearest_words(written: str, known: Iterable[str]) -> list[str]:

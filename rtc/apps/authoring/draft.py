@@ -136,6 +136,7 @@ def _refuse_faults(adapted: AdaptedArm, cell: Cell) -> None:
     for one in of_urdf(path, in_cell=True, text=adapted.urdf):
         if one.severity == "error":
             raise ProgramError(f"{path}: {one.where}: {one.problem}; expected: {one.expected}")
+        adapted.notes.append(f"{one.where}: {one.problem}")
     texts = {name: text for name, text in cell.texts.items() if name.endswith(hulls.SUFFIX)}
     found = two_readers.differences(cell.texts[cell.arms[0].urdf], texts, shapes=True)
     if found:

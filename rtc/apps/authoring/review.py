@@ -16,7 +16,7 @@ from typing import Any, Literal, cast, get_args, get_type_hints
 import msgspec
 import numpy as np
 
-from rtc.apps.authoring import self_collisions, words_and_keys
+from rtc.apps.authoring import plausible, self_collisions, words_and_keys
 from rtc.apps.authoring.inertias import GYRATION
 from rtc.apps.authoring.robot_file import EXPAND, RobotFile, implausible, kinematics
 from rtc.model.cells import cell as cells
@@ -104,6 +104,7 @@ def _cell(path: Path) -> tuple[list[Finding], Cell | None]:
     except ProgramError as error:
         return [*found, _at(path, text, "", str(error))], None
     found += _read_twice(cell, folders)
+    found += [_at(path, text, *row) for row in plausible.of_cell(cell)]
     return found + [_at(path, text, *row) for row in _geometry(cell)], cell
 
 
@@ -262,6 +263,12 @@ def of_urdf(path: Path, in_cell: bool = False, text: str | None = None) -> Itera
         for problem, expected, severity in [] if f"joint {name}" in faulty else _joint(robot, name):
             errors = errors or severity == "error"
             yield found(f"joint {name}", problem, expected, severity)
+        for problem, expected in [] if f"joint {name}" in faulty else plausible.of_joint(robot.joints[name]):
+            if robot.type(name) in MOVING:
+                yield found(f"joint {name}", problem, expected, "warning")
+    if bare := self_collisions.without_shape(robot):
+        problem = "nothing notices what it touches: it has no <collision>, nor has what is fixed to it"
+        yield from (found(f"link {name}", problem, "a shape, such as a box around it", "warning") for name in bare)
     impossible = in_cell  # to compare; a cell is compared as a whole
     for name, link in robot.links.items():
         for problem, expected, severity in [] if f"link {name}" in faulty else _inertial(robot, name, link):

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import combinations
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
@@ -31,11 +32,11 @@ def srdf(robot: RobotFile, urdf: str, texts: Mapping[str, str]) -> tuple[str, li
     """The SRDF text of an arm, and notes on pairs that collide often. `texts`: hulls by file name."""
     rows, notes = pairs(robot, urdf, texts)
     lines = [
-        f'  <disable_collisions link1="{a}" link2="{b}" reason="{reason}"/>'
+        f'  <disable_collisions link1={quoteattr(a)} link2={quoteattr(b)} reason="{reason}"/>'
         for (a, b), reason in sorted((sorted(links), reason) for links, reason in rows.items())
     ]
     intro = f"Pairs of links that need no collision check: neighbours, and others by {SAMPLES} sampled postures."
-    head = f'<?xml version="1.0"?>\n<!-- {intro} -->\n<robot name="{robot.name}">\n'
+    head = f'<?xml version="1.0"?>\n<!-- {intro} -->\n<robot name={quoteattr(robot.name)}>\n'
     return head + "\n".join(lines) + "\n</robot>\n", notes
 
 
@@ -115,6 +116,13 @@ def adjacent(robot: RobotFile, solid: set[str]) -> set[Pair]:
         for pair in combinations(solid, 2)
         if body[pair[0]] == body[pair[1]] or frozenset(body[link] for link in pair) in neighbours
     }
+
+
+def without_shape(robot: RobotFile) -> list[str]:
+    """The first link of each moving rigid body of which no link has a collision shape."""
+    shaped = {_carrying(robot, name) for name, link in robot.links.items() if link.find("collision") is not None}
+    bodies = {_carrying(robot, name): None for name in robot.links}
+    return [name for name in bodies if name not in shaped and name != robot.root]
 
 
 def _fingers(robot: RobotFile) -> set[Pair]:

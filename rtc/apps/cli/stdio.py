@@ -6,6 +6,7 @@ is not an OSError: the command itself reports what happens to its work.
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from typing import Any, TextIO, cast
@@ -58,8 +59,11 @@ class OutputStream:
 
 
 def attach() -> None:
-    """Make sure that stdin, stdout and stderr exist, and wrap the last two."""
+    """Make sure that stdin, stdout and stderr exist, and wrap the last two. What the encoding of stdout lacks is
+    printed as "?", since the command that it is about runs."""
     sys.stdin = sys.stdin or _nowhere("r")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
     sys.stdout = cast(TextIO, OutputStream(sys.stdout))
     sys.stderr = cast(TextIO, OutputStream(sys.stderr, needed=False))
 

@@ -123,3 +123,12 @@ def rtc(words: str) -> subprocess.CompletedProcess[str]:
 def test_a_lost_stdout_is_a_sentence_and_a_status(words: str, status: int, message: str) -> None:
     done = rtc(words)
     assert (done.returncode, done.stderr) == (status, message)
+
+
+def test_what_the_encoding_lacks_is_printed_with_a_sign_in_its_place() -> None:
+    """`rtc do` ended with "this is not text" while its command ran, and `rtc log` printed nothing."""
+    code = "import sys; from rtc.apps.cli.stdio import attach; attach(); print('f\\u00fcr'); sys.stdout.flush()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, env={**os.environ, "PYTHONIOENCODING": "ascii"}, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, b"f?r\n"), done.stderr

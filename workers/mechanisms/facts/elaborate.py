@@ -20,7 +20,7 @@ from rtc.protocol.advice import by_sentence, fill_in
 from rtc.protocol.messages import Script
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.sentence import ParsedCommand
-from rtc.protocol.spelling import nearest
+from rtc.protocol.spelling import is_next_number, nearest
 from rtc.spatial import geometry
 from rtc.world.model import location
 from workers.mechanisms.mechanism import Stated, Thing
@@ -103,7 +103,7 @@ def _facts(sentence: DataSentence, thing: Thing, attributes: Mapping[str, Stated
     else:
         known = [_word(name) for name in (*program.settable, *program.not_settable, *_others(thing, query))]
         like = nearest(parsed.attribute or "", known)
-        if like and parsed.attribute not in known:
+        if like and parsed.attribute not in known and not is_next_number(parsed.attribute or "", like):
             raise suggestions.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
     return {f"{thing.name}.{attribute}": values[0] if len(values) == 1 else values}
 

@@ -297,3 +297,11 @@ def test_a_seat_beyond_the_cell_is_not_believed(bench):
 
 def test_a_fixed_thing_stays_where_it_is(bench):
     assert refused(bench, "SET SATELLITE FRAME 80 -80 60 CM").reason is RefusalReason.STATE
+
+
+def test_names_that_differ_in_a_number_are_names_of_two_facts(bench):
+    """The second was refused: "did you mean SLOT-1?"."""
+    state(bench, "SET MACS-OLD SLOT-1 5")
+    state(bench, "SET MACS-OLD SLOT-2 6")
+    assert [bench.world.value(f"MACS-OLD.slot_{n}") for n in (1, 2)] == [5, 6]
+    assert refused(bench, "SET MACS-OLD SLTO-2 5").reason is RefusalReason.NAME
