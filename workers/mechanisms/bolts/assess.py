@@ -141,7 +141,7 @@ def impossible(change: WorldChange, thing: parts.Object, _: WorldQuery) -> str:
     """Why turns or a state cannot be those of this bolt; empty if they can."""
     attribute, thread = change.key.rpartition(".")[2], thing.thread
     if thread is None:
-        return ""
+        return f"{thing.name} is no bolt, and has no state" if attribute == "state" else ""
     if attribute == "turns" and not -WHOLE_TURN <= change.value <= thread.turns + WHOLE_TURN:
         return f"{change.key} would be {change.value:g}; it has {thread.turns + WHOLE_TURN:g}"
     if attribute == "state" and change.value not in BOLT_STATES:

@@ -62,7 +62,7 @@ def driver_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
 
 
 def stated_state(_: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any]:
-    """The state of a bolt; of another object a new attribute. Its turns and its frame follow from it."""
+    """The state of a bolt; another object has none. Its turns and its frame follow from it."""
     stated = (TIGHT, LOOSE)
     if query.thread(thing.name) is not None and values[0] not in stated:
         raise suggestions.unknown("state of a bolt", values[0], stated, where=values[0])

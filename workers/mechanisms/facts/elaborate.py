@@ -58,15 +58,13 @@ def script(sentence: DataSentence, attributes: Mapping[str, Stated]) -> Script:
     inside = [*(location(key) for key in facts), *(query.inside(name) if query.is_seat(name) else [])]
     if f"{name}.frame" in facts and (holder := query.held_by(name)):
         inside.append(holder)  # the hand's `holding` and the grasp follow from the frame
-    return sentence.script(_new(program, parsed, name), name, facts, [name, *inside])
+    return sentence.script(_new(program, parsed), name, facts, [name, *inside])
 
 
-def _new(program: ElaboratorProgram, parsed: ParsedCommand, thing: str) -> str:
+def _new(program: ElaboratorProgram, parsed: ParsedCommand) -> str:
     """The remark about an attribute that no program declares: it may be meant for another one."""
-    if _attribute(parsed) in program.settable:
-        return ""
-    known = ", ".join(map(_word, program.settable))
-    return f"{parsed.attribute} is kept, and no program uses it; those of {thing} that are used: {known}"
+    known = _attribute(parsed) in program.settable
+    return "" if known else f"{parsed.attribute} is kept, and no program uses it"
 
 
 def _attribute(parsed: ParsedCommand) -> str:

@@ -182,6 +182,21 @@ def test_what_is_found_out_is_not_reported(bench):
     assert "MACS-NEW" in in_one_line(refusal.clears)
 
 
+def test_what_a_camera_measures_is_not_stated(bench):
+    refusal = refused(bench, "SET MACS-NEW SIGHTING RED")
+
+    assert refusal.reason is RefusalReason.NOT_ALLOWED
+    assert [one.sentences for one in refusal.clears] == [["LOCATE MACS-NEW"]]
+
+
+@pytest.mark.parametrize("sentence", ["SET MACS-NEW STATE LOOSE", "SET SATELLITE STATE TIGHT"])
+def test_what_is_no_bolt_has_no_state(bench, sentence):
+    run = bench.do(sentence)
+
+    assert run.refusal is not None
+    assert run.refusal.reason is RefusalReason.INFEASIBLE
+
+
 def test_where_a_held_thing_is_tells_how_it_is_held(bench):
     bench.do(GRASP)
     bench.set_fact("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
