@@ -46,6 +46,7 @@ from workers.tasks.sentence_of import sentence_of
 MAX_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
 FRAME, GRASP = "frame", "grasp"  # attributes that cameras sense
 NEIGHBORS = "AVOID-NEIGHBORS"
+OPERATE = "operate"  # step that a person performs
 
 
 class Planned(msgspec.Struct, frozen=True):
@@ -342,6 +343,8 @@ def _try(
     thing = candidate.thing.name if candidate.thing else ""
     for n, step in enumerate(steps, 1):
         if not step.to:
+            if step.do == OPERATE and step.words.place:
+                _refuse_outside_limits(request, candidate, joints.get(step.words.place), lines[step.words.place])
             here = np.asarray(joints.get(step.words.place, here), dtype=float)  # where the operator brings it
             continue
         outside = has_left and step.words.leaves != "seat"
@@ -368,6 +371,29 @@ def _try(
     if last is not None:
         last.run(ways)
     return ways, None if here is start else here
+
+
+def _refuse_outside_limits(
+    request: PlanningRequest, candidate: TaskCandidate, joints: list[float] | None, anchor: Anchor
+) -> None:
+    """Refuse a place to which the operator is asked to bring the hand, if every posture there breaks a limit of the
+    sentence. How the arm gets there is the operator's; `joints`: of the plan, if it has solved the place."""
+    given = joints if joints is not None else anchor.joints
+    found = [np.asarray(given, dtype=float)] if given is not None else []
+    if not found:
+        pose = _world(candidate, anchor)
+        found = ik.solutions(request.algorithms.ik, request.arm, pose, request.start, request.margin_rad).found
+    why = [_outside_limits(request, posture) for posture in found]
+    if why and why[0] is not None and None not in why:
+        raise Refused(why[0])
+
+
+def _outside_limits(request: PlanningRequest, joints: Array) -> Refusal | None:
+    """The refusal of a posture (rad) that is in a region to avoid, or outside another limit of the path."""
+    at, regions = {**request.joints, request.arm.name: joints}, set(request.scene.keep_out)
+    hits = request.world.too_near(at, request.scene) if regions else []
+    inside = next((hit for hit in hits if hit.body_b.split()[0] in regions), None)
+    return inside.refusal() if inside is not None else request.path_constraints.violation(request.arm, joints)
 
 
 def _out_of_seat(request: PlanningRequest, candidate: TaskCandidate) -> PlanningRequest:

@@ -223,6 +223,10 @@ def test_the_request_comes_again_after_a_stop_function_and_then_the_command_fail
         "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SHARED WRIST VIA OPERATOR-INTERVENTION",
         "MOVE RIGHT-ARM BY 5 CM ALONG UP MAINTAIN SHARED WRIST",
         "STOW RIGHT-ARM MAINTAIN SHARED TRANSLATION",
+        # there the shoulder is in the region, or the hand is outside of it
+        "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN AVOID-TASK-REGION BAY-2-RANGE VIA OPERATOR-INTERVENTION",
+        "MOVE RIGHT-ARM TO RACK-1-FRONT MAINTAIN SAFE-WORK-RANGE BAY-2-RANGE VIA OPERATOR-INTERVENTION",
+        "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN SAFE-WORK-RANGE BAY-2-RANGE VIA OPERATOR-INTERVENTION",
     ],
 )
 def test_what_nothing_performs_is_refused(sentence: str) -> None:
