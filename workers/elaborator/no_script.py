@@ -17,7 +17,7 @@ def refused_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refused:
     load = "" if "rtc load" in instead or cannot else f"load a script for {parsed.verb}: rtc load FILE INTO elaborator"
     return Refused.because(
         RefusalReason.NO_SCRIPT,
-        (f"{parsed.verb} cannot be performed: {cannot}" if cannot else f"there is no script for {parsed.verb} yet"),
+        (f"{parsed.verb} cannot be tested: {cannot}" if cannot else f"there is no script for {parsed.verb} yet"),
         where=parsed.verb,
         expected=scripted,
         clears=by_person(instead, load),

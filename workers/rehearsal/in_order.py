@@ -19,18 +19,20 @@ LAST = "LAST"
 
 
 def refuse_unknown(parsed: ParsedCommand, before: Paper, live: Collection[str]) -> None:
-    """Refuse a sentence that names a command which is neither earlier in its list nor in progress."""
+    """Refuse a sentence that names a command which is neither earlier in its list nor one of `live`."""
     stops = parsed.object if parsed.kind == "control" and (parsed.object or "").startswith("C-") else None
     for name in filter(None, (parsed.after, parsed.together_with, stops)):
         if name in before.begun or name in live or (name == LAST and before.begun):
             continue
         earlier = f"; the sentences before are {', '.join(before.begun)}" if before.begun else ""
+        done = "in progress or has succeeded" if name == parsed.after else "in progress"
+        none = f"no sentence before this one is {name}, and no command {name} is {done}{earlier}"
         raise Refused.because(
             RefusalReason.NAME,
-            f"no sentence before this one is {name}, and no command {name} is in progress{earlier}",
+            "no sentence is before this one" if name == LAST else none,
             where=name,
             expected=before.begun,
-            clears=f"test it in one list with the sentence {name}",
+            clears=f"test it in one list with the sentence {'before it' if name == LAST else name}",
             cause=UnknownName(what="sentence", name=name),
         )
 

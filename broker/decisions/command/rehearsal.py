@@ -44,12 +44,16 @@ def rehearse(context: DecisionContext, command: Command, head: ParsedHead) -> No
         refuse(context, command, _unknown(command.after_test))
         return
     named = (head.after, head.together_with, scope_of(head) if head.kind == "control" else None)
+    known = {
+        *context.state.commands,
+        *([head.after] if head.after and _has_succeeded(context.state, head.after) else []),
+    }
     data = RehearsalInput(
         command=command.id,
         text=command.text,
         parsed=wire.opaque(command.parsed, ParsedCommand),
         label=command.label,
-        live=[name for name in named if name in context.state.commands],
+        live=[name for name in named if name in known],
         at_s=context.now,
         moving=context.motions_beside(command),
         rigid=exact_arms_of(context.state),
@@ -58,6 +62,10 @@ def rehearse(context: DecisionContext, command: Command, head: ParsedHead) -> No
     )
     context.create_job(command, WorkerKind.ELABORATOR, data, kind=JobKind.REHEARSAL)
     context.enter(command, Phase.REHEARSING)
+
+
+def _has_succeeded(state: State, name: str) -> bool:
+    return name in state.ended and state.ended[name].succeeded
 
 
 def on_rehearsed(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
@@ -71,7 +79,8 @@ def on_rehearsed(context: DecisionContext, command: Command, product: msgspec.Ra
     rehearsal = msgspec.structs.replace(result.rehearsal, digest=name, in_use=in_use)
     command.step_text = result.step
     if refusal is None:
-        message = f"feasible, about {rehearsal.predicted_s:.1f} s"
+        lasts = any(step.until_stopped for step in rehearsal.steps)
+        message = "feasible, until it is stopped" if lasts else f"feasible, about {rehearsal.predicted_s:.1f} s"
         message += f": {rehearsal.remark}" if rehearsal.remark else ""
         end(context, command, PendingOutcome(OutcomeKind.SUCCEEDED, message, rehearsal=rehearsal))
     else:

@@ -10,6 +10,7 @@ from rtc.protocol import causes, wire
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.protocol.primitive import GoalReached, JointTrajectory, Primitive, StopFunction, TimeAbove
+from rtc.wording.advice import in_one_line
 from tests.workers.conftest import MODEL, record
 from tests.workers.rehearsal.on_paper import SERVICING, OnPaper
 from workers.rehearsal.rehearse import plain
@@ -194,6 +195,13 @@ def test_other_sentences_are_named_by_their_labels_or_numbers(paper: OnPaper, se
     assert (found.refusal is None) is feasible
     if found.refusal is not None:
         assert found.refusal.reason is RefusalReason.NAME
+
+
+def test_what_the_broker_itself_does_is_not_tested(paper: OnPaper):
+    found = paper.test("LOAD CENTERING-GRASP INTO ELABORATOR")
+    assert found.refusal is not None
+    assert found.refusal.reason is RefusalReason.NO_SCRIPT
+    assert "without TEST" in in_one_line(found.refusal.clears)
 
 
 def test_a_stated_fact_is_there_for_the_next_sentence(paper: OnPaper):

@@ -11,8 +11,9 @@ from broker.decisions.effects import DispatchJob
 from rtc.protocol import wire
 from rtc.protocol.messages import ElaboratorInput, RehearsalInput, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
+from rtc.protocol.rehearsal import RehearsedStep
 from rtc.protocol.versions import RIGID
-from tests.broker.harness import Harness, record, rehearsed
+from tests.broker.harness import Harness, go_on, record, rehearsed
 from tests.simulation.invariants import violations
 
 MOVE, STOW = record(verb="MOVE"), record(verb="STOW")
@@ -70,6 +71,29 @@ def test_an_infeasible_sentence_is_refused_with_its_step():
     s.answers("C-1", msgspec.structs.replace(rehearsed(record(), INFEASIBLE), step="2 of 3: go"))
     outcome = s.outcome("C-1")
     assert (outcome.kind, outcome.refusal, outcome.step) == (OutcomeKind.REFUSED, INFEASIBLE, "2 of 3: go")
+
+
+def test_its_job_names_an_earlier_command_that_has_succeeded():
+    s = Harness()
+    s.analyzing()
+    s.answers("C-1", go_on())
+    for words, live in (({"after": "C-1"}, ["C-1"]), ({"together_with": "C-1"}, []), ({"after": "C-7"}, [])):
+        s.says("TEST X")
+        command = f"C-{s.state.accepted}"
+        s.answers(command, record(test=True, **words))
+        assert wire.decoder(RehearsalInput)(s.state.commands[command].job.input).live == live
+
+
+def test_a_sentence_that_lasts_has_no_time():
+    s = Harness()
+    s.says("TEST X")
+    s.answers("C-1", record(test=True))
+    found = rehearsed(record())
+    step = RehearsedStep(label="hold", until_stopped=True)
+    lasting = msgspec.structs.replace(found.rehearsal, steps=[step], predicted_s=0.0)
+    s.answers("C-1", msgspec.structs.replace(found, rehearsal=lasting))
+    assert s.outcome("C-1").kind is OutcomeKind.SUCCEEDED
+    assert "0.0 s" not in s.outcome("C-1").message  # wording: no time is foretold
 
 
 def test_it_runs_beside_a_command_that_uses_the_same_arm():
