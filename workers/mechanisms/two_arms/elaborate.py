@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from msgspec.structs import replace
+
 from rtc.language.hands import hand_in_words
 from rtc.model.cells import parts
 from rtc.programs.extension_names import PARTNER
@@ -19,6 +21,7 @@ from workers.planning import shared_hold, suggestions
 from workers.planning.world_query import WorldQuery
 from workers.tasks.anchor import Anchor, named
 from workers.tasks.candidate import AskedTask, TaskCandidate, lets_go_first
+from workers.tasks.sentence_of import sentence_of
 from workers.tasks.unmet import UnmetPrecondition
 
 
@@ -32,9 +35,9 @@ def arms(asked: AskedTask) -> list[str]:
     able = [row.verb for row in rows]
     if parsed.verb not in able:
         message = f"{parsed.verb} has no script for two arms"
-        each = by_sentence(*(f"{parsed.verb} {hand_in_words(arm.name)}" for arm in query.cell.arms), instead=True)
-        others = by_person(f"{', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}")
-        clears = [*(by_person("name one arm") if parsed.object else each), *others]
+        alone = [] if parsed.object else [sentence_of(replace(parsed, hand=arm.name)) for arm in query.cell.arms]
+        each = by_sentence(*alone, instead=True) if alone and all(alone) else by_person("name one arm")
+        clears = [*each, *by_person(f"{', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}")]
         raise Refused.because(RefusalReason.NO_SCRIPT, message, clears=clears)
     if any(reflex.action != "stop" for reflex in parsed.reflexes):
         message = f"{BOTH_ARMS} can only stop when an UNLESS becomes true: another reflex would pull at the object"

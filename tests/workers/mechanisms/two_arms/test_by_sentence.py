@@ -366,6 +366,12 @@ def test_a_second_hand_takes_a_module_which_is_carried_halted_carried_on_and_let
     assert run.slip_m < 0.002
 
 
+def test_an_advice_for_each_arm_that_cannot_be_written_is_not_given(bench) -> None:
+    refused = bench.elaborate("GIVE BOTH-ARMS TO OPERATOR")
+    assert isinstance(refused, Refusal)
+    assert sentences_of(refused.clears) == []
+
+
 @pytest.mark.parametrize("verb", ["STOW", "RETRACT", "OPEN", "HOLD"])
 def test_a_verb_without_a_script_for_two_arms_names_one_sentence_for_each(bench, verb) -> None:
     assert bench.do("MOVE RIGHT-ARM TO CLEAR-POINT-1").succeeded
