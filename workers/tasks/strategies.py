@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
+from rtc.language.dictionary import reserved_words
 from rtc.programs.schema import Branch, ElaboratorProgram, ScriptFile
 from rtc.protocol.advice import by_person
 from rtc.protocol.outcomes import RefusalReason, Refused
@@ -27,8 +28,9 @@ def is_strategy(name: str, verb: str, script: str) -> bool:
 
 
 def names(branches: Sequence[Branch]) -> list[str]:
-    """The names of the scripts of these rows, as a sentence has them."""
-    return list(dict.fromkeys(branch.script.upper() for branch in branches))
+    """The names of the scripts of these rows, as a sentence has them; a reserved word cannot be one."""
+    every = dict.fromkeys(branch.script.upper() for branch in branches)
+    return [name for name in every if name not in reserved_words()]
 
 
 def via(
@@ -52,7 +54,8 @@ def via(
         return parsed, branches
     chosen = [branch for branch in branches if is_strategy(wanted, parsed.verb, branch.script)]
     if not chosen:
-        known = [*names(branches), *(v for b in branches for c in b.when if (v := c.equals.get("performer")))]
+        by = [name for row in branches for check in row.when if (name := check.equals.get("performer"))]
+        known = [*names(branches), *(f"{OPERATOR}-INTERVENTION" if name == OPERATOR else name for name in by)]
         raise suggestions.unknown(f"{parsed.verb} strategy", wanted, known)
     return msgspec.structs.replace(parsed, performer=None), chosen
 

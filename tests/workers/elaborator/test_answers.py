@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from tests.refusals import stated
-from tests.workers.conftest import Bench
+from tests.workers.conftest import Bench, record
 
 TAKE = "GRASP MACS-NEW WITH RIGHT-ARM"
 
@@ -87,6 +88,21 @@ def test_a_strategy_that_does_not_fit_is_refused_with_those_that_do(
     assert refusal is not None
     assert stated(refusal, facts) == facts
     assert expected in refusal.expected
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    ["MOVE RIGHT-ARM TO BAY-2-FRONT VIA SIMPLE", "SET LIFT-STRATEGY DEFAULT SIMPLE", "SET LIFT-STRATEGY COLOUR RED"],
+)
+def test_only_names_of_strategies_that_a_sentence_can_have_are_listed(bench: Bench, sentence: str) -> None:
+    """MOVE, LIFT and OPERATOR were listed, which are reserved words."""
+    refusal = bench.do(sentence).refusal
+    assert refusal is not None
+    words = sentence.rpartition(" ")[0]
+    for name in refusal.expected:
+        assert record(f"{words} {name}"), name
+    for advised in sentences_of(refusal.clears):
+        assert record(advised), advised
 
 
 def test_the_default_strategy_is_tried_first_until_it_is_forgotten(bench: Bench) -> None:

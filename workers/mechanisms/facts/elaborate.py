@@ -210,7 +210,7 @@ def _default(program: ElaboratorProgram, parsed: ParsedCommand) -> Concerned:
     name = values[0] if len(values) == 1 and isinstance(values[0], str) else ""
     if parsed.attribute != DEFAULT or not name:
         message = f"of {place} only {DEFAULT} can be set, to the name of a strategy or to {NONE}"
-        clears = by_sentence(f"{parsed.verb} {place} {DEFAULT} {names(rows)[0]}", instead=True)
+        clears = by_sentence(f"{parsed.verb} {place} {DEFAULT} {[*names(rows), NONE][0]}", instead=True)
         raise Refused.because(RefusalReason.SENTENCE, message, where=parsed.attribute or "", clears=clears)
     if name != NONE and not any(is_strategy(name, verb, row.script) for row in rows):
         raise suggestions.unknown(f"{verb} strategy", name, [*names(rows), NONE])
