@@ -8,7 +8,7 @@ scripts.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 import msgspec
@@ -113,7 +113,7 @@ def run(
         exact_arms.refuse(script, data.rigid)
         return installed_phases.applied(compiled.program.phases, data, script)
     except Refused as refused:
-        return _advised(compiled, query, data.parsed, refused.refusal) if advise else refused.refusal
+        return _advised(compiled, query, data.parsed, refused.refusal, data.rigid) if advise else refused.refusal
 
 
 class Chosen(NamedTuple):
@@ -123,7 +123,9 @@ class Chosen(NamedTuple):
     changes: list[WorldChange] | None
 
 
-def _advised(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal) -> Refusal:
+def _advised(
+    compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal, rigid: Collection[str]
+) -> Refusal:
     """The refusal, without the sentences of its advice, and the other arms, that would be refused as well; with one
     that is accepted instead if none is left."""
 
@@ -141,18 +143,18 @@ def _advised(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusa
             for one, arm in sentences
         ]
 
-    why = _Why(compiled, query)
-    refusal = _of_what_remains(compiled, query, asked, refusal)
+    why = _Why(compiled, query, rigid)
+    refusal = _of_what_remains(compiled, query, asked, refusal, rigid)
     test = tested_advice.AdviceTest(why, other_arms, asked)
     advised = tested_advice.without_infeasible(refusal, test)
     return sentences_instead.added(compiled, advised, asked, query, test)
 
 
 class _Why:
-    """The refusal of a sentence in this world; None if it is accepted. Each is computed once."""
+    """The refusal of a sentence in this world; None if it is accepted. Each is computed once. `rigid`: exact arms."""
 
-    def __init__(self, compiled: Compiled, query: WorldQuery) -> None:
-        self._compiled, self._query = compiled, query
+    def __init__(self, compiled: Compiled, query: WorldQuery, rigid: Collection[str]) -> None:
+        self._compiled, self._query, self._rigid = compiled, query, rigid
         self._known: dict[bytes, Refusal | Chosen] = {}
 
     def __call__(self, parsed: ParsedCommand) -> Refusal | None:
@@ -172,7 +174,7 @@ class _Why:
         )
 
     def _in(self, changes: Iterable[WorldChange]) -> _Why:
-        return _Why(self._compiled, self._query.after(changes))
+        return _Why(self._compiled, self._query.after(changes), self._rigid)
 
     def _found(self, parsed: ParsedCommand) -> Refusal | Chosen:
         key = msgspec.json.encode(parsed)
@@ -182,12 +184,16 @@ class _Why:
 
     def _elaborated(self, parsed: ParsedCommand) -> Refusal | Chosen:
         try:
-            return _elaborated(self._compiled, self._query, parsed, {}, advise=False)
+            chosen = _elaborated(self._compiled, self._query, parsed, {}, advise=False)
+            exact_arms.refuse(chosen.script, self._rigid)
+            return chosen
         except Refused as why:
-            return _of_what_remains(self._compiled, self._query, parsed, why.refusal)
+            return _of_what_remains(self._compiled, self._query, parsed, why.refusal, self._rigid)
 
 
-def _of_what_remains(compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal) -> Refusal:
+def _of_what_remains(
+    compiled: Compiled, query: WorldQuery, asked: ParsedCommand, refusal: Refusal, rigid: Collection[str]
+) -> Refusal:
     """The refusal of a doubt about a pose in the hand. A way that the arm lacks, or that the object blocks where it is
     believed to be, is stated in its place: what clears the doubt makes none. If the pose would be too uncertain even
     without the doubt, its advice is that for the greater demand, which clears both: a check by fingers makes no pose
@@ -197,12 +203,12 @@ def _of_what_remains(compiled: Compiled, query: WorldQuery, asked: ParsedCommand
         return refusal
     sure = WorldChange(key=doubt.fact, keep_value=True, validity=Validity.VALID)
     exact = msgspec.structs.replace(sure, spread=EXACT)
-    remains = _Why(compiled, query.after([exact]))(asked)
+    remains = _Why(compiled, query.after([exact]), rigid)(asked)
     if remains is not None and remains.reason is RefusalReason.INFEASIBLE:
         return remains
     if isinstance(doubt, TooUncertain):
         return refusal
-    why = _Why(compiled, query.after([sure]))
+    why = _Why(compiled, query.after([sure]), rigid)
     remains = why(asked)
     if remains is None or not isinstance(remains.cause, TooUncertain):
         return refusal

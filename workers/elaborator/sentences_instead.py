@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from rtc.language.hands import hand_in_words
 from rtc.protocol.advice import Advice, by_sentence, sentences_of
-from rtc.protocol.causes import Collides, TooUncertain
+from rtc.protocol.causes import Collides, ExactArm, TooUncertain
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, Quantity
 from workers.elaborator.script_steps import Compiled
@@ -45,7 +45,7 @@ def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: Wor
     # the measurement that clears a doubt clears the way for the asked one too
     if other := _instead(test, _other_forms(compiled, asked, query, refusal), later=not clearable):
         return replace(refusal, clears=[*other, *kept])
-    if refusal.reason is RefusalReason.NO_SCRIPT:
+    if refusal.reason is RefusalReason.NO_SCRIPT or isinstance(refusal.cause, ExactArm):
         return refusal
     freeing = list(_freeing(compiled.program.frees, asked, query))
     if free := by_sentence(test.first(freeing), instead=True) or test.after_another(freeing):

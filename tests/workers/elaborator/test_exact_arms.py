@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtc.model.cells.cell import Cell
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.causes import ExactArm
 from rtc.protocol.messages import Script
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -79,3 +80,24 @@ def test_what_exact_arms_can_do_is_accepted_and_done() -> None:
     ):
         run = bench.do(sentence)
         assert run.succeeded, (sentence, run.refusal, run.failure)
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "PUSH MACS-NEW BY 3 CM",
+        "PULL MACS-NEW BY 3 CM",
+        "INSERT MACS-NEW INTO BAY-2",
+        "CARRY MACS-NEW TO BAY-2-FRONT WITH BOTH-ARMS",
+    ],
+)
+def test_no_other_form_is_advised_that_exact_arms_refuse_too(sentence) -> None:
+    """PUSH BY 20 MM was advised instead, then BY 10 MM; INSERT INTO RACK-1, then INTO BAY-2 again."""
+    bench = Bench(Reporter(MODEL.cell))
+    bench.rigid = ARMS
+    for one in LIFTED:
+        assert bench.do(one).succeeded, one
+    refusal = bench.do(sentence).refusal
+    assert isinstance(refusal.cause, ExactArm)
+    for advised in sentences_of(refusal.clears):
+        assert isinstance(bench.elaborate(advised), Script), advised
