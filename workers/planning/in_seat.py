@@ -53,11 +53,14 @@ def refuse_other_way(
     )
 
 
-def way_out_in_words(query: WorldQuery, arm: str, seat: str, frame: Floats | None = None) -> str:
-    """The sentence that takes the held object out of this seat. `frame`: of the object; None: as believed."""
-    held = query.holding(arm)
+def way_out_in_words(query: WorldQuery, arm: str, seat: str, frame: Floats | None = None, thing: str = "") -> str:
+    """The sentence that takes the held object out of this seat. `frame`: of the object; None: as believed. `thing`: it,
+    if no arm holds it yet."""
+    held = thing or query.holding(arm)
     left_m = query.cell.seat(seat).depth_m + SPARE_M - query.out_m(seat, query.frame(held) if frame is None else frame)
     by = f"BY {max(1, math.ceil(100 * left_m - 0.05))} CM"
+    if thing:
+        return f"LIFT {thing} {by}"
     if query.sharers(arm):
         return f"MOVE BOTH-ARMS {by} ALONG {query.way_out_of(seat)}"
     return f"LIFT {held} {by} WITH {hand_in_words(arm)}"

@@ -48,15 +48,19 @@ def _uncovered(task: AnalyzeTask, body: str, about: About) -> Advice:
 
 
 def out_first(task: AnalyzeTask) -> Advice:
-    """Sentences before a held body can go elsewhere: a second hand lets go of it, or it leaves the slot that it is
-    still in. Empty if neither is needed."""
-    query, body = task.query, task.evaluation.body
+    """Sentences before a body can go elsewhere: a hand takes it, or a second hand lets go of it, or it leaves the slot
+    that it is still in. Empty if none is needed."""
+    query, body, sighting = task.query, task.evaluation.body, task.report.sighting
     arm, sentences = query.held_by(body) if body else "", list[str]()
     if arm and query.hinge(body) is None:
         if sharing := query.sharers(arm):
             sentences = [f"RELEASE {body} WITH {hand_in_words(sharing[0])}"]
         elif seat := query.slot_at(query.frame(body)):
             sentences = [in_seat.way_out_in_words(query, arm, seat)]
+    elif not arm and sighting is not None:
+        slot = query.slot_at(sighting.pose)
+        out = [in_seat.way_out_in_words(query, "", slot, sighting.pose, thing=body)] if slot else []
+        sentences = [f"GRASP {body}", *out]
     return [Alternative(sentences=sentences)]
 
 

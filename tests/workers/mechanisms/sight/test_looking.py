@@ -201,6 +201,19 @@ def test_verify_at_another_place_leaves_a_pose_that_the_camera_confirms(bench) -
     assert frame(bench, MODULE) == before
 
 
+@pytest.mark.parametrize("seat", ["BAY-2", "RACK-1"])
+def test_what_verify_advises_of_an_object_in_no_hand_brings_it_to_its_place(bench, seat) -> None:
+    """PLACE alone was advised, and refused: no hand held the object."""
+    if seat == "RACK-1":
+        bench.subsystem.displace(MODULE, [0.0, 0.008, 0.0])
+    run = bench.do(f"VERIFY {MODULE} AT {seat} VIA CAMERA-1")
+    assert run.failure.reason is StopReason.OUT_OF_RANGE
+    (way,) = (one for one in run.failure.clears if f"PLACE {MODULE} ON {seat}" in one.sentences)
+    before = [f"LOCATE {MODULE}"] if seat == "RACK-1" else []
+    for sentence in (*before, *way.sentences):
+        assert bench.do(sentence).succeeded, sentence
+
+
 def test_track_follows_for_its_time_and_reports(bench) -> None:
     run = bench.do("TRACK SATELLITE FOR 2 SEC VIA CAMERA-3 REPORT POSE AND EVERY 0.1 SEC")
     assert run.succeeded
