@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from rtc.protocol import causes, wire
+from rtc.protocol.advice import sentences_of
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.protocol.primitive import GoalReached, JointTrajectory, Primitive, StopFunction, TimeAbove
@@ -202,6 +203,13 @@ def test_what_the_broker_itself_does_is_not_tested(paper: OnPaper):
     assert found.refusal is not None
     assert found.refusal.reason is RefusalReason.NO_SCRIPT
     assert "without TEST" in in_one_line(found.refusal.clears)
+
+
+def test_a_carrier_is_not_looked_for_if_the_look_at_what_is_on_it_is_vague(paper: OnPaper):
+    """LOCATE SATELLITE was advised, then LOCATE BAY-2 again, which was refused as before."""
+    found = paper.test("LOCATE BAY-2")
+    assert found.refusal is not None
+    assert sentences_of(found.refusal.clears) == []
 
 
 def test_a_stated_fact_is_there_for_the_next_sentence(paper: OnPaper):

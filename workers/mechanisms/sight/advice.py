@@ -19,7 +19,7 @@ def unseen(task: AnalyzeTask, about: About) -> Advice:
     query, clears, body = task.query, task.program.clears, task.evaluation.body
     if body and (cover := _uncovered(task, body, about)):
         return cover
-    carrier = query.bodies.get(body)
+    carrier = query.bodies.get(body) if task.report.sighting is None else None  # else it is where it is believed
     if carrier and query.world.get(f"{carrier}.sighting") is None and query.cameras(carrier):
         return fill_in(clears.get("carrier", []), {"carrier": carrier})  # no camera has looked for it
     if not body or not query.held_by(body):
