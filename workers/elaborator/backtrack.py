@@ -475,7 +475,9 @@ class _AtPlace(NamedTuple):
 
 def _where(refusal: Refusal, where: str, words: str) -> Refusal:
     """Add the place to the refusal; to its message too, in words if a segment is blocked, as it is if the program is
-    wrong."""
+    wrong. An unknown name is a place of the sentence."""
+    if refusal.reason is RefusalReason.NAME and refusal.where:
+        return refusal
     place = f"{where}, {refusal.where}" if refusal.where else where
     named = {RefusalReason.INFEASIBLE: words, RefusalReason.PROGRAM: where}.get(refusal.reason, "")
     message = f"{named}: {refusal.message}" if named else refusal.message

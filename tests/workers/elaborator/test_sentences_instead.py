@@ -307,3 +307,16 @@ def test_the_stow_of_an_arm_beside_a_door_does_not_advise_itself() -> None:
     ran = later(drawn)
     assert ran.end != "stuck", ran.story
     assert not any("STOW LEFT-ARM" in line.partition("[")[2] for line in ran.story if "comes within" in line)
+
+
+def test_an_unknown_name_is_stated_as_it_stands_in_the_sentence(bench: Bench) -> None:
+    refusal = bench.do("MOVE RIGHT-ARM TO-GRASP-POINT-OF SATELLITE").refusal
+    assert refusal is not None
+    assert refusal.where == "SATELLITE"
+
+
+def test_a_turn_in_place_has_no_way_in_millimetres(bench: Bench) -> None:
+    refusal = bench.do("MOVE RIGHT-ARM BY 180 DEG ALONG TOOL-X").refusal
+    assert refusal is not None
+    assert isinstance(refusal.cause, causes.JointLimitPassed)
+    assert " mm" not in refusal.where

@@ -248,7 +248,9 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
 
 
 def _at(problem: Refusal, fraction: float, metres: float, length_m: float) -> Refused:
-    where = f"{fraction:.0%} along the line, after {metres * 1000:.0f} mm of {length_m * 1000:.0f} mm"
+    where = f"{fraction:.0%} along the line"
+    if length_m >= 0.001:  # else the hand turns where it is
+        where += f", after {metres * 1000:.0f} mm of {length_m * 1000:.0f} mm"
     placed = msgspec.structs.replace(
         problem,
         message=f"{problem.message} ({where})",
