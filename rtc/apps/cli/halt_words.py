@@ -46,7 +46,7 @@ def _result(result: HaltResult) -> Line:
         return [("nothing was moving; ", ""), (f"rest confirmed after {(rest or 0.0) * 1e3:.0f} ms", "bold green")]
     nothing = f"nothing of {result.scope} moves: it has ended, or has not begun"
     late = "nothing moves; it is not known whether something moved at the call"
-    resting = "no joint was moving" + (SETTLED if (rest or 0.0) > SETTLED_S else "")
+    resting = "no joint was moving" + (SETTLED if (rest or 0.0) - result.latency_s > SETTLED_S else "")
     still = nothing if not result.reached else late if result.latency_s > LATE_S else resting
     what = f"{', '.join(result.moving)} decelerating" if result.moving else f"{still}; the order arrived"
     first = (f"{what} after {result.latency_s * 1e3:.2f} ms; ", "")
