@@ -8,8 +8,10 @@ import random
 import pytest
 
 from rtc.model.cells.parts import Numbers
+from rtc.programs import loader
 from rtc.spatial import geometry
 from rtc.world.spread import even
+from workers.analyzer import analyze
 from workers.planning.pose_spread import (
     crept_spread,
     error_of,
@@ -94,3 +96,12 @@ def test_an_error_is_along_and_about_the_own_axes_of_the_pose() -> None:
     pose = geometry.from_rpy((1.0, 2.0, 3.0), (0.0, 0.0, 0.5 * math.pi))  # its x is the world's y
     true = geometry.compose(pose, geometry.from_rpy((0.001, 0.0, 0.0), (0.01, 0.0, 0.0)))
     assert error_of(pose, true) == pytest.approx([0.001, 0.0, 0.0, 0.01, 0.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("peak_n", "turns"), [(11.0, False), (16.3, False), (22.0, True), (34.0, True)])
+def test_what_reads_the_inertia_of_a_way_has_turned_nothing(peak_n, turns):
+    """Readings of ways on which nothing was touched, and of touches that turned what is held by 1.1 and 2.0 deg."""
+    values = analyze.compile(loader.default("analyzer")).values
+    before = [0.001] * 3 + [0.02] * 3
+    after = struck_spread(before, geometry.IDENTITY, peak_n, values)
+    assert (after != before) is turns
