@@ -462,13 +462,11 @@ def test_a_halt_goes_to_broker_and_mcm_with_one_name(broker: SmallBroker, run_di
 
 
 @pytest.mark.parametrize("scope", UNKNOWN_SCOPES)
-def test_a_halt_of_nothing_is_not_confirmed_although_nothing_of_it_moves(
-    broker: SmallBroker, run_dir: Path, scope: str
-) -> None:
+def test_a_halt_of_nothing_halts_all_and_says_so(broker: SmallBroker, run_dir: Path, scope: str) -> None:
     with Client(run_dir) as rtc:
         for _ in range(20):  # whichever answer comes first
             result = rtc.halt(scope)
-            assert (result.confirmed, result.declined) == (False, True)
+            assert (result.scope, result.unknown, result.confirmed, result.declined) == ("ALL", scope, True, False)
 
 
 def test_a_halt_of_a_command_that_has_ended_is_confirmed(run_dir: Path) -> None:
