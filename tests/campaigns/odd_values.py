@@ -26,6 +26,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError, URLError
@@ -47,6 +48,7 @@ from tests.campaigns import RESULTS, hostile
 ARMS = ("broker", "MCM")  # what must never die
 HALT_LIMIT_S = 0.05  # of the MCM, from its receipt of an order until the arm brakes
 WHOLE_LIMIT_S = 1.0  # of the same from the call on: on a busy machine the caller waits for a processor
+AGAIN_S = 1.0  # after which a client that has asked too often may ask again
 ANSWER_S = 90.0  # for any sentence: two workers may die of it first
 SENTENCE = "MOVE RIGHT-ARM BY {} CM ALONG Z"
 ODD = [math.nan, math.inf, -1e308, 1e308, "x", "", None, [], {}, [[]], [math.nan] * 6, "\ud800", -1, 2**70, True]
@@ -133,6 +135,10 @@ def odd_package(folder: Path) -> Iterator[Path]:
             os.environ.pop(name, None) if value is None else os.environ.__setitem__(name, value)
 
 
+def _is_for(request: str, message: dict[str, Any]) -> bool:
+    return bool(message.get("request") == request)
+
+
 class Peer:
     """A client of plain messages at one socket of a cluster."""
 
@@ -158,6 +164,19 @@ class Peer:
                     self.ended[message["request"]] = message["outcome"]["kind"]
                 if wanted(message):
                     return message
+        return None
+
+    def answer(self, for_s: float = 60.0, **question: Any) -> Any:
+        """The answer to a question, which is asked again while the broker says that there are too many. None: there is
+        no answer in time."""
+        end_s = time.monotonic() + for_s
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            request = uuid.uuid4().hex
+            self.say(request=request, **question)
+            found = self.receive(left_s, partial(_is_for, request))
+            if found is None or found["type"] != "Declined" or found["refusal"]["reason"] != "overload":
+                return found
+            self.receive(AGAIN_S, lambda _: False)
         return None
 
     def outcome(self, text: str, for_s: float = ANSWER_S, **more: Any) -> str:
@@ -206,9 +225,7 @@ class Doors:
             self._load(kind, f"phases: [ODD]\n{more}")
 
     def _load(self, kind: str, body: str, name: str = "odd.yaml") -> Any:
-        request = uuid.uuid4().hex
-        self.peer.say(type="ProgramText", request=request, kind=kind, name=name, body=body.encode())
-        return self.peer.receive(60.0, lambda message: message.get("request") == request)
+        return self.peer.answer(type="ProgramText", kind=kind, name=name, body=body.encode())
 
     # --- the doors --------------------------------------------------------------------------------------
 
@@ -235,8 +252,7 @@ class Doors:
 
     def _live(self) -> str:
         """The commands that have not ended, and what each waits for."""
-        self.peer.say(type="StatusQuery", request="l")
-        found = self.peer.receive(10.0, lambda message: message["type"] == "StatusReply")
+        found = self.peer.answer(type="StatusQuery")
         rows = found["status"]["commands"] if found else []
         return "; ".join(f"{row['command']} {row['text'][:40]!r}: {row['phase']} {row['step']}" for row in rows)
 
@@ -250,8 +266,7 @@ class Doors:
         hurt = copy.deepcopy(facts)
         for key in self.rng.sample(sorted(facts), self.rng.choice((1, 2, 5))):
             self._hurt(hurt, key, hurt[key])
-        self.peer.say(type="StatusQuery", request="s")
-        status = self.peer.receive(10.0, lambda message: message["type"] == "StatusReply")["status"]
+        status = self.peer.answer(type="StatusQuery")["status"]
         saved = {"cell": status["programs"]["cell"], "facts": hurt}
         answers = [self.peer.outcome("SET WORLD FACTS SAVED", saved=saved), self.peer.outcome(SENTENCE.format(0.2))]
         answers.append(self.peer.outcome("TEST GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM"))
