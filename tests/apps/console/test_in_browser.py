@@ -29,8 +29,7 @@ from rtc.spatial import geometry
 from tests.apps.console.browser import LIMIT_S, Browser, Page, browser, installed
 
 pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.untimed,
+    pytest.mark.slow,  # not untimed: they follow each other on one page, and shared among processes one failed
     pytest.mark.skipif(not installed(), reason="no browser: install chromium to test the page of the console"),
 ]
 READY = "window.rtcConsole?.view.drawn > 0 && Object.values(rtcConsole.state.links).every(Boolean)"
