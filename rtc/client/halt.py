@@ -273,7 +273,7 @@ class HaltLine:
         if COMMAND.fullmatch(order.scope) and not refusals and not _reached(subsystems.values()):
             declined, doubt = self._check_exists(order.scope, "halt" in sent_to)
             doubt = doubt if subsystems else ""
-        is_unknown = bool(declined) and (refused is None or refused.reason is RefusalReason.NAME)
+        is_unknown = refused is not None and refused.reason is RefusalReason.NAME
         silent = [] if order.scope != EVERYTHING else [name for name in self._confirming if name not in subsystems]
         result = _result(order, sent_to, list(subsystems.values()), declined, doubt, silent)
         is_unknown = is_unknown and result.declined and order.scope != EVERYTHING
