@@ -56,7 +56,7 @@ PURE = (
     "rtc/programs/action_stack.py",
     "rtc/programs/schema.py", "rtc/programs/checks.py", "rtc/programs/expressions.py", "rtc/programs/compatibility.py",
     "rtc/programs/attributes.py", "rtc/programs/recovery.py", "rtc/programs/splice.py", "rtc/programs/whole_file.py",
-    "rtc/programs/plugin_fields.py", "rtc/programs/loader.py",
+    "rtc/programs/plugin_fields.py", "rtc/programs/words_of_packages.py", "rtc/programs/loader.py",
     "rtc/world/facts.py", "rtc/world/model.py", "rtc/world/spread.py",
     "broker/decisions/", "broker/dispatch/", "rtc/subsystems/motion/",
     "rtc/client/core.py", "rtc/apps/observers/viewer_schema.py", "rtc/sensing/", "rtc/subsystems/base/subsystem.py",

@@ -15,7 +15,7 @@ import typer
 from rtc.apps.cli.main import build
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import Refusal
-from tests import decisions_page
+from tests import decisions_page, mechanisms_page
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("rtc", "broker", "workers", "sim_mcm", "deploy")
@@ -129,6 +129,11 @@ def test_each_decision_has_a_number_of_its_own():
 def test_the_list_of_decisions_is_up_to_date():
     written = (decisions_page.FOLDER / "README.md").read_text()
     assert written == decisions_page.page(), "write it anew: python -m tests.decisions_page > docs/decisions/README.md"
+
+
+def test_the_page_of_mechanisms_is_up_to_date():
+    written = (ROOT / "docs" / "mechanisms.md").read_text()
+    assert written == mechanisms_page.page(), "write it anew: python -m tests.mechanisms_page > docs/mechanisms.md"
 
 
 def test_the_list_for_language_models_names_pages_that_exist():

@@ -26,6 +26,7 @@ TRIMMERS = "rtc.trimmers"
 SENSORS = "rtc.sensors"
 PHASES = "rtc.phases"
 FILLERS = "rtc.fillers"
+MECHANISMS = "rtc.mechanisms"
 #: group -> what one of it is called in messages
 GROUPS = {
     CONTROL_LAWS: "control law",
@@ -39,6 +40,7 @@ GROUPS = {
     SENSORS: "sensor",
     PHASES: "phase",
     FILLERS: "table filler",
+    MECHANISMS: "mechanism",
 }
 
 

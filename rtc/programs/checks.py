@@ -7,7 +7,16 @@ from collections.abc import Callable, Collection, Iterator
 from typing import Any, NamedTuple
 
 from rtc.model.cells.parts import Numbers
-from rtc.programs import attributes, expressions, extension_names, named_algorithms, plugin_fields, recovery, splice
+from rtc.programs import (
+    attributes,
+    expressions,
+    extension_names,
+    named_algorithms,
+    plugin_fields,
+    recovery,
+    splice,
+    words_of_packages,
+)
 from rtc.programs.schema import (
     AnalyzerProgram,
     BinderProgram,
@@ -104,7 +113,7 @@ def _script(script: ScriptFile, place: str, figures: set[str]) -> Problems:
     for n, field in enumerate(script.uses):
         yield from known("field of a sentence", field, FIELDS, f"{place}.uses[{n}]")
     for n, need in enumerate(script.needs):
-        yield from known("condition of the world", need, extension_names.NEEDS, f"{place}.needs[{n}]")
+        yield from _word("condition of the world", need, extension_names.NEEDS, f"{place}.needs[{n}]")
     for section in ("resources", "writes"):
         for n, role in enumerate(getattr(script, section)):
             if role != role.upper():  # a name of the cell is in capitals
@@ -114,7 +123,7 @@ def _script(script: ScriptFile, place: str, figures: set[str]) -> Problems:
         yield from _declared(script.unsure_if, f"{place}.unsure_if", figures)
     planned: list[str] = []
     for n, line in enumerate(script.plan):
-        yield from known("anchor", line.at, [*extension_names.ANCHORS, *planned], f"{place}.plan[{n}].at")
+        yield from _word("anchor", line.at, [*extension_names.ANCHORS, *planned], f"{place}.plan[{n}].at")
         if line.along:
             yield from known("axis", line.along, extension_names.PLAN_AXES, f"{place}.plan[{n}].along")
         yield from _expression(line.by, f"{place}.plan[{n}].by", figures)
@@ -159,7 +168,7 @@ def _step(placed: PlacedStep, figures: set[str]) -> Problems:
     for name, source in step.keep.items():
         yield from known("measured value", source, extension_names.KEPT_VALUES, f"{place}.keep.{name}")
     for word in ("effect", "missed"):
-        yield from known("effect", step.words.get(word, ""), ("", *extension_names.EFFECTS), f"{place}.words.{word}")
+        yield from _word("effect", step.words.get(word, ""), ("", *extension_names.EFFECTS), f"{place}.words.{word}")
     if "{" not in (axis := step.words.get("axis", "X")):
         yield from known("axis", axis, extension_names.PLAN_AXES, f"{place}.words.axis")
     for name, expression in step.args.items():
@@ -209,9 +218,9 @@ def _binder(program: BinderProgram) -> Problems:
     for op, name in program.hand.items():
         yield from known("stop class", name, program.stop_classes, f"hand.{op}")
     for do, action in program.actions.items():
-        yield from known("action", action, extension_names.ACTIONS, f"actions.{do}")
+        yield from _word("action", action, extension_names.ACTIONS, f"actions.{do}")
     for name, procedure in program.procedures.items():
-        yield from known("procedure", procedure, extension_names.PROCEDURES, f"procedures.{name}")
+        yield from _word("procedure", procedure, extension_names.PROCEDURES, f"procedures.{name}")
     for n, stop in enumerate(program.holding):
         yield from _stop_row(stop, f"holding[{n}]")
 
@@ -232,7 +241,7 @@ def _analyzer(program: AnalyzerProgram) -> Problems:
         for field, more in fields:
             placeholders = (*extension_names.FAILURE_PLACEHOLDERS, *more)
             for word in PLACEHOLDER.findall(_text_of(getattr(failure, field))):
-                yield from known("placeholder", word, placeholders, f"classes.{name}.{field}")
+                yield from _word("placeholder", word, placeholders, f"classes.{name}.{field}")
     for field in ("unmet", "squeezed"):
         yield from known("class", getattr(program, field), ("", *program.classes), field)
     for row, cells in program.outcomes.items():
@@ -318,7 +327,7 @@ def _expression(
             yield place, problem
         for name in sorted(expressions.names(text)):
             if names is not None:
-                yield from known(kind, name, names, place)
+                yield from _word(kind, name, names, place)
     except expressions.ExpressionError as error:
         yield place, str(error)
 
@@ -337,6 +346,12 @@ def valueless(expression: str) -> str:
         except expressions.ExpressionError as error:
             complaint = str(error)
     return f"{expression!r} has no value: {complaint}"
+
+
+def _word(kind: str, name: str, names: Collection[str], place: str) -> Problems:
+    """As `known`, for a word that an installed mechanism may add."""
+    if not words_of_packages.added(name):
+        yield from ((at, text + words_of_packages.why_unknown(name)) for at, text in known(kind, name, names, place))
 
 
 def known(kind: str, name: str, names: Collection[str], place: str) -> Problems:

@@ -33,7 +33,7 @@ from workers.analyzer.step_changes import (
     touched_object_changes,
 )
 from workers.conditions import installed_phases, reflexes
-from workers.mechanisms import each, joined
+from workers.mechanisms import each, joined, refuse_missing
 from workers.planning import in_seat, shared_hold, trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -92,6 +92,7 @@ def compile(program: bytes) -> AnalyzerProgram:
     for name in OF_CELL & document.values.keys():
         raise ProgramError(f"$.values.{name}: it is one of the cell's `numbers`; state it there")
     named_algorithms.refuse_missing(document)
+    refuse_missing(document)
     return document
 
 

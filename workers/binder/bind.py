@@ -22,7 +22,7 @@ from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.world.model import World
 from workers.conditions import installed_phases
 from workers.conditions.prediction import Expected
-from workers.mechanisms import joined
+from workers.mechanisms import joined, refuse_missing
 from workers.mechanisms.collision_advice import advise_on_collision
 from workers.planning import shared_hold, step_target, suggestions
 from workers.planning.robot_models import CellModel
@@ -40,6 +40,7 @@ def compile(program: bytes) -> BinderProgram:
     """Check the program. Raises ProgramError."""
     document = decode(program, BinderProgram)
     named_algorithms.refuse_missing(document)
+    refuse_missing(document)
     return document
 
 

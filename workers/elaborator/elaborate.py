@@ -67,7 +67,7 @@ from workers.elaborator.script_steps import (
     trims_for,
     with_seats,
 )
-from workers.mechanisms import each, joined
+from workers.mechanisms import each, joined, refuse_missing
 from workers.planning import trust
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -93,6 +93,7 @@ def compile(program: bytes) -> Compiled:
     """Check and index the program. Raises ProgramError."""
     document = spliced(decode(program, ElaboratorProgram))
     named_algorithms.refuse_missing(document)
+    refuse_missing(document)
     pieces = {piece.skill: piece for piece in document.pieces}
     used = {s.script: attributes.of_script(s, pieces) for s in document.scripts}
     return Compiled(document, {s.script: s for s in document.scripts}, pieces, used)

@@ -16,7 +16,7 @@ from rtc.world.spread import EXACT, in_words
 from workers.conditions import reflexes
 from workers.elaborator.backtrack import can_be_seen
 from workers.elaborator.script_options import holds
-from workers.mechanisms import MECHANISMS, each, joined
+from workers.mechanisms import each, joined
 from workers.planning import trust
 from workers.planning.scenes import clearance_of
 from workers.tasks import anchor, command_fields
@@ -176,6 +176,6 @@ CHECKS: tuple[Callable[[ScriptFile, TaskCandidate], None], ...] = (
     _refuse_done,
     _refuse_unmet,
     _refuse_unknown_place,
-    *(check for mechanism in MECHANISMS for check in mechanism.checks),
+    *(check for checks in each(lambda mechanism: mechanism.checks) for check in checks),
     _refuse_unsure,
 )

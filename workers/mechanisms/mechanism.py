@@ -12,6 +12,8 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from msgspec import Struct
+
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.advice import Advice, Texts
@@ -117,3 +119,5 @@ class Mechanism:
     #: advice: row of `clears` for a motion of this arm that a body blocks (empty: not of it); texts about a body
     way: Callable[[Refusal, WorldQuery, str, str], str] | None = None
     about: About | None = None
+    #: of a package: the form of its piece of the cell file, `mechanisms: {NAME: ...}` (see `CellModel.piece`)
+    piece: type[Struct] | None = None

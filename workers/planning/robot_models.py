@@ -7,8 +7,9 @@ use: an analyzer that never checks collisions does not build the collision bodie
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
+import msgspec
 import numpy as np
 
 from rtc.model.cells import parts
@@ -18,6 +19,8 @@ from rtc.model.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning.sight import Sight
+
+Piece = TypeVar("Piece", bound=msgspec.Struct)
 
 
 class Driver(NamedTuple):
@@ -33,6 +36,14 @@ class CellModel:
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
+        self._pieces: dict[str, Any] = {}
+
+    def piece(self, mechanism: str, form: type[Piece]) -> Piece:
+        """The piece of the cell file for the mechanism of a package; without one, what `form` has as defaults. Raises
+        msgspec.ValidationError."""
+        if mechanism not in self._pieces:
+            self._pieces[mechanism] = msgspec.convert(self.cell.mechanisms.get(mechanism, {}), form)
+        return cast("Piece", self._pieces[mechanism])
 
     @cached_property
     def arms(self) -> dict[str, ArmModel]:

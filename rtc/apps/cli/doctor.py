@@ -7,11 +7,14 @@ import platform
 import pwd
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 
+import msgspec
 import typer
 from rich.text import Text
 
@@ -131,11 +134,26 @@ def installation() -> Iterator[DoctorFinding]:
     for extra in EXTRAS:
         yield DoctorFinding(f"extra for {extra}", missing(extra) or "installed")  # optional: no warning
     for group in registry.GROUPS:
-        found, failed = registry.loaded(group)
+        found, failed = _mechanisms() if group == registry.MECHANISMS else registry.loaded(group)
         if found:
             yield DoctorFinding(group, ", ".join(found))
         for name, why in failed.items():
             yield DoctorFinding(group, f"{name} cannot be loaded: {why}", "correct or uninstall its package")
+
+
+def _mechanisms() -> tuple[list[str], dict[str, str]]:
+    """Those that workers use, and why they do not use others: their rows are judged beside ours."""
+    if not (names := registry.names(registry.MECHANISMS)):
+        return [], {}
+    command = [sys.executable, "-P", "-m", "workers.runtime.installed_mechanisms"]
+    ran = subprocess.run(command, capture_output=True)
+    try:
+        known = msgspec.json.decode(ran.stdout)
+        return known["found"], known["failed"]
+    except (msgspec.DecodeError, KeyError):
+        lines = ran.stderr.decode(errors="replace").strip().splitlines()
+        why = lines[-1] if lines else f"a process that imports them ends with status {ran.returncode}"
+        return [], dict.fromkeys(sorted(names), why)
 
 
 def _requirements() -> list[str]:

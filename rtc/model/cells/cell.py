@@ -63,6 +63,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     maintain: Maintained = Maintained()
     numbers: Numbers = Numbers()
     subsystems: list[Subsystem] = []  # beside those of every cell; see `all_subsystems`
+    mechanisms: dict[str, Any] = {}  # mechanism of an installed package -> its piece, in the form that it states
     texts: dict[str, str] = {}  # URDF, SRDF and hulls by file name; filled by `load`
 
     def __post_init__(self) -> None:
@@ -111,7 +112,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
                     texts[file] = (own / file).read_text(encoding="utf-8", errors="replace")
         cell = msgspec.structs.replace(bare, texts=texts)
         cell = msgspec.structs.replace(cell, objects=[_with_added_grasps(thing, cell) for thing in cell.objects])
-        for place, problem in model_checks.problems(cell.arms, cell.texts):
+        for place, problem in (*model_checks.problems(cell.arms, cell.texts), *_wrong_pieces(cell)):
             raise ProgramError(f"{path}: $.{place}: {problem}")
         return cell
 
@@ -218,7 +219,8 @@ def _typed(plain: Any, source: str, note: str = "") -> Cell:
     except msgspec.ValidationError as error:
         if str(error).startswith("Object contains unknown field") and "$" not in str(error):
             known = ", ".join(sorted(set(Cell.__struct_fields__) - {"texts"}))
-            raise ProgramError(f"{source} is not a cell: {error}; a cell has {known}") from error
+            beside = "; what the mechanism of an installed package reads stands in `mechanisms`, under its name"
+            raise ProgramError(f"{source} is not a cell: {error}; a cell has {known}{beside}") from error
         raise ProgramError(f"{source}: {error}{note}") from error
 
 
@@ -248,6 +250,33 @@ def _of_numpy(part: Any) -> Any:
     if hasattr(part, "tolist"):
         return part.tolist()
     raise TypeError(f"a grasp point cannot contain a {type(part).__name__}")
+
+
+def _wrong_pieces(cell: Cell) -> Iterator[tuple[str, str]]:
+    """Pieces of packages that are not here, or that have another form. Other processes pass them on unread."""
+    for name, piece in cell.mechanisms.items():
+        place = f"mechanisms.{name}"
+        if why := registry.why_missing(registry.MECHANISMS, name):
+            yield place, f"{why}; install the package of the mechanism {name}, or leave its piece out"
+            continue
+        try:
+            with registry.guarded(registry.MECHANISMS, name):
+                form = registry.installed(registry.MECHANISMS)[name].piece
+                problem = "" if form is None else _misfit(piece, form)
+        except PluginError as error:
+            form, problem = None, error.problem
+        if form is None:
+            yield place, problem or f"the mechanism {name} reads nothing of the cell; leave its piece out"
+        elif problem:
+            yield place, f"{problem}; it has {', '.join(form.__struct_fields__) or 'nothing'}"
+
+
+def _misfit(piece: Any, form: Any) -> str:
+    try:
+        msgspec.convert(piece, form)
+    except msgspec.ValidationError as error:
+        return str(error)
+    return ""
 
 
 def _wrong_subsystems(cell: Cell) -> Iterator[tuple[str, str]]:
