@@ -69,6 +69,7 @@ MEASURES: dict[str, QuantityRule] = {
     "TURN": QuantityRule(("rad", "turn")),
 }
 
+MOST_SHOWN = 12  # numbers in a message
 ROUNDING_RAD = 1e-6  # 6.283185 RAD is a whole turn
 
 
@@ -102,14 +103,15 @@ def in_one_unit(last_first: list[WrittenNumber]) -> list[tuple[WrittenNumber, st
     A list without any unit is in SI. Raises `SentenceError` for a number without a unit after one with a unit.
     """
     unit: str | None = None
-    bare: WrittenNumber | None = None  # the leftmost number so far without a unit after it
+    bare: list[WrittenNumber] = []  # the last numbers, without a unit after them
     result = []
     for given in last_first:
         if given.unit is None and unit is None:
-            bare = given
-        elif bare is not None and unit is None:
-            message = f"{quoted(bare.text)} has no unit, but the number before it has one."
-            raise SentenceError(bare.column, message, [f"a quantity such as {bare.text[:20]} {given.unit}"])
+            bare.insert(0, given)
+        elif bare and unit is None:
+            message = f"{quoted(bare[0].text)} has no unit, but the number before it has one."
+            with_unit = " ".join(number.text[:20] for number in bare[:MOST_SHOWN])
+            raise SentenceError(bare[0].column, message, [f"{with_unit} {given.unit}"])
         unit = given.unit or unit
         result.append((given, unit))
     result.reverse()

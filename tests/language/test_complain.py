@@ -109,7 +109,7 @@ WRONG = [
     ("GRASP ¦7UP", NUMBERS, [], "7UP is neither a number"),
     ("MOVE LEFT-ARM TO JOINTS 1 2 ¦DEGG", ["a unit such as CM"], ["DEG"], "DEGG is not a unit"),
     ("MOVE LEFT-ARM TO JOINTS¦", ["a number", AN_ANGLE], [], "needs numbers"),
-    ("MOVE LEFT-ARM TO JOINTS 10 DEG 20 DEG ¦30 40", ["a quantity such as 30 DEG"], [], "30 has no unit"),
+    ("MOVE LEFT-ARM TO JOINTS 10 DEG 20 DEG ¦30 40", ["30 40 DEG"], [], "30 has no unit"),
     ("MOVE LEFT-ARM TO JOINTS 1 2 ¦3 KG", [AN_ANGLE, A_LENGTH], [], "an angle or a length; 3 KG is a mass"),
     ("MOVE LEFT-ARM TO POSITION 40 -40 ¦90", [A_LENGTH], [], "90 has no unit"),
     ("MOVE LEFT-ARM TO POSITION 1 2 CM¦", ["x y z such as 60 -20 35 CM"], [], "three numbers, not 2"),
@@ -232,3 +232,18 @@ def test_messages_quote_only_the_beginning_of_long_words() -> None:
 
 def test_columns_hold_in_upper_and_lower_case_and_behind_tabs() -> None:
     assert refused("grasp\tmacs_old , , mantain speed").column == len("grasp\tmacs_old , , ")
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "MOVE LEFT-ARM TO POSITION 60 CM 0 0",
+        "SET MACS-NEW FRAME 60 CM 0 0",
+        "MOVE LEFT-ARM TO JOINTS 10 DEG 20 30 40 50 60",
+    ],
+)
+def test_the_numbers_that_are_expected_are_accepted_when_they_are_typed(sentence: str) -> None:
+    """One number with its unit was expected; then the next number had none."""
+    refusal = refused(sentence)
+    typed = sentence[: refusal.column] + refusal.expected[0]
+    assert not isinstance(parse(GRAMMAR, typed), Refusal)

@@ -18,7 +18,7 @@ from rtc.protocol.causes import Collides, ExactArm, TooUncertain
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.sentence import BOTH_ARMS, ParsedCommand, Quantity
 from workers.elaborator.script_steps import Compiled
-from workers.elaborator.tested_advice import FREES, AdviceTest
+from workers.elaborator.tested_advice import AdviceTest
 from workers.planning.world_query import WorldQuery
 from workers.tasks.sentence_of import relative_amount, sentence_of
 
@@ -49,8 +49,7 @@ def added(compiled: Compiled, refusal: Refusal, asked: ParsedCommand, query: Wor
         return refusal
     freeing = list(_freeing(compiled.program.frees, asked, query))
     if free := by_sentence(test.first(freeing), instead=True) or test.after_another(freeing):
-        words = [replace(one, words="; ".join(filter(None, (one.words, FREES)))) for one in free]
-        return replace(refusal, clears=[*kept, *words])
+        return replace(refusal, clears=[*kept, *free])
     return refusal
 
 

@@ -25,7 +25,6 @@ TESTED = 6  # maximum number of sentences of an advice that are tested
 TRIED = 8  # maximum number of sentences of each kind that are tested in the place of the refused one
 ABOUT = (RefusalReason.INFEASIBLE, RefusalReason.STATE, RefusalReason.SUSPECT)
 
-FREES = "which frees the arm"
 BEFORE = 3  # maximum number of sentences before one that is not accepted yet
 
 
@@ -69,13 +68,14 @@ class AdviceTest:
         self._known: dict[str, Refusal | None] = {}
 
     def feasible(self, advice: Advice) -> Advice:
-        """The alternatives that can be given now; of those that differ in a place or a seat, the first one."""
+        """The alternatives that can be given now; of those that differ in a place or a seat, the first one. After one
+        that names a hand, the same without a hand says nothing more."""
         kept: Advice = []
         known: list[ParsedCommand] = []
         for one in advice:
             task = _task(one.sentences[0]) if one.sentences else None
             anywhere = None if task is None else replace(task, place=None, target=None)
-            if anywhere is not None and anywhere in known:
+            if anywhere is not None and (anywhere in known or anywhere in [replace(task, hand=None) for task in known]):
                 continue
             options = self._other_arms() if one == ANOTHER_ARM else self._option(one)
             kept += options
@@ -84,14 +84,14 @@ class AdviceTest:
 
     def leading(self, refusal: Refusal, advice: Advice) -> Advice:
         """The alternatives without those after which the `asked` sentence is refused for the same: a doubt about a pose
-        that a look or a statement leaves too large, or bodies that still meet. A motion of these frees the arm."""
+        that a look or a statement leaves too large, or bodies that still meet. A motion of these is in its place."""
         kept: Advice = []
         for one in advice:
             remains = self._remains(one) if isinstance(refusal.cause, Collides | TooUncertain | Distrusted) else None
             if remains is None or not _is_the_same(refusal, remains):
                 kept.append(one)
             elif not one.again and not one.states:
-                kept.append(replace(one, words="; ".join(filter(None, (one.words, FREES))), instead=True))
+                kept.append(replace(one, instead=True))
         return kept
 
     def _remains(self, one: Alternative) -> Refusal | None:

@@ -70,7 +70,8 @@ class RobotFile(Urdf):
                 yield f"link {link} has more than one joint that carries it"
         roots = [link for link in self.links if link not in children]
         if len(roots) != 1:
-            yield f"one root link is needed; there are {', '.join(roots) or 'none, the joints form a ring'}"
+            none = "none, the joints form a ring" if self.links else "no links"
+            yield f"one root link is needed; there are {', '.join(roots) or none}"
             return
         reached = self.below(roots[0])
         if len(reached) < len(self.links):

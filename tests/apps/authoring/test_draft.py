@@ -190,6 +190,7 @@ def test_a_hull_has_few_vertices_and_keeps_to_the_mesh():
         ("<sdf/>", "is not a URDF"),
         ("<robot name='a'><link name='b'/><link name='c'/></robot>", "one root link is needed"),
         ("<robot name='a'><link name='b'/></robot>", "no joint that moves"),
+        ("<robot name='a'/>", "there are no links"),
     ],
 )
 def test_a_file_that_is_not_an_arm_is_refused_with_the_reason(tmp_path, text, words):

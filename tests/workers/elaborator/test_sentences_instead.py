@@ -164,6 +164,13 @@ def test_the_last_resort_is_data_of_the_program(bench: Bench) -> None:
     assert refusal is not None
     assert (refusal.clears[-1].sentences, refusal.clears[-1].instead) == (["RETRACT RIGHT-ARM"], True)
     assert isinstance(bench.elaborate("RETRACT RIGHT-ARM"), Script)
+    assert not refusal.clears[-1].words  # the hand is empty, and nothing holds the arm: there is nothing to free
+
+
+def test_a_hand_is_named_once(bench: Bench) -> None:
+    refusal = bench.do("VERIFY MACS-NEW AT RIGHT-ARM").refusal
+    assert refusal is not None
+    assert sentences_of(refusal.clears) == ["GRASP MACS-NEW WITH RIGHT-ARM"]
 
 
 def later(drawn: Drawn, seed: int = 5) -> Any:

@@ -176,7 +176,7 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
     if not metres <= LONGEST_M:  # from a program or a fact; sentences have no such lengths
         problem = _problem(arm, np.asarray(goal_pose, dtype=float), None, np.asarray(start, dtype=float), margin_rad)
         assert problem is not None
-        raise _at(problem, 1.0, metres, metres)
+        raise _at(problem, 1.0, metres, metres, turn)
     length = max(metres, METRES_PER_RAD * turn, 1e-9)
     count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
     fractions = even(0.0, 1.0, count - 1)
@@ -187,7 +187,7 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
         problem = _problem(arm, pose, table[n] if n < len(table) else None, table[n - 1], margin_rad)
         assert problem is not None
         fraction = float(fractions[n])
-        raise _at(problem, fraction, fraction * metres, metres)
+        raise _at(problem, fraction, fraction * metres, metres, turn)
     return Path("task", fractions * length, table, Spline(fractions * length, table))
 
 
@@ -206,7 +206,7 @@ def task_curve(arm: ArmModel, start: Floats, poses: Array, margin_rad: float = 0
     if n < len(poses):
         problem = _problem(arm, poses[n], table[n] if n < len(table) else None, table[n - 1], margin_rad)
         assert problem is not None
-        raise _at(problem, float(s[n] / s[-1]), float(metres[:n].sum()), float(metres.sum()))
+        raise _at(problem, float(s[n] / s[-1]), float(metres[:n].sum()), float(metres.sum()), float(turns.sum()))
     return Path("task", s, table, Spline(s, table))
 
 
@@ -247,10 +247,12 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
     return arm.why_not_within(q, margin_rad)
 
 
-def _at(problem: Refusal, fraction: float, metres: float, length_m: float) -> Refused:
-    where = f"{fraction:.0%} along the line"
-    if length_m >= 0.001:  # else the hand turns where it is
-        where += f", after {metres * 1000:.0f} mm of {length_m * 1000:.0f} mm"
+def _at(problem: Refusal, fraction: float, metres: float, length_m: float, turn_rad: float) -> Refused:
+    if length_m >= 0.001:
+        where = f"{fraction:.0%} along the line, after {metres * 1000:.0f} mm of {length_m * 1000:.0f} mm"
+    else:  # the hand turns where it is
+        turn_deg = math.degrees(turn_rad)
+        where = f"{fraction:.0%} of the turn, after {fraction * turn_deg:.0f} deg of {turn_deg:.0f} deg"
     placed = msgspec.structs.replace(
         problem,
         message=f"{problem.message} ({where})",

@@ -182,6 +182,11 @@ def test_what_is_found_out_is_not_reported(bench):
     assert "MACS-NEW" in in_one_line(refusal.clears)
 
 
+@pytest.mark.parametrize("name", ["PEAK-FORCE", "PEAK-TORQUE", "WRENCH", "FORCE-OFFSET"])
+def test_what_the_sensors_of_an_arm_measure_is_no_new_attribute(bench, name):
+    assert refused(bench, f"SET MACS-NEW {name} 5").reason is RefusalReason.NOT_ALLOWED
+
+
 def test_what_a_camera_measures_is_not_stated(bench):
     refusal = refused(bench, "SET MACS-NEW SIGHTING RED")
 

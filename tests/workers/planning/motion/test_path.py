@@ -43,6 +43,16 @@ def test_a_task_line_is_straight_and_turns_evenly(right, home, start, goal, yaw)
         assert geometry.angle(pose, ideal) < 1e-4
 
 
+def test_a_turn_that_ends_at_a_limit_states_its_degrees(right, home):
+    """It stated 0 mm of 0 mm, then a share alone."""
+    begin = at(right, home, 0.45, -0.885, 0.6)
+    upright = right.fk(begin)
+    turned = geometry.compose(upright, geometry.from_rpy([0.0, 0.0, 0.0], [np.pi, 0.0, 0.0]))
+    refusal = refusal_of(lambda: task_line(right, begin, turned, math.radians(3.0)))
+    assert 0.0 < refusal.fraction < 1.0
+    assert f"after {180.0 * refusal.fraction:.0f} deg of 180 deg" in refusal.where  # wording: figures
+
+
 def test_s_of_a_task_line_counts_metres(right, home):
     line = task_line(right, at(right, home, 0.45, -0.885, 0.6), level(0.65, -0.885, 0.6))
     assert line.length == pytest.approx(0.2)
