@@ -24,6 +24,8 @@ words in the first columns. A package adds a mechanism: `docs/own-mechanism.md`.
 ELABORATOR = loader.decode(loader.default("elaborator"), ElaboratorProgram)
 BINDER = loader.decode(loader.default("binder"), BinderProgram)
 
+AFTER_FAILURE = [table for one in MECHANISMS for table in (one.after_failure, one.interrupted)]
+
 
 def page() -> str:
     return HEAD + "".join("\n".join(("", *section(mechanism))) + "\n" for mechanism in MECHANISMS)
@@ -48,11 +50,11 @@ def section(mechanism: Mechanism) -> Iterator[str]:
         ("effect", "success changes in the world", "it has gone wrong if", "what is in doubt after a failure"),
         {
             name: [
-                mechanism.effects.get(name),
+                effect,
                 mechanism.violated.get(name),
-                mechanism.after_failure.get(name) or mechanism.interrupted.get(name),
+                next((table[name] for table in AFTER_FAILURE if name in table), None),
             ]
-            for name in {**mechanism.effects, **mechanism.interrupted, **mechanism.after_failure}
+            for name, effect in mechanism.effects.items()
         },
     )
     yield from table(

@@ -1,7 +1,7 @@
 """Fields of programs for installed packages (R144): keys that begin with `x-`, in branches and steps. Pure.
 
-rtc passes them on unread: those of a branch to evaluators, those of a step to trimmers and phases. In the typed
-document they stand together in `extra`. Any other unknown key is an error, so a misspelt key is found.
+rtc passes them on unread: those of a branch to evaluators, those of a step to trimmers, phases and mechanisms. In the
+typed document they stand together in `extra`. Any other unknown key is an error, so a misspelt key is found.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ def problems(program: ElaboratorProgram) -> Iterator[tuple[str, str]]:
     lists = {f"scripts[{n}]": script.steps for n, script in enumerate(program.scripts)}
     lists |= {f"pieces[{n}]": piece.steps for n, piece in enumerate(program.pieces)}
     steps = [(f"{at}.steps[{m}]", step.extra) for at, each in lists.items() for m, step in enumerate(each)]
-    for groups, placed in (((registry.EVALUATORS,), branches), ((registry.TRIMMERS, registry.PHASES), steps)):
+    of_steps = (registry.TRIMMERS, registry.PHASES, registry.MECHANISMS)
+    for groups, placed in (((registry.EVALUATORS,), branches), (of_steps, steps)):
         used = [(place, extra) for place, extra in placed if extra]
         if used and not any(map(registry.names, groups)):
             place, extra = used[0]

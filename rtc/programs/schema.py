@@ -112,7 +112,7 @@ class ScriptStep(ProgramPart, frozen=True, kw_only=True):
     trim: tuple[int, int] = (0, 0)  # (index, count): the usable entries of the trimming stack (A9)
     args: dict[str, Expression] = {}  # parameters, evaluated when the script is elaborated
     words: dict[str, str] = {}  # passed on unchanged: an axis, the effect of success
-    extra: dict[str, Any] = {}  # the keys x-..., for trimmers and phases of installed packages
+    extra: dict[str, Any] = {}  # the keys x-..., for trimmers, phases and mechanisms of installed packages
 
 
 class ReserveEntry(ProgramPart, frozen=True, kw_only=True):

@@ -49,6 +49,7 @@ def loaded(install: Install, code: str, name: str = "toy") -> installed_rows.Ins
         ('stated={"angle": some}', ("angle", "hinges")),
         ('anchors={"port": some}', ("port", "toy.")),
         ('foreseen={"other.port": some}', ("other.port", "toy.")),
+        ('violated={"toy.done": some}', ("toy.done", "effects")),
         ("states=some", ("states", "package")),
         ('reports={str: some}', ("reports", "package")),
         ('piece=type("Piece", (msgspec.Struct,), {})', ("Piece", "unknown fields")),
@@ -184,6 +185,13 @@ def test_words_without_their_package_are_refused_and_with_it_accepted(install: I
         merged(SCRIPT)
     rows = loaded(install, row(WORDS))
     installed_rows.refuse_missing(merged(SCRIPT), rows)
+
+
+def test_a_step_may_carry_data_for_a_mechanism(install: Install) -> None:
+    text = SCRIPT.replace("label: go", "label: go, x-port: [1, 2]")
+    install(registry.MECHANISMS, "toy", "MECHANISM", row(WORDS))
+    (script,) = (one for one in merged(text).scripts if one.script == "toy")
+    assert script.steps[0].extra == {"x-port": [1, 2]}
 
 
 @pytest.mark.parametrize("word", ["toy.ready", "toy.port", "toy.done"])

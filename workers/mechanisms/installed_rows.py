@@ -33,6 +33,8 @@ WORDS = (
     *("needs", "anchors", "foreseen", "actions", "procedures", "effects", "violated", "interrupted", "after_failure"),
     *("found", "texts", "advice"),
 )
+#: those of them that are about an effect of the row
+OF_EFFECTS = ("foreseen", "violated", "interrupted", "after_failure", "found")
 #: fields with keys that all mechanisms share: each key belongs to one of them
 SHARED = ("stated", "plausible", "cures")
 #: fields that decide for a whole stage, or about a kind of primitive; each has its rows among ours
@@ -97,6 +99,10 @@ def _problems(row: Any, name: str, earlier: Sequence[Mechanism]) -> Iterator[str
         for word in getattr(row, table):
             if words_of_packages.owner(word) != name:
                 yield f"{word} in its {table} does not begin with {name}."
+    for table in OF_EFFECTS:
+        for word in getattr(row, table):
+            if word not in row.effects:
+                yield f"{word} in its {table} is none of its effects"
     for field in OURS:
         if getattr(row, field):
             yield f"{field} is no field for a package"

@@ -126,7 +126,7 @@ class Step(Strict, frozen=True, kw_only=True, omit_defaults=True):
     figures: StepFigures = StepFigures()
     overrides: dict[str, float] = {}  # instead of values of the binder's program or of the cell's numbers, by name
     arm: str = ""  # that performs it, if it is not that of the command
-    extra: dict[str, Any] = {}  # the keys x-... of its program, for trimmers and phases of packages
+    extra: dict[str, Any] = {}  # the keys x-... of its program, for trimmers, phases and mechanisms of packages
     cameras: list[str] = []  # those that look, the one that reports first
     body: str = ""  # what they look for
     way: PlannedPath | None = None  # of the first motion of a script

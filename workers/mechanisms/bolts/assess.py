@@ -98,19 +98,20 @@ def free(task: AnalyzeTask, validity: Validity) -> list[WorldChange]:
 
 
 def wrong_turn(task: AnalyzeTask) -> str:
-    """What is wrong with the turn of a bolt; empty: nothing."""
+    """The spindle has turned without the bolt (`not_turned`), or a tight bolt was felt while it was out (`not_seated`).
+    Empty: nothing is wrong."""
     if is_unproved(task) or (task.report.reason is StopReason.SLIP and not has_come_free(task)):
         return "not_turned"
     return "not_seated" if task.step.words.effect == "tightened" and is_before_seat(task) else ""
 
 
 def wrong_head(task: AnalyzeTask) -> str:
-    """What is wrong with the place of a head that was touched; empty: nothing."""
+    """The head stands where that of a loose bolt does not (`not_loose`); empty: nothing is wrong."""
     return "" if is_loose(task) else "not_loose"
 
 
 def nothing_wrong(_: AnalyzeTask) -> str:
-    """A bolt that has come free is proved by the torque alone."""
+    """Nothing: a bolt that has come free is proved by the torque alone."""
     return ""
 
 
@@ -155,10 +156,11 @@ def head_after_failure(task: AnalyzeTask, _: bool) -> list[WorldChange]:
 
 
 def after_failure(task: AnalyzeTask, retried: bool) -> list[WorldChange]:
-    """What a turn that has failed says about the bolt: unless the turn is proved, the bolt is believed where the way of
-    the hand says, or a little farther in, and in doubt. A driver that has not felt the torque of the thread has turned
-    nothing: it is seated again (`retried`). If it is not, the thread may be stripped: the state is in doubt. The place
-    is not, where the operator turns the bolt by hand."""
+    """The bolt, unless its turn is proved: it is believed where the way of the hand says, or a little farther in.
+
+    A driver that has not felt the torque of the thread has turned nothing: it is seated again (`retried`). If it is
+    not, the thread may be stripped: the state is in doubt. The place is not, where the operator turns the bolt by hand.
+    """
     bolt, thread = task.context.object, _thread(task)
     complete = task.report.reason is StopReason.GOAL
     if abs(driven_turns(task)) < LEAST_TURNS:

@@ -110,6 +110,7 @@ def let_drift(task: AnalyzeTask, validity: Validity) -> Changes:
 
 
 def still_held(task: AnalyzeTask, validity: Validity) -> Changes:
+    """Nothing: the hand has closed on what it holds, with another force."""
     return []
 
 

@@ -16,6 +16,7 @@ MIN_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 
 
 def bind_hand(task: BindTask) -> BoundStep:
+    """The hand opens or closes (`op`); a second arm that holds nothing yet is left as it is. Raises Refused."""
     step = task.data.step
     if step.arm and step.words.effect == HELD and not task.held:
         return BoundStep(note=f"{task.arm} holds nothing yet")

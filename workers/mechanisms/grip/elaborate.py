@@ -31,11 +31,13 @@ def figures(candidate: TaskCandidate) -> dict[str, float]:
 
 
 def hand_empty(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    """The hand holds nothing."""
     held = candidate.query.holding(candidate.arm.name)
     return UnmetPrecondition(f"{candidate.arm.name} holds {held}", held) if held else None
 
 
 def object_free(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    """The object is not fixed, and no hand holds it or may hold it."""
     assert candidate.thing is not None
     if candidate.thing.fixed:
         return UnmetPrecondition(f"{candidate.thing.name} is fixed", candidate.thing.name, "object_fixed")
@@ -72,6 +74,7 @@ def _may_hold(candidate: TaskCandidate, arm: str) -> bool:
 
 
 def object_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    """The hand holds the object, or is the second of two that hold it."""
     assert candidate.thing is not None
     holder = candidate.query.held_by(candidate.thing.name)
     second = bool(holder) and candidate.query.holding(candidate.arm.name) == candidate.thing.name
@@ -89,6 +92,7 @@ def object_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
 
 
 def width_known(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    """It is known how wide the hand is open."""
     arm = candidate.arm.name
     known = candidate.query.trusts(f"{arm}.hand_width")
     return None if known else UnmetPrecondition(f"it is not known how wide the hand of {arm} is open", arm)

@@ -43,6 +43,7 @@ def figures(candidate: TaskCandidate) -> dict[str, float]:
 
 
 def object_hinged(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    """The object has a hinge."""
     thing = candidate.thing
     assert thing is not None
     return None if thing.hinge is not None else UnmetPrecondition(f"{thing.name} has no hinge", thing.name)

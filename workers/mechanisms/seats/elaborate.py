@@ -64,6 +64,7 @@ def object_seated(candidate: TaskCandidate) -> UnmetPrecondition | None:
 
 
 def seat_free(candidate: TaskCandidate) -> UnmetPrecondition | None:
+    """Nothing but the object of the sentence is in the target seat."""
     assert candidate.target is not None
     target, own = candidate.target.name, candidate.thing.name if candidate.thing is not None else ""
     others = [name for name in candidate.query.inside(target) if name != own]

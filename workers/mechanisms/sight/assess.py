@@ -72,7 +72,8 @@ def is_vague(task: AnalyzeTask) -> bool:
 
 
 def wrong_sighting(task: AnalyzeTask) -> str:
-    """What is wrong with what the cameras have seen; empty: nothing."""
+    """A body was seen beside its seat (`displaced`), on the move (`moves`), in two attitudes (`vague`), outside the
+    hand that should hold it (`dropped`), or not at all (`unseen`). Empty: nothing is wrong."""
     report, figures, holder = task.report, task.step.figures, task.context.arm
     vague = is_vague(task)
     if task.evaluation.body_pose is not None:
@@ -178,6 +179,7 @@ def _is_elsewhere(task: AnalyzeTask, sighting: Sighting) -> bool:
 
 
 def speed_in_words(task: AnalyzeTask) -> str:
+    """The speed at which the camera has seen the body move."""
     sighting = task.report.sighting
     metres, radians = rest.speeds(sighting.velocity if sighting is not None else None)
     return f"{1e3 * metres:.1f} mm/s, {math.degrees(radians):.1f} deg/s"

@@ -33,6 +33,7 @@ def found_by(
         key = f"{task.context.object}.frame"
         return [WorldChange(key=key, value=found[0].tolist(), validity=validity, spread=found[1])]
 
+    changes.__doc__ = measure.__doc__
     return changes
 
 
