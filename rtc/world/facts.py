@@ -54,6 +54,10 @@ class Facts:
         """The force (N) with which the hand gripped when it had closed; 0: it does not grip, or has not closed yet."""
         return float(self.world.value(f"{arm}.hand_force") or 0.0)
 
+    def hand(self, arm: str) -> str:
+        """The hand in the coupler of an arm; empty: none, or it has no coupler."""
+        return self.world.value(f"{arm}.hand") or ""
+
     def holding(self, arm: str) -> str:
         return self.world.value(f"{arm}.holding") or ""
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MOVED = frozenset(
     {
         *("joints", "hand_width", "hand_force", "holding", "frame", "seat", "held_by", "grasp", "angle"),
-        *("turns", "state"),
+        *("turns", "state", "hand"),
     }
 )
 #: those of a held object that change with the motion of its hand
@@ -129,6 +129,8 @@ def initial_facts(cell: Cell) -> list[WorldChange]:
             WorldChange(key=f"{arm.name}.hand_width", value=arm.gripper.max_opening_m),
             WorldChange(key=f"{arm.name}.holding", value=""),
         ]
+        if arm.hands:
+            changes.append(WorldChange(key=f"{arm.name}.hand", value=""))
     for thing in cell.objects:
         changes += [
             WorldChange(
@@ -225,6 +227,7 @@ ATTRIBUTES: dict[str, Callable[[Any], str]] = {
     "hand_width": _length,  # m
     "hand_force": _length,  # N, when the hand had closed on something
     "holding": _text,  # object
+    "hand": _text,  # in the coupler of an arm; empty: none
     "frame": _pose,  # world frame
     "seat": _text,
     "held_by": _text,  # arm

@@ -10,6 +10,7 @@ import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 import pybullet
@@ -37,6 +38,7 @@ from rtc.subsystems.motion.arm import (
 from sim_mcm.arms import unrolled
 from sim_mcm.arms.bolts import Bolts
 from sim_mcm.arms.bullet_world import STEP_S, PhysicsWorld
+from sim_mcm.arms.couplers import Couplers
 from sim_mcm.arms.detents import Detents
 from sim_mcm.arms.hand import SimulatedHand
 from sim_mcm.arms.hand_weight import HandWeight, PadTwist
@@ -57,14 +59,25 @@ BODY_B, LINK_A, LINK_B, ON_B, NORMAL_ON_B, DISTANCE, NORMAL_FORCE = 2, 3, 4, 6, 
 class BulletArm:
     """One arm of the world: its body, sensors and motors."""
 
-    def __init__(self, world: PhysicsWorld, name: str, bolts: Bolts) -> None:
-        self._bolts = bolts
-        spec = world.cell.arm(name)
-        self.traits = Traits.of(world.cell, name)
+    def __init__(self, world: PhysicsWorld, name: str, bolts: Bolts, couplers: Couplers) -> None:
+        self._bolts, self._couplers = bolts, couplers
+        self._name = name
         self._world = world
         self._client = world.client
-        self._model = ArmModel.of(world.cell, name)
-        self.body = world.load_arm(name)
+        self._friction = 1.0  # of the pads, as a share
+        self.others: list[BulletArm] = []  # the other arms of the world
+        self._law: ControlLaw | None = None
+        self._stuck: set[int] = set()  # joints
+        self._fit("")
+
+    def _fit(self, hand: str) -> None:
+        """Be the arm with this hand in its coupler, at home; empty: with none."""
+        name, world = self._name, self._world
+        cell = self._cell = world.cell.with_hands({name: hand}) if hand else world.cell
+        spec = cell.arm(name)
+        self.traits = Traits.of(cell, name, hand)
+        self._model = ArmModel.of(cell, name)
+        self.body = world.load_arm(name, cell)
         links = self._indices(12)
         joints = self._indices(1)
         self._arm = [joints[joint] for joint in spec.joints]
@@ -72,16 +85,15 @@ class BulletArm:
         self.fingers = [links[link] for link in spec.gripper.finger_links]
         self._links = {n: link for link, n in links.items()}
         self._moved_by = self._joints_before()
-        self.others: list[BulletArm] = []  # the other arms of the world
         self._all = [*self._arm, *self._finger_joints]
         self._dof = len(self._arm)
         self._zeros = [0.0] * len(self._all)
         sensor = None if spec.sensor_joint is None else joints[spec.sensor_joint]
         self._split = unrolled.split_states(self._dof)
         self._read_from = [*self._all, self._all[-1] if sensor is None else sensor]
-        hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
-        self.upstream = {n: link for link, n in links.items() if n not in hand}
-        self._wrench = _no_wrench if sensor is None else _wrench_at_tcp(world.cell, name, self._centre(sensor))
+        of_hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
+        self.upstream = {n: link for link, n in links.items() if n not in of_hand}
+        self._wrench = _no_wrench if sensor is None else _wrench_at_tcp(cell, name, self._centre(sensor))
         self._under_gravity = any(world.cell.gravity_m_s2)
         self._prepare(spec, sensor)
         self._load: Load | None = None  # of the present control law
@@ -91,14 +103,13 @@ class BulletArm:
             self._hand_weight = HandWeight(inertia, world.cell.gravity_m_s2)
             self._pad_twist = PadTwist(self._model, inertia)
         self._driven: tuple[Sample, list[float]] | None = None  # sample and torques of the latest step
-        self._stuck: set[int] = set()  # joints
         self._braked = self._hand_braked = False
         self._zero_torques = [0.0] * self._dof
         self._points: Sequence[tuple[Any, ...]] | None = None  # contacts of the latest step
         self._servo = Servo(self._model, spec.home_rad)
         self._estimate = JointTorques(self._model) if sensor is None else None
         self._weightless = self._hand_weight is None and self._estimate is None  # the sensor reads the wrench itself
-        self._finger_kg = finger_mass(world.cell, name).felt_kg
+        self._finger_kg = finger_mass(cell, name).felt_kg
         self._hand = SimulatedHand(
             HandCommand(spec.gripper.max_opening_m, spec.gripper.max_force_n, spec.gripper.speed_m_s),
             spec.gripper.max_opening_m,
@@ -144,7 +155,7 @@ class BulletArm:
 
     def use_law(self, law: ControlLaw) -> None:
         self._servo.use_law(law, self._sample.joints)
-        self._load = law.load
+        self._law, self._load = law, law.load
         if self._estimate is not None:
             self._estimate.carry(law.load)
 
@@ -159,6 +170,42 @@ class BulletArm:
 
     def spindle(self) -> SpindleState:
         return self._bolts.state(self.traits.name)
+
+    def couple(self, hand: str) -> str:
+        before, world = self.traits.hand or "", self._world
+        if hand == before:
+            return ""
+        if hand:
+            at = world.pose(hand) if hand in world.objects else geometry.make_pose((0, 0, 0))
+            if why := self._couplers.why_not(self._name, hand, at, self._sample.joints):
+                return why
+        self.mount(hand)
+        if before:  # it stays where it is, and the jaws of the coupler are still closed on it
+            world.lay_down(before, self._couplers.place(before, self._sample.joints))
+            half = 0.5 * self._couplers.point(before).width_m
+            self._put([*self._sample.joints, half, half])
+            self._hand.hold(2.0 * half)
+            self._sample = self.read()
+        return ""
+
+    def mount(self, hand: str) -> None:
+        """Be the arm with this hand in its coupler, where it is, at rest; the hand is no body of its own then."""
+        joints, law = self._sample.joints, self._law
+        if self.traits.hand:
+            self._world.coupled.pop(self.traits.hand)
+        if hand:
+            self._world.take_up(hand, lambda: self._couplers.place(hand, self._sample.joints))
+        self._world.unload_arm(self.body)
+        self._fit(hand)
+        half = 0.5 * self.traits.max_opening_m
+        self._put([*joints, half, half])
+        self._sample = self.read()
+        still = [0.0] * len(joints)
+        self._servo.wanted = (list(joints), still, still)
+        if law is not None:
+            self.use_law(law)
+        for joint in self._stuck:
+            self._lock(self._arm[joint], True)
 
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)
@@ -273,9 +320,18 @@ class BulletArm:
 
     def state(self) -> ArmState:
         sample, hand = self._sample, self._hand
-        return ArmState(joints=sample.joints, fingers=sample.fingers, hand=hand.command, opening_m=hand.wanted_m)
+        return ArmState(
+            joints=sample.joints,
+            fingers=sample.fingers,
+            hand=hand.command,
+            opening_m=hand.wanted_m,
+            coupled=self.traits.hand or "",
+        )
 
     def restore(self, state: ArmState) -> None:
+        self._sample = msgspec.structs.replace(self._sample, joints=list(state.joints))
+        if state.coupled != (self.traits.hand or ""):
+            self.mount(state.coupled)
         self._put([*state.joints, *state.fingers])
         still = [0.0] * len(state.joints)
         self._servo.wanted = (list(state.joints), still, still)
@@ -305,7 +361,7 @@ class BulletArm:
             pybullet.changeDynamics(
                 self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
             )
-        self.rub(1.0)
+        self.rub(self._friction)
         # pybullet's default velocity motor locks every joint until it is disabled.
         pybullet.setJointMotorControlArray(
             self.body, self._all, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._all), physicsClientId=client
@@ -340,6 +396,7 @@ class BulletArm:
         """Scale the friction of the pads. Under gravity they stick: a point of contact that does not slide is pulled
         back to where it was, so what the solver leaves over in a step does not add up (decision 0130). Without gravity
         they do not: the wrist sensor would miss what the pads then hold."""
+        self._friction = factor
         for finger in self.fingers:
             pybullet.changeDynamics(
                 self.body,
@@ -380,11 +437,13 @@ class BulletCell:
         self.cell = require_stable(cell)
         self.world = PhysicsWorld(cell)
         self.bolts = Bolts(self.world)
-        self.arms = {arm.name: BulletArm(self.world, arm.name, self.bolts) for arm in cell.arms}
+        couplers = Couplers(cell)
+        self.arms = {arm.name: BulletArm(self.world, arm.name, self.bolts, couplers) for arm in cell.arms}
         self._all = tuple(self.arms.values())
         for arm in self._all:
             arm.others = [other for other in self._all if other is not arm]
         self._detents = Detents(self.world, self.bolts.fasten)
+        self.world.let_go = self._detents.let_go
         if seed := physics_seed():
             self._perturb(seed)
         self._settle()
@@ -448,13 +507,13 @@ class BulletCell:
         for name, seat in self.world.seats.items():
             seat.home = np.array(state.poses[name])
             self.world.place(seat, seat.home)
+        for name, arm in self.arms.items():
+            arm.restore(state.arms[name])
         for name, body in self.world.objects.items():
             thing = self.cell.object(name)
             if thing.mounted_on is not None:
                 body.home = home_on(self.cell, thing, state.poses[thing.mounted_on])
-            self.world.place(body, state.poses[name])
-        for name, arm in self.arms.items():
-            arm.restore(state.arms[name])
+            self.world.lay_down(name, state.poses[name])
         self.bolts.look()
         self._detents.look()
         self._settle()
@@ -467,6 +526,8 @@ class BulletCell:
             return ""
         if name not in self.world.objects:
             return unknown("object or seat", name, [*self.world.objects, *self.world.seats])
+        if name in self.world.coupled:
+            return f"{name} is in the coupler of an arm"
         poses = {one: self.world.pose(one) for one in self.world.objects}
         poses |= {seat: body.home for seat, body in self.world.seats.items()}
         along, held = moves_along(self.cell, name, poses), self.held().items()

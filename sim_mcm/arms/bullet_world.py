@@ -88,6 +88,10 @@ class PhysicsWorld:
         self.objects: dict[str, BulletBody] = {}
         for thing in cell.objects:
             self.objects[thing.name] = self._object(thing)
+        self._weights: dict[str, tuple[Any, ...]] = {}  # of objects without a body: pybullet's dynamics that they had
+        #: hands in couplers, which are parts of their arms: name -> where it is
+        self.coupled: dict[str, Callable[[], Array]] = {}
+        self.let_go: Callable[[str], None] = lambda name: None  # of the catches of seats
         self.free = {thing.name for thing in cell.objects if not thing.fixed and thing.hinge is None}
         self.threaded = {thing.name for thing in cell.objects if thing.thread is not None}
         self.movable = {thing.name for thing in cell.objects if not thing.fixed}
@@ -117,14 +121,44 @@ class PhysicsWorld:
             found |= {other for other, _ in pybullet.getOverlappingObjects(low, high, self.client) or ()}
         return found & self.names.keys()
 
-    def load_arm(self, name: str) -> int:
-        """Load an arm from its URDF text; returns the pybullet body id."""
-        seen = _seen(self.cell.urdf(name)) if self._visual else without_visuals(self.cell.urdf(name))
+    def load_arm(self, name: str, cell: cells.Cell | None = None) -> int:
+        """Load an arm from its URDF text; returns the pybullet body id. `cell`: with a hand in its coupler."""
+        urdf = (cell or self.cell).urdf(name)
+        seen = _seen(urdf) if self._visual else without_visuals(urdf)
         body = load_urdf(self.client, seen, self.cell.texts, self.cell.arm(name).base.pose)
         self.names[body] = name
         if self._visual:
             self._paint(body)
         return body
+
+    def unload_arm(self, body: int) -> None:
+        del self.names[body]
+        pybullet.removeBody(body, physicsClientId=self.client)
+
+    def take_up(self, name: str, where: Callable[[], Array]) -> None:
+        """An object becomes a part of an arm, and has no body of its own; `where` it is then."""
+        self.let_go(name)
+        self.coupled[name], body = where, self.objects[name].id
+        self.free.discard(name)
+        self.free_bodies.discard(body)
+        self._weights[name] = pybullet.getDynamicsInfo(body, -1, physicsClientId=self.client)
+        del self.names[body]
+        pybullet.removeBody(body, physicsClientId=self.client)
+
+    def lay_down(self, name: str, pose: geometry.Floats) -> None:
+        """Set the pose of an object, at rest. One that was a part of an arm has a body of its own again, with the mass
+        and friction that it had."""
+        if name in self.coupled:
+            return
+        if (had := self._weights.pop(name, None)) is not None:
+            self.objects[name] = self._object(self.cell.object(name))
+            body = self.objects[name].id
+            pybullet.changeDynamics(
+                body, -1, mass=had[0], lateralFriction=had[1], localInertiaDiagonal=had[2], physicsClientId=self.client
+            )
+            self.free.add(name)
+            self.free_bodies.add(body)
+        self.place(self.objects[name], pose)
 
     def _paint(self, body: int) -> None:
         """Give a colour to the meshes whose file has none; pybullet shows them black."""
@@ -134,6 +168,8 @@ class PhysicsWorld:
 
     def pose(self, name: str) -> Array:
         """Pose of an object, world frame."""
+        if name in self.coupled:
+            return self.coupled[name]()
         body = self.objects[name]
         if body.hinge is not None:
             return hinges.turned(body.home, body.hinge.axis, self.angle(name))
@@ -170,6 +206,8 @@ class PhysicsWorld:
         )
 
     def velocity(self, name: str) -> list[float]:
+        if name in self.coupled:
+            return [0.0] * 6
         body = self.objects[name]
         if body.hinge is not None:
             rate = pybullet.getJointState(body.id, HINGED, physicsClientId=self.client)[1]
@@ -192,7 +230,9 @@ class PhysicsWorld:
         return ""
 
     def weigh(self, name: str, factor: float) -> None:
-        """Scale the mass and inertia of an object relative to the cell file."""
+        """Scale the mass and inertia of an object relative to the cell file; not of a part of an arm."""
+        if name in self.coupled:
+            return
         thing, body = self.cell.object(name), self.objects[name].id
         link = -1 if thing.hinge is None else HINGED
         pybullet.changeDynamics(body, link, mass=factor * thing.mass_kg, physicsClientId=self.client)

@@ -66,6 +66,11 @@ class SimulatedHand:
         left_n, right_n = pull - aside, pull + aside
         return left_n, right_n, (-left_n if left_n < 0.0 else 0.0, -right_n if right_n < 0.0 else 0.0)
 
+    def hold(self, width_m: float) -> None:
+        """Stay at this opening until the next command."""
+        self.command = HandCommand(width_m, self.command.force_n, self.command.speed_m_s)
+        self.wanted_m = width_m
+
     def _run(self, width: float, limit_n: float) -> None:
         target = self.command.width_m
         missing = target - width

@@ -40,6 +40,7 @@ from rtc.subsystems.motion.arm import (
     Traits,
 )
 from sim_mcm.arms import control_laws
+from sim_mcm.arms.couplers import Couplers
 from sim_mcm.arms.hand import FINGER_N_M
 from sim_mcm.arms.kinematic_seats import Seats
 from sim_mcm.arms.kinematic_watch import Watch
@@ -47,6 +48,7 @@ from sim_mcm.arms.kinematic_watch import Watch
 SPRING_N_M = 50_000.0  # 1 mm of depth gives 50 N; at 20 mm/s each tick adds 1 N
 PRESSED_N = 1.0  # force of a contact of two arms, which exact arms do not feel
 REACH_M = 0.16  # greatest distance of a part of the hand from the tcp
+NOWHERE = geometry.make_pose((0.0, 0.0, 0.0))
 SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
 
 
@@ -77,6 +79,8 @@ class KinematicCell:
         self._homes = {thing.name: thing.frame.pose for thing in cell.objects if thing.hinge is not None}
         self.seats = Seats(cell, self.poses)
         self.carried: dict[str, tuple[str, Array]] = {}  # object -> arm, pose in tcp axes
+        self.couplers = Couplers(cell)
+        self.coupled: dict[str, str] = {}  # hand -> the arm that has it in its coupler
         self.pieces: dict[str, list[PlacedShape]] = {}
         shapes = {thing.name: thing.shapes for thing in cell.objects} | {seat.name: seat.shapes for seat in cell.seats}
         for owner, kinds in shapes.items():
@@ -107,6 +111,27 @@ class KinematicCell:
                 if arm is not carrier:
                     arm.use_clearance(lever_m * carrier.turned_rad)
 
+        for name, arm_name in self.coupled.items():
+            if self.arms[arm_name].turned_rad:
+                self.poses[name] = self.couplers.place(name, self.arms[arm_name].joints)
+                self._moved.add(name)
+
+    def couple(self, arm: str, before: str, hand: str) -> None:
+        """The arm has this hand in its coupler instead of the one before; empty: none. What it lets go of stays."""
+        joints = self.arms[arm].joints
+        if before:
+            del self.coupled[before]
+            self.poses[before] = geometry.normalise(self.couplers.place(before, joints))
+        if hand:
+            self.carried.pop(hand, None)
+            self.coupled[hand] = arm
+            self.poses[hand] = self.couplers.place(hand, joints)
+        self._moved |= {name for name in (before, hand) if name}
+        hands = {by: name for name, by in self.coupled.items()}
+        self.watch.use(self.cell.with_hands(hands).without_objects(self.coupled) if hands else self.cell)
+        for one in self.arms.values():
+            one.forget_clearance()
+
     def _hung(self, name: str, hand: Array, grasp: Array) -> Array:
         """The pose of an object with a hinge, turned to where the hand that holds it is."""
         hinge, home = self.cell.object(name).hinge, self._homes[name]
@@ -127,7 +152,7 @@ class KinematicCell:
         while self._moved:
             self._place(self._moved.pop())
         away = np.sqrt(((self._centres - point) ** 2).sum(axis=1)) - self._radii
-        carried = {name for name, (by, _) in self.carried.items() if by == arm}
+        carried = {name for name, (by, _) in self.carried.items() if by == arm} | self.coupled.keys()
         found = (self._all[n] for n in np.flatnonzero(away < REACH_M + margin_m))
         return [piece for piece in found if piece.owner not in carried]
 
@@ -170,6 +195,8 @@ class KinematicCell:
             return unknown("object or seat", name, self.poses)
         if name in self.carried:
             return f"{name} is held by {self.carried[name][0]}"
+        if name in self.coupled:
+            return f"{name} is in the coupler of {self.coupled[name]}"
         before = self.poses[name]
         after = displaced(before, offset)
         along = moves_along(self.cell, name, self.poses)
@@ -243,28 +270,38 @@ def _sits_in(cell: cells.Cell, name: str, seat: str, poses: Mapping[str, Array])
 
 class KinematicArm:
     def __init__(self, world: KinematicCell, name: str) -> None:
-        spec = world.cell.arm(name)
-        self.traits = msgspec.structs.replace(Traits.of(world.cell, name), rigid=True)
-        self._world = world
-        self._model = ArmModel.of(world.cell, name)
+        self._world, self._name = world, name
+        spec = self._fit("")
         self._laws = control_laws.known()
         self.joints = list(spec.home_rad)
         self._velocities = [0.0] * len(self.joints)
         self._stuck: dict[int, float] = {}  # joint -> where it is stuck (rad)
         self._wanted = (self.joints, self._velocities)
-        half = 0.5 * spec.gripper.max_opening_m
-        self.fingers = [half, half]
         self._finger_speeds = [0.0, 0.0]
-        self._hand = HandCommand(2 * half, spec.gripper.max_force_n, spec.gripper.speed_m_s)
         self._pressed_n = [0.0, 0.0]
         self._stretched = False  # whether the spring of the fingers has its force: only its limit changes then
-        self._parts = _hand_parts(world.cell, name)
         self._pose: Array | None = None  # of the tcp; computed on demand
         self._hand_busy = True  # its command is not yet complete
         self._clear_m = 0.0  # distance that the hand can move without touching anything
         self._clear_of_seats_m = 0.0  # distance that it can move until a seat acts on what it carries
         self.turned_rad = 0.0  # by all joints together, in the latest step
         self._wrench = [0.0] * 6
+
+    def _fit(self, hand: str) -> parts.Arm:
+        """Be the arm with this open hand in its coupler; empty: with none."""
+        name, whole = self._name, self._world.cell
+        cell = whole.with_hands({name: hand}) if hand else whole
+        spec = cell.arm(name)
+        self.traits = msgspec.structs.replace(Traits.of(cell, name, hand), rigid=True)
+        self._model = ArmModel.of(cell, name)
+        self._parts = _hand_parts(cell, name)
+        self._open(spec.gripper.max_opening_m)
+        return spec
+
+    def _open(self, width_m: float) -> None:
+        """The fingers are this far open, and stay so."""
+        self.fingers = [0.5 * width_m, 0.5 * width_m]
+        self._hand = HandCommand(width_m, self.traits.max_grip_n, self.traits.hand_speed_m_s)
 
     # --- interface to the executor ---------------------------------------------------------------------
 
@@ -313,6 +350,24 @@ class KinematicArm:
     def spindle(self) -> SpindleState:
         return SpindleState()
 
+    def couple(self, hand: str) -> str:
+        before, world = self.traits.hand or "", self._world
+        if hand == before:
+            return ""
+        if hand and (why := world.couplers.why_not(self._name, hand, world.poses.get(hand, NOWHERE), self.joints)):
+            return why
+        self.mount(hand)
+        if before:  # the jaws of the coupler are still closed on it
+            self._open(world.couplers.point(before).width_m)
+        return ""
+
+    def mount(self, hand: str) -> None:
+        """Be the arm with this hand in its coupler, where it is."""
+        before = self.traits.hand or ""
+        self._fit(hand)
+        self._pose, self._pressed_n, self._stretched, self._hand_busy = None, [0.0, 0.0], False, True
+        self._world.couple(self._name, before, hand)
+
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)
 
@@ -347,10 +402,19 @@ class KinematicArm:
 
     def state(self) -> ArmState:
         a, b = self.fingers
-        return ArmState(joints=list(self.joints), fingers=(a, b), hand=self._hand, opening_m=a + b)
+        return ArmState(
+            joints=list(self.joints),
+            fingers=(a, b),
+            hand=self._hand,
+            opening_m=a + b,
+            coupled=self.traits.hand or "",
+        )
 
     def restore(self, state: ArmState) -> None:
-        self.joints, self.fingers, self._pose = list(state.joints), list(state.fingers), None
+        self.joints = list(state.joints)
+        if state.coupled != (self.traits.hand or ""):
+            self.mount(state.coupled)
+        self.fingers, self._pose = list(state.fingers), None
         self._velocities = [0.0] * len(self.joints)
         self._wanted = (self.joints, self._velocities)
         self.command_hand(state.hand)

@@ -55,6 +55,13 @@ class Watch:
     def _world(self) -> CollisionWorld:
         return _world_of(self._cell)
 
+    def use(self, cell: cells.Cell) -> None:
+        """The cell with its arms as they are from now on: another hand is another model."""
+        self._cell = cell
+        self.__dict__.pop("_world", None)
+        for pair in self._pairs:
+            pair.joints = []
+
     def prepare(self) -> None:
         """Build what the first motion would otherwise wait for."""
         assert self._world is not None
@@ -100,7 +107,8 @@ class Watch:
     def _scene(self, arm: str, clearance_m: float) -> Scene:
         hinged = {thing.name for thing in self._cell.objects if thing.hinge is not None}
         held = {n: Held(by, grasp) for n, (by, grasp) in self._carried.items() if n not in hinged}
-        poses = {name: pose for name, pose in self._poses.items() if name not in held}
+        known = {*(thing.name for thing in self._cell.objects), *(seat.name for seat in self._cell.seats)}
+        poses = {name: pose for name, pose in self._poses.items() if name in known and name not in held}
         return Scene(poses=poses, held=held, clearance_m=clearance_m, moving=arm)
 
 

@@ -33,19 +33,29 @@ def _reported(task: AnalyzeTask, report: EndReport, arm: str, *, hand_commanded:
     if not arm:
         return []  # a stated or observed fact moves no arm
     if len(report.joints) != len(task.query.cell.arm(arm).joints):
+        changing = ("joints", "hand_width", "holding", *(["hand"] if task.query.cell.arm(arm).hands else []))
         return [
-            WorldChange(key=f"{arm}.{attribute}", keep_value=True, validity=Validity.SUSPECT)
-            for attribute in ("joints", "hand_width", "holding")
+            WorldChange(key=f"{arm}.{attribute}", keep_value=True, validity=Validity.SUSPECT) for attribute in changing
         ]
+    coupled = _coupled(task.query, report.hand, arm)
     width_m = max(0.0, report.hand_width_m)
-    moves = not hand_commanded and abs(width_m - task.query.hand_width(arm)) > task.values["unforeseen_m"]
+    moves = not (hand_commanded or coupled) and abs(width_m - task.query.hand_width(arm)) > task.values["unforeseen_m"]
     force_n = report.hand_force_n if report.hand_force_n >= task.values["pressing_n"] else 0.0
     grip = [WorldChange(key=f"{arm}.hand_force", value=force_n)] if hand_commanded else []
     return [
+        *coupled,
         *grip,
         WorldChange(key=f"{arm}.joints", value=list(report.joints)),
         WorldChange(key=f"{arm}.hand_width", value=width_m, validity=Validity.SUSPECT if moves else Validity.VALID),
     ]
+
+
+def _coupled(query: WorldQuery, hand: str | None, arm: str) -> Changes:
+    """The hand that the coupler of an arm reads, if that is another one than was believed, or believed in doubt."""
+    key = f"{arm}.hand"
+    if hand is None or (hand == query.hand(arm) and query.trusts(key)):
+        return []
+    return [WorldChange(key=key, value=hand)]
 
 
 def partner_changes(task: AnalyzeTask) -> Changes:

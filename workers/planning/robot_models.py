@@ -18,6 +18,7 @@ from rtc.model.robot.collision import CollisionWorld
 from rtc.model.robot.kinematics import ArmModel
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
+from rtc.world.model import World
 from workers.planning.sight import Sight
 
 Piece = TypeVar("Piece", bound=msgspec.Struct)
@@ -31,12 +32,23 @@ class Driver(NamedTuple):
     aside_m: float
 
 
-class CellModel:
-    """`arms` by name, `collision` and `sight` of all, and the `cell` they were built from. Not thread-safe."""
+Hands = tuple[tuple[str, str], ...]  # of the arms with a coupler: (arm, the hand in it, or empty)
 
-    def __init__(self, cell: Cell) -> None:
+
+class CellModel:
+    """`arms` by name, `collision` and `sight` of all, and the `cell` they were built from. Not thread-safe.
+
+    Arms with a coupler have the hands of `hands`: a cell with other hands is another cell, and its models are kept,
+    too."""
+
+    def __init__(self, cell: Cell, hands: Hands = (), family: dict[Hands, CellModel] | None = None) -> None:
         self.cell = cell
         self._pieces: dict[str, Any] = {}
+        #: hands in couplers: an arm has them, so they are no objects of the scene
+        self.coupled = frozenset(hand for _, hand in hands if hand)
+        self._couplers = [arm.name for arm in cell.arms if arm.hands]
+        self._none: Hands = tuple((name, "") for name in self._couplers)
+        self._family = {self._none: self} if family is None else family
 
     def piece(self, mechanism: str, form: type[Piece]) -> Piece:
         """The piece of the cell file for the mechanism of a package; without one, what `form` has as defaults. Raises
@@ -44,6 +56,16 @@ class CellModel:
         if mechanism not in self._pieces:
             self._pieces[mechanism] = msgspec.convert(self.cell.mechanisms.get(mechanism, {}), form)
         return cast("Piece", self._pieces[mechanism])
+
+    def as_in(self, world: World) -> CellModel:
+        """The model with the hands that the arms have in this world."""
+        if not self._couplers:
+            return self
+        hands = tuple((name, world.value(f"{name}.hand") or "") for name in self._couplers)
+        if hands not in self._family:
+            cell = self._family[self._none].cell.with_hands(dict(hands))
+            self._family[hands] = CellModel(cell, hands, self._family)
+        return self._family[hands]
 
     @cached_property
     def arms(self) -> dict[str, ArmModel]:
@@ -60,7 +82,7 @@ class CellModel:
 
     @cached_property
     def collision(self) -> CollisionWorld:
-        return CollisionWorld(self.cell)
+        return CollisionWorld(self.cell.without_objects(self.coupled) if self.coupled else self.cell)
 
 
 def _driver(thing: parts.Object, spindle: parts.Spindle) -> Driver:

@@ -47,7 +47,10 @@ def scene_of(
     ignore: list[tuple[str, str]] = []
     moved_seats = [seat.name for seat in query.cell.seats if query.world.get(f"{seat.name}.frame") is not None]
     poses: dict[str, Array] = {name: query.seat_frame(name) for name in moved_seats}
+    coupled = query.model.coupled
     for thing in query.cell.objects:
+        if thing.name in coupled:
+            continue
         holder, grasp = query.held_by(thing.name), query.grasp(thing.name)
         if holder and grasp is not None and thing.hinge is None:
             held[thing.name] = Held(holder, grasp)
@@ -66,7 +69,7 @@ def scene_of(
     if opening_m is not None:
         openings[arm] = opening_m
     carried = query.holding(arm)
-    close = [name for name in dict.fromkeys((touching, *exempt)) if name and name not in held]
+    close = [name for name in dict.fromkeys((touching, *exempt)) if name and name not in {*held, *coupled}]
     if touching:
         ignore += hand_contacts(query, arm, touching)
     doubtful = [
@@ -117,7 +120,7 @@ def hand_contacts(query: WorldQuery, arm: str, thing: str) -> list[tuple[str, st
     """The pairs of this arm's hand, or of the driver in it, and an object that may touch; its seat too, because both
     poses share an error."""
     hand, driver = query.cell.arm(arm).gripper, query.driver(arm)
-    met = [name for name in (thing, query.seat(thing)) if name]
+    met = [name for name in (thing, query.seat(thing)) if name and name not in query.model.coupled]
     touching = [f"{arm} {link}" for link in (*hand.finger_links, hand.palm_link)]
     if driver is not None:
         touching.append(driver.name)

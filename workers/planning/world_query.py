@@ -39,8 +39,8 @@ class WorldQuery(Facts):
         moving: Sequence[Primitive] = (),
         algorithms: Algorithms = OWN_ALONE,
     ) -> None:
+        self.model = model = model.as_in(world)
         super().__init__(model.cell, world)
-        self.model = model
         self.seed = seed
         self.moving = moving
         self.algorithms = algorithms
@@ -75,6 +75,11 @@ class WorldQuery(Facts):
             pose = self._tcps[arm] = self.model.arms[arm].fk(self.joints(arm))
             pose.setflags(write=False)
         return self._tcps[arm]
+
+    def hand_planned_with(self, arm: str) -> str | None:
+        """The hand in the coupler of an arm, believed or known: its subsystem refuses what was planned with another
+        one. Empty: none; None: it has no coupler."""
+        return self.hand(arm) if self.cell.arm(arm).hands else None
 
     def way_out(self, thing: str) -> str:
         """Name of the direction in which an object leaves the seat that it is in or partly in; UP without a seat."""

@@ -10,9 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext
+from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import (
+    Coupling,
     ForceAbove,
     HoldStill,
     JointTrajectory,
@@ -125,8 +126,26 @@ def _of_rest(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, 
     return at_rest(query, made.performer, made.id, reason, query.joints(made.performer), rests_s)
 
 
+def _of_coupling(query: WorldQuery, made: Primitive, evaluation: EvaluationContext, reason: StopReason) -> EndReport:
+    """The arm is the one with the hand from then on: another tcp, and open fingers. One that lets go of it has the jaws
+    of its coupler closed on it."""
+    coupling, arm = made.trajectory, made.performer
+    assert isinstance(coupling, Coupling)
+    report = at_rest(query, arm, made.id, reason, query.joints(arm), evaluation.predicted_s)
+    before = query.hand(arm)
+    if reason is not StopReason.GOAL or coupling.hand == before:
+        return report
+    after = query.after([WorldChange(key=f"{arm}.hand", value=coupling.hand)])
+    width_m, pose = after.cell.arm(arm).gripper.max_opening_m, after.tcp(arm).tolist()
+    if before:
+        laid = next(hand for hand in after.cell.arm(arm).hands if hand.name == before)
+        width_m = after.cell.object(before).grasp_point(laid.coupling).width_m
+    return replaced(report, hand=coupling.hand, hand_width_m=width_m, hand_force_n=0.0, tcp_pose=pose, trip_pose=pose)
+
+
 REPORTS: dict[type, Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]] = {
     JointTrajectory: _of_path,
     HoldStill: _of_rest,
+    Coupling: _of_coupling,
     **joined(lambda mechanism: mechanism.reports),
 }

@@ -71,6 +71,7 @@ def of_arm(
         stop_functions=stops,
         control_law=control_law,
         reporting=stop_conditions.reporting(task.data, task.query, values, rows),
+        hand=task.query.hand_planned_with(task.arm),
     )
     evaluation = msgspec.structs.replace(
         evaluation,

@@ -49,6 +49,7 @@ def at_rest(
         wrench=NO_FORCE,
         trip_pose=pose,
         trip_wrench=NO_FORCE,
+        hand=query.hand_planned_with(arm),
         hand_width_m=query.hand_width(arm),
         hand_force_n=query.hand_force(arm),
     )

@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -90,6 +90,18 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
         places = [place.without(gone) for place in self.places]
         return msgspec.structs.replace(self, arms=arms, cameras=cameras, places=places, subsystems=[])
 
+    def with_hands(self, hands: Mapping[str, str]) -> Cell:
+        """The cell with these hands in the couplers of its arms (by arm; empty: none). Raises KeyError."""
+        arms = [arm.with_hand(hands.get(arm.name, "")) for arm in self.arms]
+        return msgspec.structs.replace(self, arms=arms)
+
+    def without_objects(self, names: Collection[str]) -> Cell:
+        """The cell without these objects, their tags, and what else names them."""
+        arms = [msgspec.structs.replace(a, hands=[h for h in a.hands if h.name not in names]) for a in self.arms]
+        objects = [thing for thing in self.objects if thing.name not in names]
+        tags = [tag for tag in self.tags if tag.body not in names]
+        return msgspec.structs.replace(self, arms=arms, objects=objects, tags=tags)
+
     # --- reading and sending ---------------------------------------------------------------------------
 
     @classmethod
@@ -98,7 +110,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
         path = file_of(name_or_path)
         bare, folders = _read(path)
         texts = dict(bare.texts)
-        for n, arm in enumerate(bare.arms):
+        for n, arm in _models(bare.arms):
             for field, file in (("urdf", arm.urdf), ("srdf", arm.srdf)):
                 if file not in texts:
                     folder = next((one for one in folders if (one / file).is_file()), path.parent)
@@ -120,7 +132,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     def from_bytes(cls, document: bytes) -> Cell:
         """The cell of an `encode()`d document, or of any self-contained YAML document. Raises ProgramError."""
         cell = _decode(document, "cell document")
-        for n, arm in enumerate(cell.arms):
+        for n, arm in _models(cell.arms):
             for field, file in (("urdf", arm.urdf), ("srdf", arm.srdf)):
                 if file not in cell.texts:
                     raise ProgramError(f"cell document: $.arms[{n}].{field}: the text of {file} is not embedded")
@@ -185,6 +197,13 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
             yield from (arm.name, arm.end_effector)
         for group in (self.seats, self.objects, self.places, self.regions, self.cameras):
             yield from (part.name for part in group)
+
+
+def _models(arms: Sequence[Arm]) -> Iterator[tuple[int, Arm]]:
+    """Each arm with its number, and again with each of its hands."""
+    for n, arm in enumerate(arms):
+        yield n, arm
+        yield from ((n, arm.with_hand(hand.name)) for hand in arm.hands)
 
 
 def file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:
@@ -352,6 +371,7 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
                     f"places[{n}].joints_deg.{name}",
                     "a joint that slides needs metres, one that turns degrees, as home",
                 )
+    yield from _wrong_hands(cell)
     yield from _wrong_mounts(cell)
     yield from _wrong_subsystems(cell)
     regions = [region.name for region in cell.regions]
@@ -362,6 +382,21 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
         yield "maintain.pose_during_motion", unknown("attitude", name, cell.attitudes)
     yield from _blind_cameras(cell, arms)
     yield from _loose_tags(cell)
+
+
+def _wrong_hands(cell: Cell) -> Iterator[tuple[str, str]]:
+    things, taken = {thing.name: thing for thing in cell.objects}, dict[str, str]()
+    for n, arm in enumerate(cell.arms):
+        for m, hand in enumerate(arm.hands):
+            place, thing = f"arms[{n}].hands[{m}]", things.get(hand.name)
+            if thing is None:
+                yield f"{place}.name", unknown("object", hand.name, things)
+            elif thing.fixed or thing.hinge is not None:
+                yield f"{place}.name", f"{hand.name} is fixed or has a hinge: no arm can take it"
+            elif hand.coupling not in (points := [point.name for point in thing.grasp_points]):
+                yield f"{place}.coupling", unknown(f"grasp point of {hand.name}", hand.coupling, points)
+            if taken.setdefault(hand.name, arm.name) != arm.name:
+                yield f"{place}.name", f"{hand.name} fits {taken[hand.name]}: state a hand of its own for {arm.name}"
 
 
 def _wrong_load(thing: Object) -> Iterator[tuple[str, str]]:
@@ -396,10 +431,12 @@ def _wrong_mounts(cell: Cell) -> Iterator[tuple[str, str]]:
                 yield place, "an object that is mounted is fixed or has a hinge, and is in no seat"
 
 
-def _blind_cameras(cell: Cell, arms: Collection[str]) -> Iterator[tuple[str, str]]:
+def _blind_cameras(cell: Cell, arms: Mapping[str, Arm]) -> Iterator[tuple[str, str]]:
     for n, camera in enumerate(cell.cameras):
         if camera.arm is not None and camera.arm not in arms:
             yield f"cameras[{n}].arm", unknown("arm", camera.arm, arms)
+        elif camera.arm is not None and arms[camera.arm].hands:
+            yield f"cameras[{n}].arm", f"{camera.arm} changes its hand: its camera would move with the tcp"
         try:
             _ = camera.pose
         except ValueError as error:

@@ -25,16 +25,35 @@ Problems = Iterator[tuple[str, str]]  # place in the cell, problem
 def problems(arms: Sequence[Arm], texts: Mapping[str, str]) -> Problems:
     """All problems, arm by arm. `texts`: URDF and SRDF by file name. A list of another length is left to the cell."""
     for n, arm in enumerate(arms):
-        place = f"arms[{n}]"
-        try:
-            root = ElementTree.fromstring(texts[arm.urdf])
-            ElementTree.fromstring(texts[arm.srdf])
-        except ElementTree.ParseError as error:
-            yield f"{place}.urdf", f"the model of {arm.name} is not XML: {error}"
-            continue
-        wrong = [f"{where}: {problem}; expected: {expected}" for where, problem, expected in urdf_values.faults(root)]
-        for field, problem in [("urdf", one) for one in wrong] or _arm(arm, Urdf(root), texts):
-            yield f"{place}.{field}", f"{arm.urdf}: {problem}"
+        wrong = list(_model(f"arms[{n}]", arm, texts))
+        yield from wrong
+        for m, hand in enumerate(arm.hands if not wrong else ()):
+            place, fitted = f"arms[{n}].hands[{m}]", arm.with_hand(hand.name)
+            yield from list(_model(place, fitted, texts)) or _other_arm(place, arm, fitted, texts)
+
+
+def _model(place: str, arm: Arm, texts: Mapping[str, str]) -> Problems:
+    try:
+        root = ElementTree.fromstring(texts[arm.urdf])
+        ElementTree.fromstring(texts[arm.srdf])
+    except ElementTree.ParseError as error:
+        yield f"{place}.urdf", f"the model of {arm.name} is not XML: {error}"
+        return
+    wrong = [f"{where}: {problem}; expected: {expected}" for where, problem, expected in urdf_values.faults(root)]
+    for field, problem in [("urdf", one) for one in wrong] or _arm(arm, Urdf(root), texts):
+        yield f"{place}.{field}", f"{arm.urdf}: {problem}"
+
+
+def _other_arm(place: str, arm: Arm, fitted: Arm, texts: Mapping[str, str]) -> Problems:
+    """That the arm with a hand is not the arm without one: its joints lie elsewhere, or have other limits."""
+    bare, own = (ElementTree.fromstring(texts[one.urdf]) for one in (arm, fitted))
+    for joint in arm.joints:
+        same = [
+            [(part.tag, sorted(part.attrib.items())) for part in robot.findall(f"joint[@name='{joint}']/*")]
+            for robot in (bare, own)
+        ]
+        if same[0] != same[1]:
+            yield f"{place}.urdf", f"{fitted.urdf}: {joint} differs from that of {arm.urdf}: a hand changes no joint"
 
 
 def hulls(urdf: str) -> list[str]:

@@ -136,6 +136,20 @@ class Gripper(CellPart, frozen=True, kw_only=True):
     palm_link: str = "palm"
 
 
+class CoupledHand(CellPart, frozen=True, kw_only=True):
+    """A hand for the coupler at the end of an arm. While no arm has it, it is the object of this name.
+
+    The arm has a model of its own with each hand. It differs beyond the coupler only."""
+
+    name: Name
+    urdf: str  # of the whole arm with this hand
+    srdf: str
+    tcp_link: str = "tcp"
+    payload_kg: Positive  # that the arm carries with this hand
+    gripper: Gripper
+    coupling: Name = "COUPLING"  # grasp point of the object: there the tcp of the arm without a hand is when it couples
+
+
 class Arm(CellPart, frozen=True, kw_only=True):
     name: Name
     end_effector: Name
@@ -151,7 +165,22 @@ class Arm(CellPart, frozen=True, kw_only=True):
     stow_deg: list[JointValue]
     acceleration_deg_s2: list[JointAcceleration]  # the URDF has no field for it
     payload_kg: Positive
-    gripper: Gripper
+    gripper: Gripper  # of an arm with a coupler: its jaws
+    hands: list[CoupledHand] = []  # that its coupler can lock; it begins without one
+
+    def with_hand(self, name: str) -> Arm:
+        """The arm with this hand in its coupler; empty: with none. Raises KeyError."""
+        if not name:
+            return self
+        hand = named(self.hands, name, f"hand of {self.name}")
+        return msgspec.structs.replace(
+            self,
+            urdf=hand.urdf,
+            srdf=hand.srdf,
+            tcp_link=hand.tcp_link,
+            payload_kg=hand.payload_kg,
+            gripper=hand.gripper,
+        )
 
     @property
     def home_rad(self) -> list[float]:
@@ -406,7 +435,7 @@ class Numbers(CellPart, frozen=True, kw_only=True):
     pictures: Annotated[int, Meta(ge=1)] = 2  # of each camera that looks for a body at rest
 
 
-Named = TypeVar("Named", Arm, Seat, Object, Place, Region, GraspPoint, Camera)
+Named = TypeVar("Named", Arm, CoupledHand, Seat, Object, Place, Region, GraspPoint, Camera)
 
 
 def named(parts: Sequence[Named], name: str, what: str) -> Named:

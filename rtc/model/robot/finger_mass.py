@@ -47,8 +47,9 @@ class FingerMass(NamedTuple):
 def problems(cell: Cell) -> Iterator[tuple[str, str]]:
     """(place in the cell, problem) for each hand that no servo would hold still."""
     for n, arm in enumerate(cell.arms):
-        if problem := finger_mass(cell, arm.name).problem:
-            yield f"arms[{n}].gripper.finger_links", f"{arm.urdf}: {problem}"
+        for hand in ("", *(hand.name for hand in arm.hands)):
+            if problem := finger_mass(cell.with_hands({arm.name: hand}) if hand else cell, arm.name).problem:
+                yield f"arms[{n}].gripper.finger_links", f"{arm.with_hand(hand).urdf}: {problem}"
 
 
 def require_stable(cell: Cell) -> Cell:

@@ -134,6 +134,7 @@ class EndReport(Message, frozen=True, kw_only=True):
     slides: list[int] = []  # numbers of the joints that slide
     tcp_pose: list[float] = []  # at rest
     wrench: list[float] = []  # at rest
+    hand: str | None = None  # in the coupler, as it reads it; empty: none; None: the arm has no coupler
     hand_width_m: float = 0.0
     hand_force_n: float = 0.0  # pressed by the fingers, the smaller of the two
     peak_force_n: float = 0.0  # while moving

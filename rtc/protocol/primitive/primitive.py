@@ -64,6 +64,7 @@ class Primitive(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="Prim
     reporting: Reporting = Reporting()
     start_after: list[StartAfter] = []  # all must be met before it starts; nothing moves until then
     partner: Partner | None = None  # a second arm that moves with it
+    hand: str | None = None  # that it was planned with, of an arm with a coupler; empty: none
     space_mm: list[Box] = []  # all that its arms may reach on their paths, for other planners; empty: not known
 
     def __post_init__(self) -> None:

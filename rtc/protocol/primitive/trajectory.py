@@ -115,6 +115,15 @@ class SpindleMotion(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="
             raise ValueError("a spindle needs a speed and a torque above 0")
 
 
+class Coupling(Strict, frozen=True, kw_only=True, tag="coupling"):
+    """P for an arm with a coupler: lock the hand that is before it, or let go of the one that it has. It rests.
+
+    A hand that is not where the coupler reaches it is not locked: the primitive ends with NO_CONTACT.
+    """
+
+    hand: Annotated[str, msgspec.Meta(max_length=100)]  # its identity, as the coupler reads it; empty: let go
+
+
 class TeleopMotion(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="operated"):
     """P for an arm that the operator moves: twists (`messages.Operate`) instead of positions over time.
 
@@ -159,4 +168,4 @@ class TeleopMotion(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="o
             raise ValueError("a shared motion needs both a path and the axes of the operator")
 
 
-Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Look | TeleopMotion
+Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Coupling | Look | TeleopMotion

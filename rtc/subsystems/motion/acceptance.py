@@ -29,6 +29,9 @@ def objection(primitive: p.Primitive, traits: Traits, joints: Sequence[float]) -
     """The first objection to the primitive, or ''."""
     for problem in CHECKS[type(primitive.trajectory)](primitive.trajectory, traits, joints):
         return problem
+    if primitive.hand is not None and primitive.hand != traits.hand:
+        planned, has = (hand or "no hand" for hand in (primitive.hand, traits.hand))
+        return f"the motion was planned with {planned}, and {traits.name} has {has} in its coupler"
     load = primitive.control_law.load
     if load is not None and load.mass_kg > traits.payload_kg:
         return f"a load of {load.mass_kg:g} kg is more than the {traits.payload_kg:g} kg that {traits.name} can carry"
@@ -113,6 +116,13 @@ def _operated(trajectory: p.TeleopMotion, traits: Traits, joints: Sequence[float
         yield from _joints(trajectory.along, traits, joints)
 
 
+def _coupling(trajectory: p.Coupling, traits: Traits, joints: Sequence[float]) -> Iterator[str]:
+    if traits.hand is None:
+        yield f"{traits.name} has no coupler"
+    elif trajectory.hand and traits.hand not in ("", trajectory.hand):
+        yield f"{traits.name} has {traits.hand} in its coupler already"
+
+
 def _look(trajectory: p.Look, traits: Traits, joints: Sequence[float]) -> Iterator[str]:
     yield f"{traits.name} is an arm; only a camera looks"
 
@@ -123,5 +133,6 @@ CHECKS: dict[type, Callable[[Any, Traits, Sequence[float]], Iterator[str]]] = {
     p.HoldStill: _still,
     p.Look: _look,
     p.TeleopMotion: _operated,
+    p.Coupling: _coupling,
     p.SpindleMotion: lambda trajectory, traits, joints: iter(()),  # the arm checks it against the driver in its hand
 }

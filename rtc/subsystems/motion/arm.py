@@ -71,6 +71,7 @@ class ArmState(msgspec.Struct):
     fingers: tuple[float, float]
     hand: HandCommand
     opening_m: float  # present setpoint of the hand servo, on its way to `hand`
+    coupled: str = ""  # the hand in its coupler
 
 
 class CellState(msgspec.Struct):
@@ -95,6 +96,7 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
     max_grip_n: float
     hand_speed_m_s: float
     slides: list[bool] = []  # by joint; one that slides has m, m/s, m/s^2
+    hand: str | None = None  # in its coupler; empty: none; None: it has no coupler
     rigid: bool = False  # it neither complies with a force nor turns a spindle
 
     def margins(self, margin_rad: float) -> list[float]:
@@ -103,8 +105,8 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
         return [margin_rad * (SLIDE_MARGIN if sliding else 1.0) for sliding in slides]
 
     @staticmethod
-    def of(cell: Cell, name: str) -> Traits:
-        """The traits of an arm of a cell."""
+    def of(cell: Cell, name: str, hand: str = "") -> Traits:
+        """The traits of an arm of a cell. `hand`: in its coupler; the cell has the arm with it."""
         spec, model = cell.arm(name), ArmModel.of(cell, name)
         limits = model.limits
         return Traits(
@@ -119,6 +121,7 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
             max_grip_n=spec.gripper.max_force_n,
             hand_speed_m_s=spec.gripper.speed_m_s,
             slides=model.slides,
+            hand=hand if spec.hands else None,
         )
 
 
@@ -149,6 +152,10 @@ class ArmInterface(Protocol):
         driver cannot do it."""
 
     def spindle(self) -> SpindleState: ...
+
+    def couple(self, hand: str) -> str:
+        """Lock this hand, or let go of the present one (empty). Returns why it is not locked, or ''. From then on the
+        arm is the one with that hand: traits, tcp, fingers, sensor."""
 
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         """Pose of the tcp at these joint positions (rad), world frame."""

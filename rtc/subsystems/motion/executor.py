@@ -23,6 +23,7 @@ from rtc.subsystems.motion.arm import TICK_S, ArmInterface, HandCommand, Motion,
 from rtc.subsystems.motion.bolts import SpindleTurn
 from rtc.subsystems.motion.bounds import ConditionBounds
 from rtc.subsystems.motion.clearance import Clearance
+from rtc.subsystems.motion.coupler import Coupler
 from rtc.subsystems.motion.goals import GOAL_RAD, Arrived, arrival
 from rtc.subsystems.motion.hand import Hand
 from rtc.subsystems.motion.jog import Jog
@@ -82,6 +83,7 @@ class Executor:
         self._reports: RunningReports | None = None  # of the primitive
         self._watch = stop_functions.RetreatWatch([])
         self._spindle: SpindleTurn | None = None  # of the primitive, if it turns one
+        self._coupler: Coupler | None = None  # of the primitive, if it locks a hand or lets go of one
         self.operated: OperatedArm | None = None  # while the operator moves the arm
         # The present control law complies: in EXECUTING, COMPLYING, and until rest if the primitive asks for it.
         self._compliant = False
@@ -152,8 +154,8 @@ class Executor:
         """Start it with the next tick or refuse it: returns `Started` or an end report with the reason REFUSED."""
         why = self._objection(primitive)
         if why:
-            pose = self._seen.tcp()
-            return [not_begun(primitive.id, self.name, why, at_s=now_s, sample=self.sample, tcp_pose=pose)]
+            pose, hand = self._seen.tcp(), self.arm.traits.hand
+            return [not_begun(primitive.id, self.name, why, at_s=now_s, sample=self.sample, tcp_pose=pose, hand=hand)]
         self.primitive = primitive
         self._apply(Trigger.ACCEPTED)
         return [m.Started(primitive=primitive.id, at_s=now_s)]
@@ -329,6 +331,7 @@ class Executor:
         self._spindle = SpindleTurn(trajectory, self._seen) if isinstance(trajectory, p.SpindleMotion) else None
         if self._spindle is not None:
             self._spindle.run()
+        self._coupler = Coupler(trajectory.hand, self._seen) if isinstance(trajectory, p.Coupling) else None
         if isinstance(trajectory, p.SpindleMotion) and trajectory.retreat is not None:
             self._setpoints.keep(trajectory.retreat)
         duration_s, within_m = self._setpoints.profile.duration_s, self.primitive.goal_within_m
@@ -374,6 +377,11 @@ class Executor:
         assert running is not None
         if self.operated is not None:
             self.operated.follow(now_s)
+        if self._coupler is not None and self._coupler.works(setpoints.time_s):
+            self._hand = Hand(seen)
+            if self._coupler.why_not:
+                self._trip(Trip(reason=StopReason.NO_CONTACT, message=self._coupler.why_not), Trigger.TRIPPED)
+                return self._stop(now_s)
         arrived = self._arrived(setpoints.time_s) if self.operated is None else self._arrived_by_hand()
         reports, found = NOTHING, None
         in_time = arrived is None and elapsed_s <= bounds.time_s

@@ -28,6 +28,7 @@ WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
 PRESSED, STEADY, BOTH = 0.95, 0.6, 0.5
 # It has stopped if the force has changed by less than this share over this time. A hand at work adds 5 % in 0.01 s.
 CHANGED, STEADY_S = 0.02, 0.1
+LOCKS_S = 0.2  # from the order to a coupler until it has locked or let go
 TURNED_RAD = 1e-6  # tolerance of the turn of a spindle
 
 Arrived = Callable[[float], Finding | None]  # time of the profile (s) -> (measured, limit, '') at the goal
@@ -50,6 +51,8 @@ def arrival(
     if isinstance(trajectory, p.HoldStill):
         hold_s = trajectory.duration_s
         return lambda time_s: None if hold_s is None or time_s < hold_s else (time_s, hold_s, "")
+    if isinstance(trajectory, p.Coupling):
+        return lambda time_s: (time_s, LOCKS_S, "") if time_s >= LOCKS_S and seen.fingers_rest() else None
     if isinstance(trajectory, p.TeleopMotion):
         return lambda time_s: None  # the operator states it
     assert isinstance(trajectory, p.JointTrajectory)

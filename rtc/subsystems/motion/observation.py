@@ -75,6 +75,13 @@ class Observation:
         self._touched_before |= {**self.arm.touches(), **self.arm.arm_touches()}
         self.peak_force_n = self.peak_torque_nm = 0.0
 
+    def refit(self) -> None:
+        """The arm has another hand: the tcp, the fingers and what the sensor carries are others from now on."""
+        self.sample = self.arm.read()
+        self._tcp_of = None
+        self.watch()
+        self.begin()
+
     def feel(self, counts: bool = False) -> None:
         """The wrench of this tick; whether it counts for the peaks of the primitive."""
         wrench = self.sample.wrench

@@ -55,6 +55,7 @@ def end_report(
         slides=seen.slides,
         tcp_pose=seen.tcp().tolist(),
         wrench=seen.wrench,
+        hand=seen.arm.traits.hand,
         hand_width_m=seen.width_m,
         hand_force_n=seen.grip_n,
         peak_force_n=seen.peak_force_n,
@@ -79,6 +80,7 @@ def not_begun(
     reason: StopReason = StopReason.REFUSED,
     sample: Sample | None = None,
     tcp_pose: Array | None = None,
+    hand: str | None = None,
 ) -> m.EndReport:
     """The end report of a primitive that was never started. Pass no sample if the performer does not exist."""
     return m.EndReport(
@@ -90,6 +92,7 @@ def not_begun(
         joints=sample.joints if sample else [],
         tcp_pose=tcp_pose.tolist() if tcp_pose is not None else [],
         wrench=sample.wrench if sample else [],
+        hand=hand,
         hand_width_m=sum(sample.fingers) if sample else 0.0,
         hand_force_n=min(sample.finger_forces) if sample else 0.0,
         message=why,
