@@ -243,6 +243,14 @@ def test_a_mechanism_knows_no_stage_and_no_other_mechanism() -> None:
     assert wrong == []
 
 
+def test_the_mechanism_of_the_page_for_users_keeps_this_rule() -> None:
+    page = (ROOT / "docs" / "own-mechanism.md").read_text()
+    (code, _) = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    used = re.findall(r"^(?:from|import) (\S+)", code, re.MULTILINE)
+    assert used
+    assert [name for name in used if name.startswith("workers") and not name.startswith(BELOW_MECHANISMS)] == []
+
+
 def test_a_cycle_is_found() -> None:
     assert cycle({"a": {"b", "c"}, "b": set(), "c": {"d"}, "d": {"c"}}) == ["c", "d", "c"]
     assert cycle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []

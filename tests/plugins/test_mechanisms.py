@@ -131,6 +131,15 @@ def test_odd_figures_refuse(odd: Any) -> None:
         guarded("figures", lambda _: odd)(None)
 
 
+class OddText(str):
+    def __format__(self, _: str) -> str:
+        raise SystemExit
+
+
+def test_a_text_is_plain_before_it_leaves_the_guard() -> None:
+    assert type(guarded("violated", lambda _: OddText("loose"))(None)) is str
+
+
 def test_numbers_of_numpy_are_numbers() -> None:
     assert guarded("figures", lambda _: {"toy.a": np.float32(0.5), "toy.b": 1})(None) == {"toy.a": 0.5, "toy.b": 1.0}
 

@@ -25,6 +25,36 @@ LIMIT_S = 60.0
 FILES = {"toml": ["pyproject.toml"], "python": ["grounding.py", "test_grounding.py"]}
 FILES["yaml"] = ["grounding.yaml", "cell.yaml"]
 
+#: a second mechanism: what it does wrong depends on the amount of the sentence
+HOSTILE = """
+from workers.mechanisms.mechanism import Mechanism
+def ready(candidate):
+    n = round(100 * candidate.figures["amount_m"])
+    if n == 1:
+        raise SystemExit
+    if n == 2:
+        return 3
+    while n == 3:
+        pass
+def done(task, validity):
+    raise KeyboardInterrupt
+MECHANISM = Mechanism(name="hostile", needs={"hostile.ready": ready}, effects={"hostile.done": done})
+"""
+ODD = """
+parser: |
+  %extend work: ODD hand amount maintain reflex -> command
+  ODD: "ODD"
+elaborator:
+  decision_tree: [{verb: ODD, script: odd}]
+  command_object_table: [{verb: ODD, values: {}}]
+  scripts:
+    - script: odd
+      case: 1
+      uses: [hand, amount]
+      needs: [hostile.ready]
+      steps: [{do: hold, stop: hold, label: wait, args: {duration_s: 0.1}, words: {effect: hostile.done}}]
+"""
+
 
 def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
@@ -37,7 +67,9 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     for language, names in FILES.items():
         for name, text in zip(names, blocks(language), strict=True):
             (folder / name).write_text(text)
+    (folder / "hostile.py").write_text(HOSTILE)
     points = tomllib.loads((folder / "pyproject.toml").read_text())["project"]["entry-points"]
+    points["rtc.mechanisms"]["hostile"] = "hostile:MECHANISM"
     info = folder / "grounding-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: grounding\nVersion: 1.0\n")
@@ -91,6 +123,20 @@ def test_a_fact_of_the_package_is_stated_and_judged_by_it(rtc: Client) -> None:
     ends = [rtc.run(f"SET MACS-NEW CHARGE {value}", timeout_s=LIMIT_S).outcome for value in ("MUCH", "SOME")]
     assert [end.kind for end in ends] == [OutcomeKind.REFUSED, OutcomeKind.SUCCEEDED]
     assert charge(rtc) == ("SOME", Validity.VALID)
+
+
+def test_a_function_that_fails_refuses_the_sentence_and_ends_no_worker(rtc: Client, tmp_path: Path) -> None:
+    """In an analyzer an interrupt; in an elaborator an exit, an odd value, an endless loop. A program whose first job
+    fails is taken back, so the elaborator does well first."""
+    (tmp_path / "odd.yaml").write_text(ODD)
+    rtc.load_sections(tmp_path / "odd.yaml")
+    workers = {row.pid for row in rtc.status().workers}
+    for amount in (4, 1, 2, 3):
+        end = rtc.run(f"ODD LEFT-ARM BY {amount} CM", timeout_s=LIMIT_S).outcome
+        assert end.kind is not OutcomeKind.SUCCEEDED
+        assert "mechanism hostile" in end.message  # wording: it names the package
+    assert workers <= {row.pid for row in rtc.status().workers}
+    assert rtc.run("STOW LEFT-ARM", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
 
 
 def test_a_worker_that_is_killed_in_a_job_of_the_package_is_replaced(rtc: Client) -> None:

@@ -174,6 +174,8 @@ def checked(value: Any, form: Any) -> Any:
         return _parts(value, given[0])
     if form is float:
         return _finite(value)
+    if form is str:
+        return str.__str__(_of_kind(value, str))  # of a subclass: a method of others would run outside the guard
     if hasattr(form, "_fields"):
         hints = typing.get_type_hints(form)
         return form(
