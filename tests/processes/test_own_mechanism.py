@@ -81,7 +81,16 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def test_the_test_of_the_page_passes(package: Path) -> None:
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(package / "test_grounding.py")]
+    command = [
+        sys.executable,
+        "-m",
+        "rtc",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        str(package / "test_grounding.py"),
+    ]
     ran = subprocess.run(command, capture_output=True, text=True, cwd=package)
     assert ran.returncode == 0, ran.stdout[-4000:]
 
