@@ -7,9 +7,9 @@ VENV := .venv
 # Many images set it. Every process of a test or a cluster would compile its modules anew: a second per cluster.
 unexport PYTHONDONTWRITEBYTECODE
 BIN := $(VENV)/bin
-# For tests that judge no time; the last ones are divided anew. One more than cores, as those with a cluster often wait;
+# For tests that judge no time; the last ones are divided anew. Two more than cores, as those with a cluster often wait;
 # a worker or a cluster needs 0.4 GB.
-JOBS := $(shell n=$$(( $$(nproc) + 1 )); echo $$(( n > 4 ? 4 : n )))
+JOBS := $(shell n=$$(( $$(nproc) + 2 )); echo $$(( n > 4 ? 4 : n )))
 FAST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 # the files with slow tests: to collect the others too takes longer than many of these tests
 SLOW = $(shell grep -rl --include='test_*.py' 'mark\.slow' tests)
