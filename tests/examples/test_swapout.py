@@ -35,8 +35,9 @@ def test_rtc_demo_becomes_the_program_of_the_example(tmp_path: Path):
 def test_the_insertion_of_the_swap_out_is_halted_taken_up_again_and_ends_with_a_closed_door(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    few = swapout.PARTS["insertion"]._replace(frame_s=60.0)  # drawing all frames takes half a minute of a core
+    few = swapout.PARTS["insertion"]._replace(frame_s=3600.0)  # drawing all frames takes half a minute of a core
     monkeypatch.setitem(swapout.PARTS, "insertion", few)
+    monkeypatch.setattr(swapout, "PICTURES", {"C28": swapout.PICTURES["C28"]})
     with Console(record=True, width=200) as console:
         passed = swapout.run(console, "max", tmp_path, part="insertion")
     assert passed, console.export_text()[-3000:]

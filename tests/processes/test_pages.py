@@ -1,6 +1,7 @@
 """The pages for users, typed line by line on a cluster: each command ends as its page says.
 
-README and `own-arm.md` are typed in physics; nothing in the others needs it.
+README and `own-arm.md` are typed in physics; nothing in the others needs it. What differs from other lines in its arm
+alone is not typed; `tests.test_documentation` parses it.
 
 A line succeeds, unless its comment says `refused` or `fails`. A line with `in a terminal of its own` runs until its
 block ends, then gets Ctrl-C. A shown line of output, such as `C-1 SUCCEEDED  SENTENCE`, must have been printed.
@@ -24,6 +25,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 ROOT = Path(__file__).parents[2]
 LIMIT_S = 120.0  # for one line
 PREPARES = ("make ", ". .venv", "pip install", "python -m benchmarks")  # lines that other tests and targets execute
+# Other arms in place of the Panda: their cells are those of `tests.apps.authoring.test_draft`.
+LIKE_THE_PANDA = re.compile(r"rtc cell .*(kuka_iiwa|xarm|iiwa)")
 RESULT = re.compile(r"^(C-\d+) (SUCCEEDED|FAILED|REFUSED|HALTED|ABORTED)  (\S.*?)(?:  \(|$)", re.MULTILINE)
 
 
@@ -60,7 +63,7 @@ class Typist:
     def type_line(self, line: str) -> None:
         command, _, comment = line.partition(" # ")
         command = command.strip()
-        if not command or command.startswith(("#", *PREPARES)):
+        if not command or command.startswith(("#", *PREPARES)) or LIKE_THE_PANDA.match(command):
             return
         if re.match(r"[A-Z_]+=", command):
             self.definitions.append(command)

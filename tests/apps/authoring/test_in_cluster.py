@@ -6,8 +6,6 @@ Exact; in physics the same sentences are typed from `docs/own-arm.md`, and run i
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +17,7 @@ from rtc.model.cells.cell import Cell
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyRing
+from tests.apps.cli.in_process import call
 from tests.processes.test_gateway import free_ports
 
 pytestmark = [pytest.mark.slow, pytest.mark.untimed]
@@ -35,8 +34,7 @@ def test_sentences_move_it_and_a_key_shows_it(first_cell: Callable[[str], Path],
         KeyRing(run_dir).new("observer", Role.OBSERVER, listen, key)
         with Client(key=key) as far:
             assert Cell.from_bytes(far.cell()).digest() == Cell.load(file).digest()
-        words = [sys.executable, "-m", "rtc.apps.cli.entry", "look", "--with", str(key), "-o", str(picture), "--json"]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S)
+        done = call("look", "--with", str(key), "-o", str(picture), "--json")
         assert done.returncode == 0, done.stderr
         (arm,) = json.loads(done.stdout)["arms"]
         assert (arm["name"], arm["holding"]) == ("PANDA", "CUBE")

@@ -15,7 +15,8 @@ from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTrace
 from prometheus_client.parser import text_string_to_metric_families
 
 from rtc import Client
-from tests.apps.observers.conftest import RTC, rtc, until
+from tests.apps.cli.in_process import call
+from tests.apps.observers.conftest import RTC, until
 
 pytestmark = [pytest.mark.slow, pytest.mark.untimed]
 TRACE = "0af7651916cd43dd8448eb211c80319c"
@@ -88,7 +89,6 @@ def test_a_cluster_is_scraped_and_traced(watched):
 
 
 def test_without_an_export_the_command_is_refused(watched):
-    with pytest.raises(subprocess.CalledProcessError) as refused:
-        rtc("observe", "--run-dir", watched.run_dir)
-    assert refused.value.returncode == 2
-    assert "--prometheus" in refused.value.stderr
+    refused = call("observe", "--run-dir", str(watched.run_dir))
+    assert refused.returncode == 2
+    assert "--prometheus" in refused.stderr

@@ -19,6 +19,7 @@ from mcap.stream_reader import StreamReader
 from rtc import Client
 from rtc.apps.observers import playback, recorder
 from rtc.runtime import extras, process_table
+from tests.apps.cli.in_process import call
 from tests.apps.observers.conftest import RTC, rtc, until
 
 pytestmark = [pytest.mark.slow, pytest.mark.untimed]
@@ -117,16 +118,16 @@ def test_a_recorder_that_was_started_with_the_cluster_comes_back_with_a_new_file
 def test_play_shows_the_story_of_a_recording(watched, tmp_path):
     path = tmp_path / "run.mcap"
     rtc("record", "-o", path, "--for", "1s", "--run-dir", watched.run_dir)
-    shown = json.loads(rtc("play", path, "--json").stdout.splitlines()[-1])
+    shown = json.loads(call("play", str(path), "--json").stdout.splitlines()[-1])
     assert shown["complete"]
     assert set(shown["arms"]) == {"LEFT-ARM", "RIGHT-ARM"}
 
 
 @pytest.mark.parametrize("option", ["-o", "--raw"])
-def test_a_recording_without_a_directory_for_it_does_not_begin(watched, tmp_path, option):
+def test_a_recording_without_a_directory_for_it_does_not_begin(watched, tmp_path, monkeypatch, option):
     place = tmp_path / "absent" / "run"
-    command = [*RTC, "record", option, str(place), "--run-dir", str(watched.run_dir)]
-    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=90.0)
+    monkeypatch.chdir(tmp_path)
+    found = call("record", option, str(place), "--run-dir", str(watched.run_dir))
     assert found.returncode == 2
     assert str(place.parent) in found.stderr + found.stdout
     assert not list(tmp_path.iterdir())
