@@ -88,7 +88,20 @@ def _arm(question: DataSentence, arm: parts.Arm) -> str:
     where = _pose(query.tcp(name))
     hand = f"{arm.end_effector} is open {1000 * query.hand_width(name):.0f} mm"
     holds = f"holds {query.holding(name)}" if query.holding(name) else "holds nothing"
-    return f"{name}: {_joints(arm, query.joints(name))}{doubt}; tcp {where}; {hand} and {holds}; {_use(question, name)}"
+    coupled = _coupled(question, name)
+    return (
+        f"{name}: {_joints(arm, query.joints(name))}{doubt}; tcp {where}; {coupled}{hand} and {holds}; "
+        f"{_use(question, name)}"
+    )
+
+
+def _coupled(question: DataSentence, arm: str) -> str:
+    """What an arm with a coupler has in it; empty: it has no coupler."""
+    hand = question.query.hand_planned_with(arm)
+    if hand is None:
+        return ""
+    doubt = "" if question.query.trusts(f"{arm}.hand") else " (in doubt)"
+    return f"{hand or 'no hand'} in its coupler{doubt}; "
 
 
 def _object(question: DataSentence, thing: parts.Object) -> str:
@@ -99,6 +112,7 @@ def _object(question: DataSentence, thing: parts.Object) -> str:
     angle = f", open by {math.degrees(query.angle(name)):.1f} deg" if thing.hinge is not None else ""
     inside = f"in {query.seat(name)}" if query.seat(name) else "in no seat"
     held = f"held by {query.held_by(name)}" if query.held_by(name) else "not held"
+    held = next((f"in the coupler of {arm.name}" for arm in query.cell.arms if query.hand(arm.name) == name), held)
     return f"{name}: {_pose(query.frame(name))}{angle}{within}{doubt}; {inside}, {held}; {_use(question, name)}"
 
 
