@@ -237,7 +237,7 @@ def _analyzer(program: AnalyzerProgram) -> Problems:
     yield from _trimmers(program)
     for name, failure in program.classes.items():
         again, pressing = ("target_cure", "out_first", "found_at"), ("away", "leave")
-        fields = (("message", ()), ("clears", ()), ("again", again), ("pressing", pressing))
+        fields = (("message", ()), ("clears", pressing[1:]), ("again", again), ("pressing", pressing))
         for field, more in fields:
             placeholders = (*extension_names.FAILURE_PLACEHOLDERS, *more)
             for word in PLACEHOLDER.findall(_text_of(getattr(failure, field))):

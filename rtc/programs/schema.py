@@ -270,7 +270,7 @@ class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
     """A failure class: its message, the facts that become suspect, and how to clear them.
 
     Texts may contain placeholders: {reason} {measured} {limit} {unit} {message} {arm} {object} {point} {target};
-    in `pressing` also {away} and {leave}.
+    in `pressing` also {away} and {leave}, in `clears` {leave}.
     """
 
     message: str

@@ -46,6 +46,14 @@ def test_an_arm_leaves_what_has_stopped_it(cause: str, laden: bool) -> None:
     assert run.moved, run.story
 
 
+def test_an_arm_leaves_a_box_that_is_behind_its_fingers() -> None:
+    """Run 17 of seed 92: back along the tool the box held the arm."""
+    drawn = stops.Drawn("lifted", "RIGHT-ARM", "STOW RIGHT-ARM", "box", "", after_s=3.447637622295033, seed=1437004542)
+    run = stops.stop_and_leave(0, drawn)
+    assert run is not None
+    assert run.moved, run.story
+
+
 @pytest.mark.parametrize(("n", "ended"), [(0, 2), (1, 2), (2, 0), (83, 0)])
 def test_runs_of_the_campaign(n: int, ended: int) -> None:
     """`ended`: how many sentences the run draws that nothing stops; here they are not given."""

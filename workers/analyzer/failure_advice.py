@@ -8,11 +8,11 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.programs.schema import OutcomeClass
-from rtc.protocol.advice import NOTHING, Advice, Alternative, by_person, fill_in, in_order
+from rtc.protocol.advice import NOTHING, Advice, Alternative, by_person, fill_in, in_order, sentences_of
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial import geometry
-from rtc.spatial.geometry import Floats
+from rtc.spatial.geometry import Array, Floats
 from workers.analyzer import failure_words, what_is_left
 from workers.analyzer.post_conditions import is_held_askew, pressing_n
 from workers.mechanisms import joined
@@ -25,7 +25,8 @@ ADVICE = joined(lambda mechanism: mechanism.advice)
 CURES = joined(lambda mechanism: mechanism.cures)
 SHORT_M = 0.003  # the direction of a shorter way means nothing
 AWAY_CM = 5.0  # by how much an arm is to move away from what it has pressed on
-BACK, SLOT, LET_GO = "leave_back", "leave_slot", "leave_held"  # rows of `clears`
+BACK, SLOT, LET_GO, LINE = "leave_back", "leave_slot", "leave_held", "leave_line"  # rows of `clears`
+BY_JOINTS = "move_joint"  # space of a step
 DOUBTFUL = (Validity.SUSPECT, Validity.INVALID)
 IN_SLOT_M = 0.010  # a shorter way in a slot frees nothing, and one that ends nearer to the bottom may press on it
 BACKWARDS = 0.7  # cosine of the angle between the way of a hand and its tool axis from which on it went back
@@ -41,12 +42,13 @@ def what_clears(
     # A seat needs a better known pose in the hand than VERIFY leaves after that, and a free motion more room.
     misplaced = failure.misplaced or askew or (pressed and bool(target))
     cures = _ways_to_clear(task, changes, moved=pressed or misplaced, misplaced=misplaced)
-    row = task.program.clears.get("asked", []) if asked else failure.pressing
-    way, back = _way_to_leave(task) if row and pressing_n(task) else ("", "")
+    row, clears = (task.program.clears.get("asked", []), []) if asked else (failure.pressing, failure.clears)
+    by_way = any("{leave}" in one.sentences for one in (*row, *clears))
+    way, back = _way_to_leave(task) if (row or by_way) and pressing_n(task) else ("", "")
     pressing = _leaving(task, row, way, back) if way else []
+    clears = _leaving(task, clears, way or BACK, back)
     # RETRACT works despite doubts about what is in the hand, and a hand may let go of it; other ways do not.
-    by_way = any("{leave}" in one.sentences for one in row)
-    doubtful = bool(pressing) and not (by_way and way in (BACK, LET_GO))
+    doubtful = bool(way) and not (by_way and way in (BACK, LET_GO))
     of_held = [key for key in cures if key.rpartition(".")[0] == task.evaluation.held]
     held = [cures[key] for key in of_held if doubtful]
     own = [*held, pressing]
@@ -54,7 +56,7 @@ def what_clears(
     rest = [Alternative(sentences=[left], instead=True)] if (left := what_is_left.sentence(task)) else []
     if not asked:
         own += [
-            (CURES[reason](task, about) if reason in CURES else []) or failure.clears,
+            (CURES[reason](task, about) if reason in CURES else []) or clears,
             by_person(*_higher_limit(task)),
         ]
         again = [] if askew else failure.again  # the fingers close no further
@@ -120,25 +122,44 @@ def _ways_to_clear(task: AnalyzeTask, changes: Changes, *, moved: bool, misplace
 def _leaving(task: AnalyzeTask, row: Advice, way: str, back: str) -> Advice:
     """The advice for an arm that pressed on something. `way`, `back`: of `_way_to_leave`."""
     advice = fill_in(row, {"leave": task.program.clears.get(way, [])})
-    return fill_in(advice, {"back": back, "away": _away(task)})
+    away = _away(task) if any("{away}" in sentence for sentence in sentences_of(advice)) else ""
+    return fill_in(advice, {"back": back, "away": away})
 
 
 def _way_to_leave(task: AnalyzeTask) -> tuple[str, str]:
     """How an arm leaves what it presses on where it may touch something: the row of `clears`, and the way (cm).
 
     Back along its tool. Where it came to a stop on that way: along the slot that an object was leaving, or along
-    another line. Near the bottom of the slot the hand lets go."""
+    another line. Near the bottom of the slot the hand lets go. Out of a motion of the joints, which turns the hand on
+    its way, it goes back the way that it came there: along its tool what it met may lie behind its fingers."""
     evaluation, report = task.evaluation, task.report
     if evaluation.start_joints is None:
         return BACK, ""
+    tool = geometry.rotate(report.tcp_pose, [0.0, 0.0, 1.0])
+    if (turned := _back_by_joints(task)) is not None:
+        return (BACK if float(turned @ tool) < -BACKWARDS else LINE), ""
     came = task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(report.tcp_pose[:3])
     came_m, held = float(np.linalg.norm(came)), evaluation.held
     frame = task.query.in_hand(held, report.tcp_pose) if held and evaluation.step.words.leaves == "seat" else None
     if frame is not None and (seat := task.query.slot_at(frame)) and came_m >= IN_SLOT_M:
         back_m = _along_slot_m(task, seat, frame, came)
         return (SLOT, f"{100.0 * back_m:.2g}") if abs(back_m) >= IN_SLOT_M else (LET_GO, "")
-    backwards = float(came @ geometry.rotate(report.tcp_pose, [0.0, 0.0, 1.0])) > BACKWARDS * came_m
-    return "leave_line" if came_m > SHORT_M and backwards else BACK, ""
+    backwards = float(came @ tool) > BACKWARDS * came_m
+    return LINE if came_m > SHORT_M and backwards else BACK, ""
+
+
+def _back_by_joints(task: AnalyzeTask) -> Array | None:
+    """The direction in which the hand would begin to go back by a motion of its joints, as it came; None: it came along
+    a line, or from here."""
+    evaluation, joints = task.evaluation, task.report.joints
+    if evaluation.step.space != BY_JOINTS or evaluation.start_joints is None:
+        return None
+    arm = task.query.model.arms[evaluation.arm]
+    if float(np.linalg.norm(arm.fk(evaluation.start_joints)[:3] - arm.fk(joints)[:3])) <= SHORT_M:
+        return None
+    back: Array = arm.jacobian(joints)[:3] @ (np.asarray(evaluation.start_joints) - np.asarray(joints))
+    length = float(np.linalg.norm(back))
+    return back / length if length > 0.0 else None
 
 
 def _along_slot_m(task: AnalyzeTask, seat: str, frame: Floats, came: Floats) -> float:
@@ -160,7 +181,9 @@ def _away(task: AnalyzeTask) -> str:
     pose = report.trip_pose or report.tcp_pose
     force = geometry.rotate(pose, report.trip_wrench[:3])
     away, most_m = force / np.linalg.norm(force), np.full(3, math.inf)
-    if evaluation.start_joints is not None:
+    if (turned := _back_by_joints(task)) is not None:
+        away = turned  # a force from aside would lead into what the hand has come past
+    elif evaluation.start_joints is not None:
         came = task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(pose[:3])
         if (came_m := float(np.linalg.norm(came))) > SHORT_M:
             away = away + 2.0 * came / came_m

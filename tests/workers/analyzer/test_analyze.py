@@ -6,6 +6,7 @@ import math
 from itertools import pairwise
 
 import msgspec
+import numpy as np
 import pytest
 
 from rtc.protocol.advice import Alternative, sentences_of
@@ -700,6 +701,31 @@ def test_an_arm_whose_retreat_is_blocked_is_sent_another_way(bench):
     made = judged(bench, bound, pressed_down(report, StopReason.FORCE_LIMIT))
     assert made.clears[0].sentences[0].startswith("MOVE RIGHT-ARM BY ")
     assert not any(text.startswith("RETRACT") for text in sentences_of(made.clears))
+
+
+@pytest.mark.parametrize("reason", [StopReason.FORCE_LIMIT, StopReason.CONTACT, StopReason.COLLISION])
+def test_a_motion_of_the_joints_that_met_something_is_left_as_the_hand_came(bench, reason):
+    """RETRACT was advised: back along the tool. A box was behind the fingers there, and held the arm with 70 N."""
+    assert bench.do("MOVE RIGHT-ARM TO BAY-2-FRONT").succeeded
+    bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
+    start, goal = (np.array(bound.primitive.trajectory.positions[n]) for n in (0, -1))
+    joints, before = (0.5 * (start + goal)).tolist(), 0.51 * start + 0.49 * goal
+    arm = bench.model.arms["RIGHT-ARM"]
+    there = arm.fk(joints)
+    back = arm.fk(before)[:3] - there[:3]
+    tool = geometry.rotate(there, [0.0, 0.0, 1.0])
+    assert float(back @ tool) > -0.7 * float(np.linalg.norm(back))  # RETRACT leads elsewhere
+    met = ended(report, reason, joints=joints, tcp_pose=there.tolist(), trip_pose=there.tolist())
+    aside = geometry.rotate(geometry.inverse(there), [0.0, 0.0, -60.0]).tolist()
+
+    (line, *_) = sentences_of(judged(bench, bound, ended(met, reason, trip_wrench=[*aside, 0.0, 0.0, 0.0])).clears)
+    _, _, _, by_cm, _, _, axis = line.split()
+    n = "XYZ".index(axis)
+    assert n == int(np.abs(back).argmax())
+    assert float(by_cm) * back[n] > 0.0
+
+    free = judged(bench, bound, ended(met, reason, trip_wrench=[0.0] * 6))
+    assert sentences_of(free.clears)[0] == "RETRACT RIGHT-ARM"
 
 
 @pytest.mark.parametrize(("off_m", "verdict"), [(0.010, "continue"), (0.020, "abort")])
