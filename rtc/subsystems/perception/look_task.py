@@ -172,11 +172,20 @@ class LookTask:
         side.sees(kept)
         self.fit = found
         self.pictures += 1
-        alone = found if len(others) + len(kept) == 1 else self._located([new], expected)
+        read = self._read_well(new, found.pose)
+        alone = found if read is new and len(others) + len(kept) == 1 else self._located([read], expected)
         if alone is not None:
             known = found.pose if expected is None or not found.ambiguous else expected
             side.motion.take(picture.own_s, _nearer_pose(alone, known))
             side.doubt_m = math.sqrt(float(np.trace(alone.noise[:3, :3])))
+
+    def _read_well(self, picture: Seen, pose: Array) -> Seen:
+        """The picture with the tags alone of which windows are taken, or all of it if that leaves none. A whole picture
+        may show narrow ones too, whose corners are a pixel off: without them in the next one the body seems to move."""
+        well = windows(self.tags, pose, picture.view)
+        marks = [mark for mark in picture.marks if mark.tag in well]
+        others = len(marks) < sum(mark.tag in {tag.id for tag in self.tags} for mark in picture.marks)
+        return picture._replace(marks=marks) if marks and others else picture
 
     def fail(self, camera: str, why: str, retry_s: float) -> None:
         """The camera gave no picture. It tries again at `retry_s`, until the time limit."""

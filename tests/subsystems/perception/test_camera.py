@@ -309,6 +309,22 @@ def test_a_further_picture_of_a_body_at_rest_is_of_its_tags_alone(cell, eyes, lo
     assert other.windows(eyes.now_s) == {}
 
 
+def test_a_tag_that_the_whole_picture_alone_shows_moves_nothing(cell, eyes, look) -> None:
+    """The first picture showed two narrow tags, which have no windows. Without them the body was somewhere else, as if
+    it moved, and the look took two pictures more (run 4001 of the campaign `foretold`)."""
+    camera, (scene, _) = CameraPerformer("CAMERA-1"), at(cell, MODULE, [0.014, -0.03, 0.013])
+    camera.accept(look(pictures=2, every_s=0.3), eyes.now_s)
+    whole = eyes.picture("CAMERA-1", scene)
+    pixel = np.array((1.0, 0.0))
+    off = [mark._replace(corners=mark.corners + pixel * (mark.tag in range(4, 8))) for mark in whole.marks]  # its side
+    camera.take(whole._replace(marks=off))
+    eyes.now_s += 0.3
+    windows = camera.windows(eyes.now_s)
+    camera.take(eyes.picture("CAMERA-1", scene, windows))
+    assert windows.keys() == {0, 1, 2, 3}
+    assert camera.due_s is None
+
+
 def test_times_of_pictures_are_of_the_latest_ones(cell) -> None:
     clock = LookClock(scale=2.0)
     for took_s in (0.2, 0.6, 30.0, 0.8):

@@ -9,7 +9,7 @@ import pytest
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.primitive import HandMotion, JointTrajectory, Look
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from tests.workers.conftest import Bench, Kinematic
+from tests.workers.conftest import MODEL, Bench, Kinematic
 from tests.workers.eyes import Drawn, Ideal
 from tests.workers.one_process import OneProcess
 from tests.workers.rehearsal.on_paper import SERVICING, OnPaper
@@ -117,6 +117,23 @@ def test_a_look_takes_as_long_as_the_pictures_of_its_cameras(slower):
         look, report = looks[-1]
         assert len(look.performers) == cameras
         assert cluster.outcomes[tested].rehearsal.predicted_s == pytest.approx(report.duration_s, rel=0.15)
+
+
+@pytest.mark.parametrize("slower", [0.3, 6.0])
+def test_the_first_look_of_a_camera_is_foretold_by_the_pictures_of_others(slower):
+    """Its windows were foretold by the figure of the program, that of another machine: up to 19 % off."""
+    eyes = Ideal(MODEL.cell)
+    eyes.slower = slower
+    cluster = OneProcess(KinematicCell(MODEL.cell), MODEL, eyes=eyes)
+    cluster.give("LOCATE MACS-NEW")
+    cluster.run()
+    tested = cluster.give("TEST LOCATE MACS-OLD")
+    cluster.run()
+    begun_s = eyes.now_s
+    located = cluster.give("LOCATE MACS-OLD")
+    cluster.run()
+    assert cluster.outcomes[located].kind is OutcomeKind.SUCCEEDED
+    assert cluster.outcomes[tested].rehearsal.predicted_s == pytest.approx(eyes.now_s - begun_s, rel=0.1)
 
 
 def test_a_predicted_sighting_is_as_certain_as_one_of_drawn_pictures():

@@ -53,14 +53,16 @@ def _lasts_s(task: RuledTask, cameras: Sequence[str], body: str) -> float:
     """Of a look for a body at rest that all its cameras see. Their pictures are drawn, and searched, one after the
     other; those of one camera are `every_s` apart. All but the first are windows, one around each tag."""
     values, known, query = task.values, task.data.pictures, task.query
+    windows_s = [one.window_s for one in known.values() if one.window_s is not None]
     typical_s = fmean(one.whole_s for one in known.values()) if known else values["picture_s"]
+    typical_window_s = fmean(windows_s) if windows_s else values["window_s"]
     passed_s = 0.0 if known else values["start_s"]
     first_s, further_s, due_s = {}, {}, dict.fromkeys(cameras, 0.0)
     for name in cameras:
         camera, time = query.cell.camera(name), known.get(name, PictureTime(whole_s=typical_s))
         view = optics.view(camera, query.tcp(camera.arm) if camera.arm else None)
         parts = len(windows(sight.tags(query.cell, body), query.pose(body), view))
-        window_s = values["window_s"] if time.window_s is None else time.window_s
+        window_s = typical_window_s if time.window_s is None else time.window_s
         first_s[name], further_s[name] = time.whole_s, parts * window_s if parts else time.whole_s
     for n in range(round(values["pictures"])):
         for name in cameras:
