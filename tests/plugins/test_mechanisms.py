@@ -93,6 +93,8 @@ GOOD: Mapping[str, Any] = {
     "found": ("seen", "as believed"),
     "advice": [Alternative(sentences=["STOW"])],
     "stated": {"MACS-NEW.charge": {"at": 3}},
+    "points": CELL.object("MACS-NEW").grasp_points,
+    "partners": [(CELL.arms[0], None), (CELL.arms[1], CELL.places[0])],
 }
 ODD: Mapping[str, list[Any]] = {
     "needs": ["no", UnmetPrecondition(3, "MACS-NEW"), ("no", "x", "", "")],  # type: ignore[arg-type]

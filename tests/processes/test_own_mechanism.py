@@ -149,11 +149,11 @@ def test_a_function_that_fails_refuses_the_sentence_and_ends_no_worker(rtc: Clie
 
 
 def test_a_worker_that_is_killed_in_a_job_of_the_package_is_replaced(rtc: Client) -> None:
-    """Each time that its step is bound or judged; the job is done by another worker."""
+    """While its sentence is planned, or its step bound or judged; another worker does the job."""
     killed = set[int]()
 
     def kill(note: ProgressNote) -> None:
-        if note.phase in (Phase.BINDING, Phase.ANALYZING) and len(killed) < 2:
+        if note.phase in (Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING) and len(killed) < 2:
             for row in asking.status().workers:
                 if row.busy_with.startswith(f"{note.command}/") and row.pid not in killed:
                     killed.add(row.pid)
