@@ -11,7 +11,9 @@ from typing import Any
 
 from rtc.programs import loader
 from rtc.programs.schema import BinderProgram, ElaboratorProgram, ScriptStep
+from rtc.programs.step_kinds import kind_of
 from rtc.protocol.advice import Advice, sentences_of
+from rtc.protocol.messages import BaseStep, SharedStep
 from workers.mechanisms import MECHANISMS
 from workers.mechanisms.mechanism import Mechanism
 
@@ -39,13 +41,10 @@ def section(mechanism: Mechanism) -> Iterator[str]:
     yield "\n\n".join(textwrap.fill(" ".join(part.split()), 118) for part in (purpose, more) if part)
     if verbs := verbs_of(mechanism):
         yield "\n" + textwrap.fill(f"Its words are used by the scripts of {', '.join(verbs)}.", 118)
-    of_steps = {**BINDER.actions, **BINDER.procedures}
-    steps = {**mechanism.actions, **mechanism.procedures}
-    by_action = {action: [name for name, of in of_steps.items() if of == action] for action in steps}
-    yield from table(
-        ("step", "what the arm, the hand or the camera does"),
-        {", ".join(by_action[name]) or name: [function] for name, function in steps.items()},
-    )
+    by_procedure = {of: name for name, of in BINDER.procedures.items()}
+    steps = {kind_in_words(kind): function for kind, function in mechanism.actions.items()}
+    steps |= {by_procedure.get(name, name): function for name, function in mechanism.procedures.items()}
+    yield from table(("step", "what the arm, the hand or the camera does"), as_rows(steps))
     yield from table(
         ("effect", "success changes in the world", "it has gone wrong if", "what is in doubt after a failure"),
         {
@@ -65,6 +64,11 @@ def section(mechanism: Mechanism) -> Iterator[str]:
     yield from table(("attribute that SET states", "as what"), as_rows(mechanism.stated))
     yield from table(("text of a message", "what it says"), as_rows({**mechanism.texts, **mechanism.advice}))
     yield from table(("refused before any motion",), {text(check): [] for check in mechanism.checks})
+
+
+def kind_in_words(kind: type[BaseStep] | str) -> str:
+    """`do` of a step of this kind; of a path that the operator shares, with the column that makes it one."""
+    return "operate, to" if kind is SharedStep else kind.__struct_config__.tag
 
 
 def as_rows(functions: Mapping[str, Callable[..., Any]]) -> dict[str, list[Any]]:
@@ -92,15 +96,13 @@ def text(cell: Callable[..., Any] | Advice | None) -> str:
 def verbs_of(mechanism: Mechanism) -> list[str]:
     """The verbs with a script that uses a word of this mechanism."""
     own = {*mechanism.needs, *mechanism.anchors, *mechanism.effects}
-    actions, procedures = BINDER.actions, BINDER.procedures
-    steps = {*mechanism.actions, *mechanism.procedures}
     pieces = {piece.skill: piece.steps for piece in ELABORATOR.pieces}
 
     def uses(step: ScriptStep) -> bool:
         if step.do == "piece":
             return any(map(uses, pieces[step.name]))
-        of_step = {actions.get(step.do), procedures.get(step.name)}
-        return bool(own & {step.words.get("effect"), step.words.get("missed")} or steps & of_step)
+        performs = kind_of(step) in mechanism.actions or BINDER.procedures.get(step.name) in mechanism.procedures
+        return performs or bool(own & {step.words.get("effect"), step.words.get("missed")})
 
     found = {
         script.script

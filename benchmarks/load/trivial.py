@@ -23,7 +23,7 @@ from rtc.protocol.messages import (
     ParserInput,
     Script,
     ScriptContext,
-    Step,
+    TellStep,
     WorkerKind,
 )
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
@@ -34,7 +34,7 @@ SUBSYSTEM = "MCM"
 PERFORMERS = 2048
 LIMIT_S = 5.0  # time limit of the primitive
 
-STEP = Step(do="hold", label="stay where it is", name="stay")
+STEP = TellStep(label="stay where it is")
 F = [
     StopFunction(reason=StopReason.GOAL, when=GoalReached()),
     StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(limit_s=LIMIT_S)),

@@ -12,7 +12,7 @@ import msgspec
 from benchmarks.copies import in_copies
 from rtc.model.cells.cell import Cell
 from rtc.protocol import primitive as p
-from rtc.protocol.messages import BoundStep, EndReport
+from rtc.protocol.messages import ArmStep, BoundStep, EndReport, LookStep
 from rtc.protocol.outcomes import StopReason
 from rtc.sensing import rest
 from rtc.spatial import geometry
@@ -215,9 +215,10 @@ def judged(made: p.Primitive, report: EndReport, bound: BoundStep) -> list[Met]:
     """What the end of a step is judged by."""
     assert bound.evaluation is not None
     evaluation, step = bound.evaluation, bound.evaluation.step
-    figures, found = step.figures, []
+    found: list[Met] = []
+    within_m = step.within_m if isinstance(step, ArmStep) else None
     if report.sighting is not None:
-        if figures.at_rest:
+        if isinstance(step, LookStep) and step.at_rest:
             metres, radians = rest.speeds(report.sighting.velocity)
             found += [Met("look: m/s", rest.MOVES_M_S, metres), Met("look: rad/s", rest.MOVES_RAD_S, radians)]
         return [one._replace(label=step.label) for one in found]
@@ -236,8 +237,8 @@ def judged(made: p.Primitive, report: EndReport, bound: BoundStep) -> list[Met]:
         found.append(Met("grip: share of the command", 1.0, share))
     if evaluation.goal_pose is not None and report.tcp_pose:
         off_m = geometry.distance(report.tcp_pose, evaluation.goal_pose)
-        if figures.within_m is not None:
-            found.append(Met(f"{step.stop}: m within", figures.within_m, off_m, off_m > figures.within_m))
+        if within_m is not None:
+            found.append(Met(f"{step.stop}: m within", within_m, off_m, off_m > within_m))
         elif report.reason.value == "goal":
             turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)
             found += [Met(f"{step.stop}: m off", 0.003, off_m), Met(f"{step.stop}: rad off goal", 0.02, turned)]

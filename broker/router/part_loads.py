@@ -12,7 +12,7 @@ from broker.router.core import Core
 from rtc.programs import loader
 from rtc.protocol import wire
 from rtc.protocol.advice import by_person
-from rtc.protocol.messages import ProgramText, Script, ScriptContext, Step, StepWords
+from rtc.protocol.messages import AnswerStep, ProgramText, Script, ScriptContext
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
 NODE = "broker"
@@ -38,7 +38,7 @@ def answer(effect: LoadPart, text: ProgramText, loaded: StoredProgram | Refusal,
     if isinstance(loaded, Refusal):
         return _declined(effect, loaded, now)
     says = "; ".join(loaded.changes) or f"{text.name} is in use already: nothing has changed"
-    step = Step(do="answer", name="state", label=f"load {text.name} into {text.kind.value}", words=StepWords(says=says))
+    step = AnswerStep(name="state", label=f"load {text.name} into {text.kind.value}", says=says)
     product = Script(context=ScriptContext(verb="", script="load"), case=1, steps=[step])
     return JobFinished(at_s=now, job=effect.job, attempt=effect.attempt, node=NODE, product=wire.raw(product))
 

@@ -15,6 +15,7 @@ from rtc.programs import (
     plugin_fields,
     recovery,
     splice,
+    step_kinds,
     words_of_packages,
 )
 from rtc.programs.schema import (
@@ -27,7 +28,7 @@ from rtc.programs.schema import (
     StopRow,
 )
 from rtc.protocol.advice import Advice
-from rtc.protocol.messages import Limits, StepWords
+from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import OF_OPERATOR, Reflex, StopReason
 from rtc.protocol.sentence import ParsedCommand
 from rtc.protocol.spelling import unknown
@@ -154,8 +155,7 @@ def _step(placed: PlacedStep, figures: set[str]) -> Problems:
     for field, text in (("label", step.label), *((f"words.{name}", text) for name, text in step.words.items())):
         for name in PLACEHOLDER.findall(text):
             yield from known("placeholder", name, extension_names.PLACEHOLDERS, f"{place}.{field}")
-    for name in step.words:
-        yield from known("word that acts", name, StepWords.__struct_fields__, f"{place}.words.{name}")
+    yield from step_kinds.problems(step, place)
     yield from _path(step, place)
     index, count = step.trim
     if (index, count) != (0, 0) and not (index >= 1 and count >= 1 and index + count - 1 <= entries):
@@ -167,8 +167,6 @@ def _step(placed: PlacedStep, figures: set[str]) -> Problems:
         yield from known("space", step.space or "(none)", extension_names.SPACES, f"{place}.space")
     for name, source in step.keep.items():
         yield from known("measured value", source, extension_names.KEPT_VALUES, f"{place}.keep.{name}")
-    for word in ("effect", "missed"):
-        yield from _word("effect", step.words.get(word, ""), ("", *extension_names.EFFECTS), f"{place}.words.{word}")
     if "{" not in (axis := step.words.get("axis", "X")):
         yield from known("axis", axis, extension_names.PLAN_AXES, f"{place}.words.axis")
     for name, expression in step.args.items():
@@ -177,31 +175,27 @@ def _step(placed: PlacedStep, figures: set[str]) -> Problems:
 
 
 def _path(step: ScriptStep, place: str) -> Problems:
-    """Figures that would not shape the path of the step, and curves without theirs."""
-    shapes = extension_names.SPACE_ARGS.get(step.space, ())
-    needed = extension_names.CURVES.get(step.space, ())
-    if needed and step.to != "HERE":
+    """Figures that would not shape the path of the step."""
+    curve = step.space in step_kinds.CURVES
+    if curve and step.to != "HERE":
         yield f"{place}.to", f"{step.space} begins HERE, not at {step.to or 'nothing'}"
-    for name in step.args:
-        if name in extension_names.SHAPING and name not in shapes:
-            yield f"{place}.args.{name}", f"{name} does not shape a path in {step.space or 'no space'}"
-        if name in ("by_m", "by_rad") and step.to != "HERE":
+    for name in ("by_m", "by_rad"):
+        if name in step.args and step.to != "HERE":
             yield f"{place}.args.{name}", f"{name} is a step from HERE, not from {step.to or 'nowhere'}"
-    for name in needed:
-        if name not in step.args and name not in step.words:
-            yield place, f"{step.space} needs {name}"
-    if "about" in step.words and "about" not in needed:
-        yield f"{place}.words.about", f"about is the axis of a move_circle, not of {step.space or 'no space'}"
     if step.words.get("axis") == extension_names.WAY_OUT:
         if step.to != "HERE" or step.space not in ("move_task", "move_both") or "by_m" not in step.args:
             yield f"{place}.words.axis", "WAY-OUT is for a move_task or a move_both from HERE by_m"
         for name in ("by_rad", "press_n", "spin_m"):
             if name in step.args:
                 yield f"{place}.args.{name}", f"{name} has no effect along WAY-OUT"
-    if "through" in step.words and (needed or step.to == "HERE" or not step.space):
+    if "through" in step.words and step.to == "HERE":
         yield f"{place}.words.through", "a way through places leads to a pose or to joint values of the plan"
-    if "press_n" in step.args and "about" in needed:
+    if "around" in step.words and step.space != "move_both":
+        yield f"{place}.words.around", "around is for a move_both"
+    if "press_n" in step.args and step.space == "move_circle":
         yield f"{place}.args.press_n", f"a {step.space} has no axis to press along"
+    if "beyond_m" in step.args and StopReason.CONTACT not in step.expect:
+        yield f"{place}.args.beyond_m", "beyond_m is of a touch, which `expect` of the step does not name"
 
 
 def _binder(program: BinderProgram) -> Problems:
@@ -217,8 +211,6 @@ def _binder(program: BinderProgram) -> Problems:
                 yield f"stop_classes.{name}.stops", f"F is not complete without {wanted}"
     for op, name in program.hand.items():
         yield from known("stop class", name, program.stop_classes, f"hand.{op}")
-    for do, action in program.actions.items():
-        yield from _word("action", action, extension_names.ACTIONS, f"actions.{do}")
     for name, procedure in program.procedures.items():
         yield from _word("procedure", procedure, extension_names.PROCEDURES, f"procedures.{name}")
     for n, stop in enumerate(program.holding):

@@ -20,23 +20,8 @@ ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge", "meeting", "he
 AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
 WAY_OUT = "WAY-OUT"
 PLAN_AXES = (*AXES, WAY_OUT)
-#: values of the column `space` of a script, and the args of a step that shape its path
-SPACE_ARGS = {
-    "move_joint": ("by_m", "by_rad"),
-    "move_task": ("by_m", "by_rad"),
-    "move_both": ("by_m", "by_rad"),
-    "move_circle": ("by_rad", "by_m", "hand_turn"),
-    "move_spiral": ("radius_m", "pitch_m", "by_m"),
-    "move_raster": ("radius_m", "pitch_m", "by_m"),
-}
-SPACES = tuple(SPACE_ARGS)
-SHAPING = frozenset(name for names in SPACE_ARGS.values() for name in names)
-#: spaces of curves, which begin where the hand is, and the args and words that each needs
-CURVES = {
-    "move_circle": ("about", "by_rad"),
-    "move_spiral": ("radius_m", "pitch_m"),
-    "move_raster": ("radius_m", "pitch_m"),
-}
+#: values of the column `space` of a script
+SPACES = ("move_joint", "move_task", "move_both", "move_circle", "move_spiral", "move_raster")
 #: elaborator: parameters from outside the command-object table: of the cell, the hand and the sentence
 FIGURES = (
     *Numbers.__struct_fields__,
@@ -83,8 +68,7 @@ FAILURE_PLACEHOLDERS = (
 CAMERA = "camera"
 PARTNER = "partner_arm"
 PERFORMERS = ("active_arm", PARTNER, CAMERA)
-#: binder: algorithms that turn a step into a primitive
-ACTIONS = ("motion", "hand", "still", "assign", "stated", "procedure", "look", "answered", "spindle", "operated")
+#: binder: algorithms of steps `proc`
 PROCEDURES = ("open_hand", "grasp_plan")
 #: binder: predicates of F
 PREDICATES = (
@@ -103,11 +87,7 @@ PREDICATES = (
     "turn-above",
     "unseen-above",
 )
-#: analyzer: effects of success on the world, and values of a report that a step may keep
-EFFECTS = (
-    *("taken", "let_go", "let_drift", "still_held", "verified", "felt", "tilted", "pinched", "passed", "landed"),
-    *("sighted", "unseen", "turned", "tightened", "free", "head_felt", "handed", "pointed"),
-)
 #: analyzer: figures of a failed step in the conditions of `rules`, besides `values`
 FAILURE_FIGURES = (*("measured", "limit", "tried", "force_n", "torque_nm", "took_s", "hand_width_m", "hand_force_n"),)
+#: analyzer: values of a report that a step may keep
 KEPT_VALUES = ("report.trip_pose", "report.pose", "report.hand_width")

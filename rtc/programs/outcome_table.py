@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from rtc.programs.compatibility import misfits, row_of
+from rtc.programs.compatibility import computes, misfits, row_of
 from rtc.programs.loader import decode
 from rtc.programs.recovery import RESERVE, RULES, SEARCH, STACK, Failure, matching, searched
 from rtc.programs.schema import (
@@ -93,7 +93,7 @@ def _label(step: ScriptStep) -> str:
 def _step(
     label: str, step: ScriptStep, trims: Entries, binder: BinderProgram, analyzer: AnalyzerProgram
 ) -> Iterator[OutcomeRow]:
-    if binder.actions[step.do] in binder.computes or binder.procedures.get(step.name) in binder.computes:
+    if computes(step, binder):
         yield OutcomeRow(label, StopReason.GOAL, "continue: nothing moves")
         return
     row = row_of(step)

@@ -251,11 +251,10 @@ class StopClass(ProgramPart, frozen=True, kw_only=True):
 
 
 class BinderProgram(Algorithms, frozen=True, kw_only=True):
-    actions: dict[str, str]  # `do` of a step -> registered algorithm
     stop_classes: dict[str, StopClass]
     hand: dict[str, str]  # `op` of a hand (open, close) -> stop class
     procedures: dict[str, str] = {}  # name in a script -> registered procedure
-    computes: list[str] = []  # registered actions and procedures without motion
+    computes: list[str] = []  # steps (`do`) and registered procedures without motion
     holding: list[StopRow] = []  # rows added to F while an object is held
     guarded: dict[str, dict[str, float]] = {}  # verb -> parameters of its GUARDED reflexes (A6); "" = any other verb
     values: dict[str, Expression] = {}  # defaults of every primitive, over the numbers of the cell

@@ -22,6 +22,7 @@ class AddedWord(NamedTuple):
     place: str  # in the program
     tables: tuple[str, ...]  # the fields of `workers.mechanisms.mechanism.Mechanism`, one of which must have it
     name: str
+    figures: tuple[str, ...] = ()  # that the step states
 
 
 def owner(word: str) -> str:
@@ -55,12 +56,12 @@ def _words(program: Any) -> Iterable[AddedWord]:
         for section in ("scripts", "pieces"):
             for n, item in enumerate(getattr(program, section)):
                 for m, step in enumerate(item.steps):
+                    yield AddedWord(f"{section}[{n}].steps[{m}].do", ("actions",), step.do, tuple(step.args))
                     for word in ("effect", "missed"):
                         yield AddedWord(
                             f"{section}[{n}].steps[{m}].words.{word}", ("effects",), step.words.get(word, "")
                         )
     elif isinstance(program, BinderProgram):
-        yield from (AddedWord(f"actions.{do}", ("actions",), action) for do, action in program.actions.items())
         yield from (AddedWord(f"procedures.{name}", ("procedures",), of) for name, of in program.procedures.items())
     elif isinstance(program, AnalyzerProgram):
         for name, row in program.classes.items():

@@ -6,7 +6,7 @@ the hello, which the other side tests before it uses it.
 
 from __future__ import annotations
 
-VERSION = 5
+VERSION = 6
 
 ARRAYS = "arrays"  # it reads arrays of messages; else each message travels alone
 PAUSES = "pauses"  # a subsystem: it obeys SetPaused; else its commands pause between two steps only

@@ -25,7 +25,7 @@ from rtc.protocol.messages import (
     Rehearsed,
     Script,
     ScriptContext,
-    Step,
+    TellStep,
     Trim,
 )
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
@@ -249,7 +249,7 @@ def script(
     return Script(
         context=CONTEXT,
         case=3,
-        steps=[Step(do="move", label=f"step {n}") for n in range(1, steps + 1)],
+        steps=[TellStep(label=f"step {n}") for n in range(1, steps + 1)],
         trims=trims or [],
         bindings={"JAP": Binding(number=1.0)},
         resources=list(resources),
@@ -258,14 +258,14 @@ def script(
 
 
 def trim(n: int = 1, then: Any = "retry_step", steps: int = 1) -> Trim:
-    return Trim(n=n, label=f"trim {n}", then=then, steps=[Step(do="move", label="mend") for _ in range(steps)])
+    return Trim(n=n, label=f"trim {n}", then=then, steps=[TellStep(label="mend") for _ in range(steps)])
 
 
 def bound(primitive: str, performer: str = "RIGHT-ARM", *, moves: bool = False, space: Sequence[Box] = ()) -> BoundStep:
     """`moves`: the arm leaves its place."""
     path = PATH if moves else HoldStill()
     body = Primitive(id=primitive, performer=performer, trajectory=path, stop_functions=F, space_mm=list(space))
-    evaluation = EvaluationContext(context=CONTEXT, step=Step(do="move", label="x"), arm=performer)
+    evaluation = EvaluationContext(context=CONTEXT, step=TellStep(label="x"), arm=performer)
     return BoundStep(subsystem="MCM", primitive=body, evaluation=evaluation, limit_s=5.0)
 
 
@@ -274,7 +274,7 @@ def stated(value: float = 2.1) -> BoundStep:
     facts_report = msgspec.structs.replace(
         report("C-1.1", performer="OPERATOR"), joints=[], facts={"MODULE.mass": value}
     )
-    evaluation = EvaluationContext(context=CONTEXT, step=Step(do="tell", label="x"))
+    evaluation = EvaluationContext(context=CONTEXT, step=TellStep(label="x"))
     return BoundStep(report=facts_report, evaluation=evaluation, note="stated")
 
 

@@ -27,7 +27,7 @@ import numpy as np
 from benchmarks.grasp import wilson
 from benchmarks.report import question
 from rtc.model.cells.cell import Cell
-from rtc.protocol.messages import BoundStep, EndReport
+from rtc.protocol.messages import BoundStep, EndReport, MoveStep
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import JointTrajectory, Primitive
 from rtc.spatial import geometry
@@ -148,7 +148,7 @@ class Halting(Reporter):
         assert bound.evaluation is not None
         step = bound.evaluation.step
         feels = reason is StopReason.GOAL and step.expect == [StopReason.CONTACT]
-        beyond_m = step.figures.beyond_m if feels else None
+        beyond_m = step.beyond_m if feels and isinstance(step, MoveStep) else None
         return reason if beyond_m is None else self._felt(arm, way, bound, beyond_m)
 
     def _felt(self, arm: str, way: JointTrajectory, bound: BoundStep, beyond_m: float) -> StopReason:

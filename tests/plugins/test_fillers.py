@@ -7,7 +7,7 @@ import pytest
 
 from rtc.plugins import registry
 from rtc.plugins.guard import PluginError
-from rtc.protocol.messages import Script
+from rtc.protocol.messages import GripStep, Script
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from tests.plugins.toy_packages import Install
 from tests.workers.conftest import Bench, bench  # noqa: F401
@@ -39,7 +39,7 @@ def test_an_absent_row_is_computed_by_a_filler(install: Install, bench, row) -> 
         bench.load("elaborator", f"fillers: {named}")
         script = bench.elaborate(SENTENCE)
         assert isinstance(script, Script), script
-        (grip,) = {step.figures.grip_n for step in script.steps if step.figures.grip_n is not None}
+        (grip,) = {step.grip_n for step in script.steps if isinstance(step, GripStep)}
         assert grip == factor * row["grip_n"]
         first = "strong" if factor == 1.0 else "weak"
         assert [note.rpartition(": ")[2] for note in script.notes if "filler" in note] == [f"table filler {first}"]

@@ -98,8 +98,8 @@ def test_a_value_of_the_binder_is_changed_alone():
 @pytest.mark.parametrize(
     "text",
     [
-        "script: s\ncase: 3\nsteps: [{do: hold, label: x}]\ntrail_stack: [{n: 1, skill: vision}]",
-        "scripts: [{script: s, case: 3, steps: [{do: hold, label: x}], trail_stack: [{n: 1, skill: vision}]}]",
+        "script: s\ncase: 3\nsteps: [{do: tell, label: x}]\ntrail_stack: [{n: 1, skill: vision}]",
+        "scripts: [{script: s, case: 3, steps: [{do: tell, label: x}], trail_stack: [{n: 1, skill: vision}]}]",
     ],
 )
 def test_the_trimming_stack_may_have_its_name_of_figure_4(text):
@@ -113,22 +113,34 @@ def test_the_trimming_stack_may_have_its_name_of_figure_4(text):
 @pytest.mark.parametrize(
     ("text", "place"),
     [
-        ("script: s\ncase: 9\nsteps: [{do: hold, label: x}]", r"\$\.scripts\[\d+\]\.case.*\(in s\)"),
-        ("script: s\ncase: 3\nsteps: [{do: hold, label: x, trim: [1, 2]}]", r"\$\.scripts\[\d+\]\.steps\[0\]\.trim"),
         (
-            "script: s\ncase: 3\nsteps: [{do: move, label: x, to: Q}]",
+            "script: s\ncase: 9\nsteps: [{do: tell, label: x}]",
+            r"\$\.scripts\[\d+\]\.case.*\(in s\)",
+        ),
+        (
+            "script: s\ncase: 3\nsteps: [{do: tell, label: x, trim: [1, 2]}]",
+            r"\$\.scripts\[\d+\]\.steps\[0\]\.trim",
+        ),
+        (
+            "script: s\ncase: 3\nsteps: [{do: move, stop: move_free, space: move_task, label: x, to: Q}]",
             r"\$\.scripts\[\d+\]\.steps\[0\]\.to: there is no binding",
         ),
-        ("script: s\ncase: 1\nsteps: [{do: hold, label: x, args: {a: '2 +'}}]", r"steps\[0\]\.args\.a: '2 \+' is no"),
         (
-            "script: s\ncase: 2\nsteps: [{do: hold, label: x}]\ntrimming_stack: [{n: 1, skill: grasp}]",
+            "script: s\ncase: 1\nsteps: [{do: tell, label: x, args: {a: '2 +'}}]",
+            r"steps\[0\]\.args\.a: '2 \+' is no",
+        ),
+        (
+            "script: s\ncase: 2\nsteps: [{do: tell, label: x}]\ntrimming_stack: [{n: 1, skill: grasp}]",
             r"scripts\[\d+\]\.trimming_stack: actions .* cannot be trimmed",
         ),
         (
             "scripts: [{script: s, case: 3, trail_stack: [], trimming_stack: []}]",
             r"trail_stack: they are the same list",
         ),
-        ("skill: s\nsteps: [{do: hold, label: x}]\ntrail_stack: []", r"unknown field `trail_stack`"),
+        (
+            "skill: s\nsteps: [{do: tell, label: x}]\ntrail_stack: []",
+            r"unknown field `trail_stack`",
+        ),
         ("decision_tree: [{verb: V, script: nix}]", r"\$\.decision_tree\[\d+\]\.script: there is no script nix"),
         ("decision_tree: [{verb: V, script: stow, when: [{of: 'a**2', at_least: 1}]}]", r"when\[0\]\.of"),
         ("constraints: {SPEED: {m/s: velocity}}", r"\$\.constraints\.SPEED\.m/s: there is no limit velocity"),
@@ -234,9 +246,9 @@ PLAN = "plan: [{name: A, at: destination, solve: true}]"
         (
             GOOD.replace("do: move", "do: jump"),
             "",
-            r"line 7: .*no action of the binder jump; there are answer, grip, hand_over, hold, .*move",
+            r"line 7: .*no action jump; there are answer, grip, hand_over, hold, .*move",
         ),
-        (GOOD.replace(", stop: move_free", ""), "", r"line 7: .*no stop class \(none\)"),
+        (GOOD.replace(", stop: move_free", ""), "", r"line 7: .*needs stop"),
         ("{do: grip, op: twist, label: x}", "", r"line 7: .*no motion of the hand twist; there are close, open"),
         ("{do: proc, name: dance, label: x}", "", r"line 7: .*no procedure dance; there are grasp_init, grasp_plan"),
         (
@@ -257,9 +269,9 @@ PLAN = "plan: [{name: A, at: destination, solve: true}]"
             "",
             r"line 7: .*by_rad has no effect along WAY-OUT",
         ),
-        (GOOD.replace("label", "args: {pitch_m: 0.001}, label"), "", r"line 7: .*pitch_m does not shape a path"),
+        (GOOD.replace("label", "args: {pitch_m: 0.001}, label"), "", r"line 7: .*no figure of a step pitch_m"),
         (GOOD.replace("HERE", "A").replace("label", "args: {by_m: 0.1}, label"), PLAN, r"line 7: .*by_m is a step"),
-        (GOOD.replace("label", "words: {about: HERE}, label"), "", r"line 7: .*about is the axis of a move_circle"),
+        (GOOD.replace("label", "words: {about: HERE}, label"), "", r"line 7: .*no word that acts about"),
         (CIRCLE.replace("by_rad: 1, ", ""), "", r"line 7: .*move_circle needs by_rad"),
         (CIRCLE.replace("words: {about: HERE}, ", ""), "", r"line 7: .*move_circle needs about"),
         (CIRCLE.replace("to: HERE", "to: A"), PLAN, r"line 7: .*move_circle begins HERE, not at A"),
@@ -267,7 +279,7 @@ PLAN = "plan: [{name: A, at: destination, solve: true}]"
         (CIRCLE.replace("by_m: 0", "press_n: 3"), "", r"line 7: .*a move_circle has no axis to press along"),
         (SPIRAL.replace("pitch_m", "by_m"), "", r"line 7: .*move_spiral needs pitch_m"),
         (SPIRAL.replace("move_spiral", "move_raster").replace("radius_m", "by_m"), "", r"line 7: .*needs radius_m"),
-        (SPIRAL.replace("label", "words: {about: HERE}, label"), "", r"line 7: .*about is the axis of a move_circle"),
+        (SPIRAL.replace("label", "words: {about: HERE}, label"), "", r"line 7: .*no word that acts about"),
         (GOOD, "needs: [hand_clean]", r"line 4: .*no condition of the world hand_clean; there are driver_held"),
         (GOOD, "plan: [{name: A, at: moon}]", r"line 4: .*no anchor moon; there are bolt"),
         (GOOD, "plan: [{name: A, at: seat, along: SIDEWAYS}]", r"line 4: .*no axis SIDEWAYS; .*WAY-OUT"),
@@ -297,9 +309,12 @@ def test_the_line_is_that_of_the_file_whatever_it_brings():
             b"stop_classes:\n  mine:\n    stops: [{reason: goal, when: wished}]",
             "line 3: .*no predicate wished; there",
         ),
-        (b"actions: {move: teleport}", "line 1: .*no action teleport; there are answered, assign, hand"),
         (b"procedures: {grasp_init: pray}", "line 1: .*no procedure pray; there are grasp_plan, open_hand"),
-        (b"actions: {grip: motion}", "it is incompatible with the elaborator's program: .*no stop class"),
+        (
+            b"stop_classes: {move_hinged: {stops: [{reason: goal, when: goal-reached},"
+            b" {reason: timeout, when: time-above}]}}",
+            "it is incompatible with the elaborator's program: .*no figure .*turn_rad",
+        ),
     ],
 )
 def test_so_with_the_binder(text, message):
@@ -399,7 +414,7 @@ def test_an_alias_may_be_used():
     ("kind", "text", "complaint"),
     [
         ("binder", b"# mine\nscript: my-lift\n", "line 2: .*script goes INTO elaborator; a binder .* has .*stop_"),
-        ("binder", b"\nactoins: {}\n", "mine.yaml, line 2: .*no section actoins; it has actions, clears"),
+        ("binder", b"\nactoins: {}\n", "mine.yaml, line 2: .*no section actoins; it has clears, computes"),
         ("analyzer", b"", "mine.yaml: the file is empty; .*classes"),
         ("elaborator", b"scripts:\n  - [\n", "mine.yaml, line 3: "),
         ("elaborator", b"clears:\n  frame: look where it is\n", "mine.yaml, line [12]: .*array.*clears"),

@@ -34,6 +34,7 @@ FREE = (
     "owners",
     "relies_on",
     "extra",
+    "pictures",
 )  # maps with any keys, or with parts
 
 

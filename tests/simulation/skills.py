@@ -28,7 +28,7 @@ from rtc.protocol.messages import (
     Rehearsed,
     Script,
     ScriptContext,
-    Step,
+    TellStep,
     Trim,
     Validity,
     WorldChange,
@@ -119,12 +119,12 @@ def elaborate(data: bytes) -> Script | Refusal:
 def script_of(text: str) -> Script:
     words = text.split()
     arm = ARMS[words[1]]
-    steps = [Step(do=word, label=word) for word in words[2:] if word in STEPS]
+    steps = [TellStep(label=word) for word in words[2:] if word in STEPS]
     return Script(
         context=ScriptContext(verb="DO", script=text, arm=arm),
         case=1,
         steps=steps,
-        trims=[Trim(n=1, label="hold instead", steps=[Step(do="hold", label="hold")], then="skip")],
+        trims=[Trim(n=1, label="hold instead", steps=[TellStep(label="hold")], then="skip")],
         resources=[arm],
         writes=[arm],
     )
@@ -133,19 +133,19 @@ def script_of(text: str) -> Script:
 def bind(data: bytes) -> BoundStep | Refusal:
     asked = read_step(data)
     arm, step = asked.context.arm, asked.step
-    if step.do == "let":
+    if step.label == "let":
         return BoundStep(note="stated, not done")
     stops = [
         StopFunction(reason=StopReason.GOAL, when=GoalReached()),
-        StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(TIME_S if step.do.startswith("late") else 5.0)),
+        StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(TIME_S if step.label.startswith("late") else 5.0)),
     ]
     primitive = Primitive(
         id=asked.primitive_id,
         performer=arm,
-        trajectory=MOTIONS[step.do],
+        trajectory=MOTIONS[step.label],
         stop_functions=stops,
         space_mm=SPACES[int(command_of(asked.primitive_id)[2:]) % len(SPACES)],
-        start_after=[] if step.do != "swing" else [closely_after(other) for other in asked.moving],
+        start_after=[] if step.label != "swing" else [closely_after(other) for other in asked.moving],
     )
     evaluation = EvaluationContext(context=asked.context, step=step, arm=arm)
     return BoundStep(subsystem="MCM", primitive=primitive, evaluation=evaluation, limit_s=LIMIT_S)
@@ -164,10 +164,10 @@ def analyze(data: bytes) -> Assessment:
         suspect = WorldChange(key=f"{evaluation.arm}.done", validity=Validity.SUSPECT, keep_value=True)
         return Assessment(verdict="abort", reason=report.reason, changes=[suspect])
     good = report.reason is StopReason.GOAL
-    expected = good or (report.reason is StopReason.TIMEOUT and evaluation.step.do == "late-skipped")
+    expected = good or (report.reason is StopReason.TIMEOUT and evaluation.step.label == "late-skipped")
     if expected:
         return Assessment(verdict="continue", reason=report.reason, changes=[done])
-    if evaluation.step.do == "late-mended" and report.reason is StopReason.TIMEOUT:
+    if evaluation.step.label == "late-mended" and report.reason is StopReason.TIMEOUT:
         return Assessment(verdict="trim", reason=report.reason, trim=1, changes=[done])
     changed = [] if report.reason is StopReason.REFUSED else [done]  # what was not begun has changed nothing
     return Assessment(verdict="abort", reason=report.reason, message=report.message, changes=changed)

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from rtc.language.quantities import AMOUNTS, STEP
-from rtc.programs import extension_names, loader
+from rtc.programs import extension_names, loader, step_kinds
 from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram
 from rtc.protocol import advice as advice_texts
-from rtc.protocol.messages import AnalyzerInput
+from rtc.protocol.messages import AnalyzerInput, InstalledStep
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.units import SUFFIXES
 from tests.source_files import ROOT, source
@@ -36,15 +36,15 @@ WORKERS = ROOT / "workers"
         (extension_names.ANCHORS, anchors.ANCHORS),
         (extension_names.AXES, axes.AXES),
         (extension_names.SPACES, segments.SPACES),
-        (extension_names.ACTIONS, bind.ACTIONS),
+        ({*step_kinds.KINDS.values()} - {InstalledStep}, bind.ACTIONS),
         (extension_names.PROCEDURES, bind.PROCEDURES),
         (extension_names.PREDICATES, stop_conditions.MAKERS),
-        (extension_names.EFFECTS, analyze.EFFECTS),
+        (step_kinds.EFFECTS, analyze.EFFECTS),
         (extension_names.KEPT_VALUES, analyze.SOURCES),
     ],
 )
 def test_every_registered_name_has_its_code(registered, there):
-    assert sorted(registered) == sorted(there)
+    assert sorted(map(str, registered)) == sorted(map(str, there))
 
 
 def test_what_a_sentence_can_say_is_a_figure():

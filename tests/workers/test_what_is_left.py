@@ -27,7 +27,7 @@ def ended(bench: Bench, sentence: str, share: float, reason: StopReason, aside_m
     and the verdict."""
     script = bench.elaborate(sentence)
     assert isinstance(script, Script), script
-    step = next(one for one in reversed(script.steps) if one.do == "move")
+    step = next(one for one in reversed(script.steps) if one.to)
     bound = bench.bind(script, step)
     path = bound.primitive.trajectory
     assert isinstance(path, JointTrajectory)

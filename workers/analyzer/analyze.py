@@ -165,7 +165,7 @@ def _trim_of_grip(task: AnalyzeTask) -> int:
 def _success_changes(task: AnalyzeTask) -> Changes:
     changes = arm_changes(task) + partner_changes(task)
     changes += reported_facts.changes_from(task.report.facts, task.query, task.values)
-    effect = task.step.words.effect
+    effect = task.step.effect
     if effect:
         if effect not in EFFECTS:
             raise Refused.because(RefusalReason.PROGRAM, unknown("effect", effect, EFFECTS), where=task.step.label)
@@ -182,17 +182,17 @@ def _with_derived(task: AnalyzeTask, changes: Changes) -> Changes:
 def _remark(task: AnalyzeTask) -> str:
     """What the outcome of a command states after this step: an answer, that a body was seen but may not be there, or
     how far the object is from free of the seat that it leaves."""
-    if task.step.words.says:
-        return "; ".join(filter(None, (task.step.words.says, task.evaluation.remark)))
+    if task.step.says:
+        return "; ".join(filter(None, (task.step.says, task.evaluation.remark)))
     if found := _found(task):
         return found[1]
-    leaves = task.step.words.leaves == "seat"
+    leaves = task.step.leaves_seat
     return in_seat.remark_on_slot(task.query, task.evaluation.arm, task.report.tcp_pose) if leaves else ""
 
 
 def _found(task: AnalyzeTask) -> tuple[str, ...]:
     """What a mechanism says of this step: (what was found, what the outcome of the command states); empty: nothing."""
-    found = FOUND.get(task.step.words.effect)
+    found = FOUND.get(task.step.effect)
     return found(task) if found is not None else ()
 
 
@@ -243,15 +243,15 @@ def _failure(task: AnalyzeTask, reason: StopReason, name: str) -> Assessment:
 def _failure_changes(task: AnalyzeTask, failure: OutcomeClass, *, retried: bool) -> Changes:
     """What the report states, and what is in doubt after a failure of this class."""
     changes = arm_changes(task) + partner_changes(task)
-    if (interrupted := INTERRUPTED.get(task.step.words.effect)) is not None:
+    if (interrupted := INTERRUPTED.get(task.step.effect)) is not None:
         changes += interrupted(task)
     changes += held_object_changes(task, changes, suspect="held" in failure.suspect, drops=failure.drops)
     changes += touched_object_changes(task, failure)
     changes += nearby_changes(task) if "near" in failure.suspect else []
     changes += target_changes(task) if "target" in failure.suspect else []
-    if (of_mechanism := AFTER_FAILURE.get(task.step.words.effect)) is not None:
+    if (of_mechanism := AFTER_FAILURE.get(task.step.effect)) is not None:
         changes += of_mechanism(task, retried)
-    missed = task.step.words.missed
+    missed = task.step.missed
     may_retry = failure.retriable and not task.data.closing and not task.data.trims_used
     if missed in EFFECTS and may_retry:
         changes += EFFECTS[missed](task, Validity.SUSPECT)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from operator import mul
 
 from rtc.programs.compatibility import row_of
+from rtc.protocol.messages import ArmStep, ProcedureStep
 from rtc.protocol.outcomes import OF_OPERATOR, Compared, Figure, StopReason
 from rtc.world.spread import EXACT
 from workers.tasks.analyze_task import AnalyzeTask, Changes
@@ -56,17 +57,17 @@ def _duration(task: AnalyzeTask, _: Changes) -> Finding | None:
 
 def _off(task: AnalyzeTask, _: Changes) -> Finding | None:
     """Distance of the tcp from the goal, where a greater one would be a failure."""
-    goal, pose = task.evaluation.goal_pose, task.report.tcp_pose
-    if not _reached(task) or goal is None or not pose or task.step.figures.press_n is not None:
+    goal, pose, step = task.evaluation.goal_pose, task.report.tcp_pose, task.step
+    if not _reached(task) or goal is None or not pose or not isinstance(step, ArmStep) or step.presses:
         return None
-    within_m = task.step.figures.within_m or task.values["position_m"]
+    within_m = step.within_m or task.values["position_m"]
     return 0.0, math.dist(goal[:3], pose[:3]), task.values["off_factor"] * within_m
 
 
 def _turned(task: AnalyzeTask, _: Changes) -> Finding | None:
     """Angle between the tcp and the goal; a compliant hand gives way."""
     goal, pose = task.evaluation.goal_pose, task.report.tcp_pose
-    if not _reached(task) or goal is None or not pose or task.step.figures.stiffness_n_m is not None:
+    if not _reached(task) or goal is None or not pose or task.step.complies:
         return None
     turned = 2.0 * math.acos(min(1.0, abs(sum(map(mul, goal[3:], pose[3:])))))
     return 0.0, turned, task.values["off_factor"] * task.values["angle_rad"]
@@ -95,7 +96,7 @@ def _hand_force(task: AnalyzeTask, _: Changes) -> Finding | None:
 def _found(task: AnalyzeTask, changes: Changes) -> Finding | None:
     """How far a body that the step has sensed was from where it was believed to be; the band is its spread."""
     body = task.evaluation.body or task.context.object
-    if not task.step.words.effect or not body or body == task.evaluation.held:
+    if not task.step.effect or not body or body == task.evaluation.held:
         return None
     key = f"{body}.frame"
     change = next((one for one in changes if one.key == key and not one.keep_value), None)
@@ -112,7 +113,8 @@ def _reached(task: AnalyzeTask) -> bool:
 
 def _keeps(task: AnalyzeTask) -> bool:
     """Whether the hand had something in it that it neither took nor let go in this step."""
-    return bool(task.evaluation.held and task.report.joints) and not task.step.op and task.step.do != "proc"
+    step = task.step
+    return bool(task.evaluation.held and task.report.joints) and not step.op and not isinstance(step, ProcedureStep)
 
 
 FIGURES: dict[str, Callable[[AnalyzeTask, Changes], Finding | None]] = {

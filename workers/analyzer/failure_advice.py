@@ -140,7 +140,7 @@ def _way_to_leave(task: AnalyzeTask) -> tuple[str, str]:
         return (BACK if float(turned @ tool) < -BACKWARDS else LINE), ""
     came = task.query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3] - np.asarray(report.tcp_pose[:3])
     came_m, held = float(np.linalg.norm(came)), evaluation.held
-    frame = task.query.in_hand(held, report.tcp_pose) if held and evaluation.step.words.leaves == "seat" else None
+    frame = task.query.in_hand(held, report.tcp_pose) if held and evaluation.step.leaves_seat else None
     if frame is not None and (seat := task.query.slot_at(frame)) and came_m >= IN_SLOT_M:
         back_m = _along_slot_m(task, seat, frame, came)
         return (SLOT, f"{100.0 * back_m:.2g}") if abs(back_m) >= IN_SLOT_M else (LET_GO, "")

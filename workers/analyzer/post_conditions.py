@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from rtc.protocol.messages import ArmStep
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.sentence import Condition
 from rtc.spatial import geometry
@@ -25,25 +26,25 @@ def violated(task: AnalyzeTask) -> str:
     """The violated post-condition of an end with an expected stop reason; empty if there is none."""
     evaluation, report = task.evaluation, task.report
     if report.reason is StopReason.GOAL and evaluation.no_contact_is_failure:
-        return UNMET if evaluation.step.words.until == ENDS else "nothing_felt"
+        return UNMET if evaluation.step.until == ENDS else "nothing_felt"
     if report.reason not in evaluation.step.expect:
         return ""
     until = _until(task)
     if until is not None and not reflexes.has_ended(until, report):
         return "stopped"  # for the same reason, at another figure: a limit of the step
-    if (judge := VIOLATED.get(evaluation.step.words.effect)) is not None:
+    if (judge := VIOLATED.get(evaluation.step.effect)) is not None:
         return judge(task)
     if until is not None:
         return ""  # it ends where the condition is true
     if evaluation.width_m is not None:
         least, most = evaluation.width_m
         return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
-    within_m = evaluation.step.figures.within_m
+    step = evaluation.step
+    within_m = step.within_m if isinstance(step, ArmStep) else None
     if within_m is not None:  # instead of the tolerance of the program
         there = task.off_m <= within_m or any(has_reached(task) for has_reached in HAS_REACHED)
         return "" if there else "elsewhere"
-    pressed = evaluation.step.figures.press_n is not None  # it ends where the obstacle is
-    if report.reason is StopReason.GOAL and evaluation.goal_pose is not None and not pressed:
+    if report.reason is StopReason.GOAL and evaluation.goal_pose is not None and not step.presses:
         turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)
         if task.off_m > task.values["position_m"] or turned > task.values["angle_rad"]:
             return "off_goal"
@@ -52,7 +53,7 @@ def violated(task: AnalyzeTask) -> str:
 
 def _until(task: AnalyzeTask) -> Condition | None:
     """The condition of the sentence that should have ended this step; None without one."""
-    return task.context.until if task.step.words.until == ENDS else None
+    return task.context.until if task.step.until == ENDS else None
 
 
 def unmoved_joint(task: AnalyzeTask) -> str:

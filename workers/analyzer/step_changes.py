@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from msgspec.structs import replace
 
 from rtc.programs.schema import OutcomeClass
-from rtc.protocol.messages import EndReport, Limits, Validity, WorldChange
+from rtc.protocol.messages import EndReport, HandStep, Limits, OperateStep, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.spatial.geometry import Floats
 from workers.planning import scenes, segments
@@ -20,7 +20,8 @@ THIN_M = 0.002  # fingers closer together than this hold nothing
 
 def arm_changes(task: AnalyzeTask) -> Changes:
     """The facts of the arm of the step."""
-    commanded = bool(task.step.op) or task.step.do == "proc" or bool(task.step.words.operator_has)
+    step = task.step
+    commanded = isinstance(step, HandStep) and not (isinstance(step, OperateStep) and not step.operator_has)
     return _reported(task, task.report, task.evaluation.arm, hand_commanded=commanded)
 
 

@@ -15,6 +15,7 @@ from rtc.programs import expressions, named_algorithms
 from rtc.programs.extension_names import PERFORMERS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram
+from rtc.protocol import messages as m
 from rtc.protocol.messages import BinderInput, Binding, BoundStep, EvaluationContext
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive import HoldStill
@@ -54,7 +55,7 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
         bound = _bound(BindTask(compiled, query, msgspec.structs.replace(data, step=step)))
         return installed_phases.applied(compiled.phases, data, bound)
     except Refused as refused:
-        arm, limits, leaves = data.step.arm or data.context.arm, data.context.limits, data.step.words.leaves == "seat"
+        arm, limits, leaves = data.step.arm or data.context.arm, data.context.limits, data.step.leaves_seat
         advised = advise_on_collision(refused.refusal, query, arm, compiled.clears, limits, leaves_seat=leaves)
         infeasible = advised.reason is RefusalReason.INFEASIBLE
         return advised.offering(shared_hold.offer(query, data.context) if infeasible else "")
@@ -64,12 +65,10 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
 
 
 def _bound(task: BindTask) -> BoundStep:
-    step, known = task.data.step, task.program.actions
+    step = task.data.step
     if step.who not in PERFORMERS:
         raise unknown_in_program("performer of steps", step.who, PERFORMERS)
-    if step.do not in known:
-        raise unknown_in_program("action", step.do, known)
-    return ACTIONS[known[step.do]](task)
+    return ACTIONS[step.action if isinstance(step, m.InstalledStep) else type(step)](task)
 
 
 # --- rest ------------------------------------------------------------------------------------------------
@@ -77,16 +76,17 @@ def _bound(task: BindTask) -> BoundStep:
 
 def bind_still(task: BindTask) -> BoundStep:
     """Stay for the time of the step, but no longer than the TIME-LIMIT allows. Raises Refused."""
-    ruled, query, left_s = task.under(task.data.step.stop), task.query, task.time_left_s
+    step, query, left_s = task.data.step.of_kind(m.HoldStep), task.query, task.time_left_s
+    ruled = task.under(step.stop)
     if left_s is not None and left_s <= 0.0:
         raise assemble.refused_time(task, 0.0)
-    duration_s = ruled.values["duration_s"] if left_s is None else min(ruled.values["duration_s"], left_s)
+    duration_s = step.duration_s if left_s is None else min(step.duration_s, left_s)
     known = query.trusts(f"{task.arm}.joints")  # otherwise only the report will contain the position that the arm holds
     evaluation = EvaluationContext(
         context=task.data.context,
-        step=task.data.step,
+        step=step,
         arm=task.arm,
-        goal_pose=query.tcp(task.arm).tolist() if known and "press_n" not in ruled.values else None,
+        goal_pose=query.tcp(task.arm).tolist() if known and not step.presses else None,
         held=task.held,
         start_joints=list(query.joints(task.arm)),
     )
@@ -98,7 +98,7 @@ def bind_still(task: BindTask) -> BoundStep:
 
 def bind_assignment(task: BindTask) -> BoundStep:
     """A binding computed from other bindings, measured or planned: GP = 0.5*(GP1 + GP2)."""
-    step = task.data.step
+    step = task.data.step.of_kind(m.LetStep)
     given: dict[str, float | list[float]] = {}
     for name in expressions.names(step.value):
         binding = targets.binding(task, name)
@@ -114,7 +114,7 @@ def bind_assignment(task: BindTask) -> BoundStep:
 
 def bind_procedure(task: BindTask) -> BoundStep:
     known = task.program.procedures
-    name = task.data.step.name
+    name = task.data.step.of_kind(m.ProcedureStep).name
     if name not in known:
         raise suggestions.unknown("procedure", name, known)
     return PROCEDURES[known[name]](task)
@@ -128,11 +128,11 @@ def grasp_plan(task: BindTask) -> BoundStep:
 
 Action = Callable[[BindTask], BoundStep]
 
-ACTIONS: dict[str, Action] = {
-    "motion": bind_motion,
-    "still": bind_still,
-    "assign": bind_assignment,
-    "procedure": bind_procedure,
+ACTIONS: dict[type[m.BaseStep] | str, Action] = {
+    **dict.fromkeys((m.MoveStep, m.CircleStep, m.PatternStep), bind_motion),
+    m.HoldStep: bind_still,
+    m.LetStep: bind_assignment,
+    m.ProcedureStep: bind_procedure,
     **joined(lambda mechanism: mechanism.actions),
 }
 PROCEDURES: dict[str, Action] = {"grasp_plan": grasp_plan, **joined(lambda mechanism: mechanism.procedures)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rtc.protocol.messages import EvaluationContext, Step
+from rtc.protocol.messages import BaseStep, EvaluationContext, MoveStep
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import HandMotion
 from workers.conditions.stop_conditions import Values
@@ -22,7 +22,7 @@ class Expected(NamedTuple):
     within_s: float = 0.0
 
 
-def of_path(values: Values, step: Step, path_s: float, *, speed_m_s: float, laden: bool) -> Expected:
+def of_path(values: Values, step: BaseStep, path_s: float, *, speed_m_s: float, laden: bool) -> Expected:
     """Of a motion along a path of `path_s`. One that should end with a touch ends `beyond_m` before the end of its
     path, or after `touch_s` if it begins in contact; it may end earlier or later by as much. On a shorter path than
     `blend_s` it may last so long: an offset of the arm from its path takes that time to fade out."""
@@ -33,7 +33,7 @@ def of_path(values: Values, step: Step, path_s: float, *, speed_m_s: float, lade
         return Expected(whole_s, whole_s)
     if (touch_s := values.get("touch_s")) is not None:
         return Expected(min(touch_s, path_s), touch_s)
-    before_s = (step.figures.beyond_m or 0.0) / speed_m_s
+    before_s = (step.beyond_m if isinstance(step, MoveStep) else 0.0) / speed_m_s
     return Expected(max(0.0, path_s - before_s) + values["unload_s"], before_s)
 
 

@@ -15,7 +15,7 @@ import msgspec
 from rtc.model.cells import parts
 from rtc.programs import expressions
 from rtc.programs.schema import BinderProgram, StopClass, StopRow
-from rtc.protocol.messages import BinderInput
+from rtc.protocol.messages import BinderInput, OperateStep, TurnStep
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import (
     BodyTouch,
@@ -99,7 +99,7 @@ def figures_in_force(
     for rows in (program.values, stop_class.values):
         for name, expression in rows.items():
             values[name] = expressions.number(expression, values)
-    values |= data.step.overrides | data.step.figures.given()
+    values |= data.step.overrides | data.step.given()
     if context.guarded:
         for name, value in program.guarded.get(context.verb, program.guarded.get("", {})).items():
             values[name] = min(value, values.get(name, value))
@@ -191,7 +191,7 @@ def from_command(
     """Stop functions of the command's UNTIL and UNLESS ... THEN ... for this step, whose own rows are `rows`. `arm`: a
     second arm that takes part in it. `against`: as in `stop_functions`. Raises Refused for an impossible UNTIL."""
     context = data.context
-    ends = context.until if data.step.words.until else None
+    ends = context.until if data.step.until else None
     if ends is None and not context.reflexes:
         return []
     state = _state(data, query, values, rows, arm, against)
@@ -226,7 +226,7 @@ def _state(
         beside=_beside(data, query),
         overloads=_overloads(rows, values),
         slips=_slips(rows, values, against),
-        spindle=against if data.step.figures.turns_spindle else None,
+        spindle=against if isinstance(data.step, TurnStep) else None,
     )
 
 
@@ -254,7 +254,7 @@ def _beside(data: BinderInput, query: WorldQuery) -> list[Vector]:
     things = {thing.name: thing.shapes for thing in cell.objects}
     seats = {seat.name: seat.shapes for seat in cell.seats}
     meant, held = [context.object, context.target], query.holding(data.step.arm or context.arm)
-    by_hand = data.step.op == "operate"
+    by_hand = isinstance(data.step, OperateStep)
     meant += [query.seat(name) for name in (*meant, *([] if by_hand else [held])) if name in things]
     balls = []
     for name in dict.fromkeys(name for name in meant if name != held):

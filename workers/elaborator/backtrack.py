@@ -23,7 +23,7 @@ from rtc.model.cells import parts
 from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile
 from rtc.protocol.causes import OutOfReach
-from rtc.protocol.messages import Binding, PlannedPath, Step, WorldChange
+from rtc.protocol.messages import Binding, OperateStep, PathStep, PlannedPath, SharedStep, Step, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.sentence import Constraint, ParsedCommand, Quantity
 from rtc.protocol.spelling import unknown
@@ -316,7 +316,7 @@ def _refuse_beyond_reach(
     steps: Sequence[Step], candidate: TaskCandidate, lines: dict[str, Anchor], request: PlanningRequest
 ) -> None:
     """Refuse to ask the operator for a place that the arm does not reach."""
-    for name in dict.fromkeys(step.words.place for step in steps):
+    for name in dict.fromkeys(step.place for step in steps if isinstance(step, OperateStep | SharedStep)):
         if name in lines and lines[name].pose is not None and lines[name].joints is None:
             why = request.arm.why_no_ik(_world(candidate, lines[name]))
             if why is not None and isinstance(why.cause, OutOfReach):
@@ -342,12 +342,12 @@ def _try(
     bound = partial(_bound, candidate, lines, joints)
     thing = candidate.thing.name if candidate.thing else ""
     for n, step in enumerate(steps, 1):
-        if not step.to:
-            if step.do == OPERATE and step.words.place:
-                _refuse_outside_limits(request, candidate, joints.get(step.words.place), lines[step.words.place])
-            here = np.asarray(joints.get(step.words.place, here), dtype=float)  # where the operator brings it
+        if isinstance(step, OperateStep) and step.place:
+            _refuse_outside_limits(request, candidate, joints.get(step.place), lines[step.place])
+            here = np.asarray(joints.get(step.place, here), dtype=float)  # where the operator brings it
+        if not isinstance(step, PathStep):
             continue
-        outside = has_left and step.words.leaves != "seat"
+        outside = has_left and not step.leaves_seat
         asked = request if step.space == "move_joint" else straight
         asked = _out_of_seat(asked, candidate) if outside else asked
         now = asked if here is start else replace(asked, joints={**request.joints, candidate.arm.name: here})
@@ -367,7 +367,7 @@ def _try(
             if not outside:
                 raise
             raise _RefusedOutside(refused.refusal) from None
-        has_left = has_left or step.words.leaves == "seat"
+        has_left = has_left or step.leaves_seat
     if last is not None:
         last.run(ways)
     return ways, None if here is start else here
@@ -430,7 +430,7 @@ class _Test(NamedTuple):
     """The test of one segment."""
 
     n: int  # of its step, from 1
-    step: Step
+    step: PathStep
     request: PlanningRequest
     target: Target
     detours: bool

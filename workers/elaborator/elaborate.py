@@ -22,7 +22,7 @@ from rtc.programs.schema import ElaboratorProgram, ScriptFile
 from rtc.programs.splice import spliced
 from rtc.protocol.advice import Advice, Alternative, sentences_of
 from rtc.protocol.causes import Changing, Collides, Distrusted, OutOfReach, TooUncertain
-from rtc.protocol.messages import ElaboratorInput, SavedWorld, Script, Step, Validity, WorldChange
+from rtc.protocol.messages import ElaboratorInput, LookStep, SavedWorld, Script, Step, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused
 from rtc.protocol.primitive_id import seed_of
 from rtc.protocol.sentence import ParsedCommand
@@ -436,7 +436,7 @@ def _planned(compiled: Compiled, option: ScriptOption, options: list[ScriptOptio
     others = lost_arms(script, candidate)
     steps = [*sensed_first(compiled, candidate, doubtful, others), *nominal]
     looking = [*steps, *(step for entry in entries for step in entry.steps)]
-    cameras = [name for step in looking for name in step.cameras]
+    cameras = [name for step in looking if isinstance(step, LookStep) for name in step.cameras]
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
     stands_for = names_by_role(candidate)
     in_reserve = any(entry.n > RESERVE for entry in entries)

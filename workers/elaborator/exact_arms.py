@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+from rtc.protocol import messages as m
 from rtc.protocol.causes import ExactArm
 from rtc.protocol.messages import Script, ScriptContext, Step
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
@@ -12,8 +13,8 @@ from workers.planning import segments
 
 SKIP = "skip"  # of a trim: its steps stand in for the refused one
 PHYSICS = "arms with physics do (rtc up --mcm bullet)"
-BY_SPRING = frozenset({"move", "hold", "turn"})  # steps that a stiffness of the sentence makes compliant
-BY_MOTOR = BY_SPRING | {"grip", "hand", "operate"}  # steps that a reflex of the sentence can stop
+#: steps that a stiffness of the sentence makes compliant
+BY_SPRING = (m.MoveStep, m.CircleStep, m.PatternStep, m.HoldStep, m.TurnStep)
 
 
 def refuse(script: Script, rigid: Collection[str]) -> None:
@@ -38,16 +39,16 @@ def _refused(arm: str, message: str, where: str, clears: str) -> Refused:
 
 def _asked(context: ScriptContext, step: Step) -> str:
     """The words of the sentence that make the arm comply in this step; empty if none do."""
-    if context.limits.stiffness_n_m is not None and step.do in BY_SPRING:
+    if context.limits.stiffness_n_m is not None and isinstance(step, BY_SPRING):
         return "MAINTAIN STIFFNESS"
     comply = any(reflex.action == "comply" for reflex in context.reflexes)
-    return "THEN COMPLY" if comply and step.do in BY_MOTOR else ""
+    return "THEN COMPLY" if comply and isinstance(step, m.ArmStep) else ""
 
 
 def _lacks(step: Step) -> str:
-    if step.do == "turn":
+    if isinstance(step, m.TurnStep):
         return "turns no bolts"
-    complies = step.figures.stiffness_n_m is not None or step.space == segments.BOTH
+    complies = step.complies or step.space == segments.BOTH
     return "cannot comply" if complies else ""
 
 

@@ -131,8 +131,8 @@ def _predicted(steps: Sequence[Step], candidate: TaskCandidate, found: Planned) 
         if frame is not None:
             changes.append(WorldChange(key=f"{held}.frame", value=geometry.normalise(frame).tolist()))
     for step in steps:
-        if effect := FORESEEN.get(step.words.effect):
+        if effect := FORESEEN.get(step.effect):
             changes += effect(candidate, query.after(changes))
-        if step.words.leaves == "seat" and (held := query.holding(arm)):
+        if step.leaves_seat and (held := query.holding(arm)):
             changes.append(WorldChange(key=f"{held}.seat", value=""))
     return changes

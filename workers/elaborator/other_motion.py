@@ -57,8 +57,8 @@ def stated(script: Script, scripts: Scripts, first: ScriptOption, chosen: Script
     """The script, whose result says in what it differs from the first option, and `why`."""
     says = f"{_difference(scripts, first, chosen)}: {why.message}"
     *before, last = script.steps
-    words = msgspec.structs.replace(last.words, says="; ".join(filter(None, (says, last.words.says))))
-    return msgspec.structs.replace(script, steps=[*before, msgspec.structs.replace(last, words=words)])
+    noted = msgspec.structs.replace(last, says="; ".join(filter(None, (says, last.says))))
+    return msgspec.structs.replace(script, steps=[*before, noted])
 
 
 def _difference(scripts: Scripts, first: ScriptOption, chosen: ScriptOption) -> str:

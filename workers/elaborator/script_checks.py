@@ -163,7 +163,7 @@ def why_uncertain(steps: list[Step], candidate: TaskCandidate) -> Refusal | None
         lacks = trust.why_uncertain(query, candidate.arm.name, step, candidate.program.clears, ahead_s)
         if lacks is not None:
             return lacks
-        ahead_s += motion_s if step.do == "move" else 0.0
+        ahead_s += motion_s if step.to else 0.0
     return None
 
 

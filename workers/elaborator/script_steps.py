@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 from msgspec.structs import replace
 
-from rtc.programs import expressions
+from rtc.programs import expressions, step_kinds
 from rtc.programs.extension_names import CAMERA, PARTNER
 from rtc.programs.recovery import RESERVE
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
-from rtc.protocol.messages import ScriptContext, Step, StepFigures, StepWords, Trim, TrimOffer
+from rtc.programs.step_kinds import kind_of, step_of
+from rtc.protocol.messages import ScriptContext, Step, Trim, TrimOffer
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from workers.conditions import reflexes
 from workers.elaborator.backtrack import FRAME, GRASP
@@ -36,7 +37,7 @@ class Compiled:
 PERFORMERS = joined(lambda mechanism: mechanism.performers)
 INSTEAD = each(lambda mechanism: mechanism.instead)
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
-FIGURES = frozenset(StepFigures.__struct_fields__)
+FIGURES = {kind: step_kinds.figures_of(kind) for kind in get_args(Step)}
 ENDS = "ends"  # word of a step that UNTIL ends; another one that watches it may end otherwise too
 STRAINS = each(lambda mechanism: mechanism.strains)
 MAX_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
@@ -53,9 +54,10 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
     asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
     own = [entry.n for entry in entries if nominal and entry.n > MAX_ENTRIES]
     numbers = {name: expressions.number(e, candidate.figures) for name, e in step.args.items()}
-    figures = {name: numbers.pop(name) for name in step.args if name in FIGURES}
+    figures = {name: numbers.pop(name) for name in step.args if name in FIGURES[kind_of(step)]}
     words: dict[str, Any] = {name: candidate.fill_in(word) for name, word in step.words.items()}
-    words["through"] = words.get("through", "").split()
+    if "through" in words:
+        words["through"] = words["through"].split()
     expect, until = step.expect, candidate.parsed.until
     if until is not None and (word := step.words.get("until")):
         reason = reflexes.reason_of(until)
@@ -63,25 +65,19 @@ def step_for(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], no
         expect = [reason] if word == ENDS else [*expect, reason]
     body = body or candidate.body
     cameras = PERFORMERS[step.who](step, candidate, body) if step.who in PERFORMERS else []
-    return Step(
-        do=step.do,
+    looks = {"cameras": cameras, "body": body if cameras else ""} if step.who in PERFORMERS else {}
+    return step_of(
+        step,
         label=candidate.fill_in(step.label.replace("{body}", body).replace("{camera}", " and ".join(cameras))),
-        name=step.name,
         who=step.who,
-        to=step.to,
-        stop=step.stop,
-        space=step.space,
-        value=step.value,
-        op=step.op,
         expect=expect,
         keep=step.keep,
         trims=[*asked, *own],
-        words=StepWords(**words),
-        figures=StepFigures(**figures),
         overrides=numbers,
         extra=step.extra,
-        cameras=cameras,
-        body=body if cameras else "",
+        **looks,
+        **words,
+        **figures,
     )
 
 

@@ -29,8 +29,7 @@ def noted(script: ScriptFile, steps: list[Step], candidate: TaskCandidate) -> li
     if not rest or not using:
         return steps
     last = using[-1]
-    words = msgspec.structs.replace(steps[last].words, rest=rest)
-    return [*steps[:last], msgspec.structs.replace(steps[last], words=words), *steps[last + 1 :]]
+    return [*steps[:last], msgspec.structs.replace(steps[last], rest=rest), *steps[last + 1 :]]
 
 
 def _figures(script: ScriptFile, step: ScriptStep) -> Iterator[str]:

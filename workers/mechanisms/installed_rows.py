@@ -22,8 +22,9 @@ import msgspec
 
 from rtc.plugins import registry
 from rtc.plugins.guard import PluginError
-from rtc.programs import words_of_packages
+from rtc.programs import step_kinds, words_of_packages
 from rtc.protocol import wire
+from rtc.protocol.messages import InstalledStep
 from rtc.protocol.outcomes import ProgramError
 from rtc.protocol.spelling import unknown
 from workers.mechanisms.mechanism import Mechanism
@@ -31,7 +32,7 @@ from workers.mechanisms.mechanism import Mechanism
 #: fields whose keys are words of programs: a package has its own, NAME.word
 WORDS = (
     *("needs", "anchors", "foreseen", "actions", "procedures", "effects", "violated", "interrupted", "after_failure"),
-    *("found", "texts", "advice"),
+    *("found", "texts", "advice", "reads"),
 )
 #: those of them that are about an effect of the row
 OF_EFFECTS = ("foreseen", "violated", "interrupted", "after_failure", "found")
@@ -67,6 +68,7 @@ def load(ours: Sequence[Mechanism]) -> InstalledRows:
 def refuse_missing(program: Any, rows: InstalledRows) -> None:
     """Raises ProgramError for a word of a package that this process does not have."""
     by_name = {row.name: row for row in rows.used}
+    common = step_kinds.figures_of(InstalledStep) | step_kinds.values_of(InstalledStep, ())
     for added in words_of_packages.words(program):
         place, word, name = added.place, added.name, words_of_packages.owner(added.name)
         if name not in by_name:
@@ -74,6 +76,9 @@ def refuse_missing(program: Any, rows: InstalledRows) -> None:
         known = [key for table in added.tables for key in getattr(by_name[name], table)]
         if word not in known:
             raise ProgramError(f"$.{place}: {unknown(f'word of the mechanism {name}', word, known)}")
+        for figure in added.figures:
+            if figure not in (read := common | {*by_name[name].reads.get(word, ())}):
+                raise ProgramError(f"$.{place}: {unknown('figure of a step', figure, read)}")
 
 
 # --- what a row may state --------------------------------------------------------------------------------
@@ -118,7 +123,7 @@ def _guarded(row: Mechanism) -> Mechanism:
     changed: dict[str, Any] = {}
     for field, hint in _hints().items():
         value, returns = getattr(row, field), _returned(hint)
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and field != "reads":
             changed[field] = {key: _call(one, row.name, field, returns) for key, one in value.items()}
         elif isinstance(value, tuple):
             changed[field] = tuple(_call(one, row.name, field, returns) for one in value)

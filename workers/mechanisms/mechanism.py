@@ -17,7 +17,7 @@ from msgspec import Struct
 from rtc.model.cells import parts
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.advice import Advice, Texts
-from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Script, Step, Validity, WorldChange
+from rtc.protocol.messages import BaseStep, BoundStep, EndReport, EvaluationContext, Script, Step, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.protocol.primitive import Primitive
 from workers.planning.world_query import WorldQuery
@@ -76,8 +76,9 @@ class Mechanism:
     strains: Callable[[Sequence[ScriptStep], TaskCandidate], bool] | None = None
     #: effect of a step -> what it changes for the steps and sentences after it
     foreseen: Mapping[str, Callable[[TaskCandidate, WorldQuery], Changes]] = field(default_factory=dict)
-    #: bind: kind of action -> what makes its primitive
-    actions: Mapping[str, Callable[[BindTask], BoundStep]] = field(default_factory=dict)
+    #: bind: kind of step -> what makes its primitive; of a package its own `do`, and the figures that such a step reads
+    actions: Mapping[type[BaseStep] | str, Callable[[BindTask], BoundStep]] = field(default_factory=dict)
+    reads: Mapping[str, Collection[str]] = field(default_factory=dict)
     #: procedure of a step (`proc`) -> what performs it
     procedures: Mapping[str, Callable[[BindTask], BoundStep]] = field(default_factory=dict)
     #: assess: effect of a step -> its changes of the world; what is wrong with it (empty: nothing); what a failure says

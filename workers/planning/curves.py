@@ -1,17 +1,18 @@
 """Curves of the hand: circles about an axis, and search patterns in a plane. Pure.
 
 A curve is a table of tcp poses in world axes, [poses][7], from the pose where it begins. The names are spaces of a
-script's steps; `rtc.programs.extension_names.SPACE_ARGS` lists the figures that each uses.
+script's steps.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
 from rtc.protocol.causes import BadCurve
+from rtc.protocol.messages import CircleStep, PatternStep
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.axis_names import AXES
@@ -22,24 +23,18 @@ from workers.planning.motion.path import KNOT_M
 MAX_POSES = 4000  # maximum number of poses of one curve
 CIRCLE_RAD = 0.04  # maximum turn between two poses of a circle; the hand then keeps its radius to some 0.05 mm
 PATTERN_RAD = 0.2  # maximum turn between two poses of a pattern
-Figures = Mapping[str, float]
 
 
-def curve(space: str, start: Floats, about: Floats, axis: str, figures: Figures) -> Array:
-    """The curve of a step that begins at the tcp pose `start`. Raises Refused for impossible figures.
+def circle(step: CircleStep, start: Floats, about: Floats, axis: str) -> Array:
+    """A turn by `by_rad` about the axis, with a rise of `by_m` along it, from the tcp pose `start`. The axis passes
+    through the origin of the pose `about`; a TOOL axis is an axis of that pose. `hand_turn`: share of the turn that the
+    hand makes with it: 1 (default) as if fixed to the hinge, 0 with its attitude kept.
 
-    `axis` of a circle passes through the origin of the pose `about`; a TOOL axis is an axis of that pose. `axis` of a
-    pattern is the normal of its plane; a TOOL axis is an axis of the hand. All poses are in world axes.
+    All poses are in world axes. Raises Refused for impossible figures.
     """
-    if axis not in AXES:
-        raise suggestions.unknown("axis", axis, AXES)
-    return CURVES[space](np.asarray(start, dtype=float), np.asarray(about, dtype=float), axis, figures)
-
-
-def _circle(start: Array, about: Array, axis: str, figures: Figures) -> Array:
-    """A turn by `by_rad` about the axis, with a rise of `by_m` along it. `hand_turn`: share of the turn that the hand
-    makes with it: 1 (default) as if fixed to the hinge, 0 with its attitude kept."""
-    by_rad, by_m, share = figures.get("by_rad", 0.0), figures.get("by_m", 0.0), figures.get("hand_turn", 1.0)
+    _refuse_unknown(axis)
+    start, about = np.asarray(start, dtype=float), np.asarray(about, dtype=float)
+    by_rad, by_m, share = step.by_rad, step.by_m, step.hand_turn
     if not abs(by_rad) > 1e-6 or not math.isfinite(by_rad + by_m):
         raise _refused(f"a circle by {by_rad:g} rad has no direction", "by_rad other than 0")
     if not 0.0 <= share <= 1.0:
@@ -57,20 +52,31 @@ def _circle(start: Array, about: Array, axis: str, figures: Figures) -> Array:
     return np.array(poses)
 
 
-def _spiral(start: Array, about: Array, axis: str, figures: Figures) -> Array:
-    """From the hand outwards to `radius_m`, with `pitch_m` between turns, and `by_m` along the normal in all."""
-    radius, pitch = _pattern(figures)
+def pattern(step: PatternStep, start: Floats, axis: str) -> Array:
+    """A search that begins at the tcp pose `start`, in the plane whose normal is the axis; a TOOL axis is an axis of
+    the hand. It advances by `by_m` along the normal in all. Raises Refused for impossible figures."""
+    _refuse_unknown(axis)
+    radius, pitch = step.radius_m, step.pitch_m
+    if not 0.0 < pitch <= radius < math.inf:  # false for nan too
+        raise _refused(
+            f"a pattern with a radius of {radius:g} m and a pitch of {pitch:g} m covers nothing",
+            "pitch_m above 0 and at most radius_m",
+        )
+    return _in_plane(np.asarray(start, dtype=float), axis, PATTERNS[step.space](radius, pitch), step.by_m)
+
+
+def _spiral(radius: float, pitch: float) -> Array:
+    """From the hand outwards to the radius, with the pitch between turns."""
     turns = radius / pitch
     count = _count(math.tau * turns / PATTERN_RAD)
     angle = np.linspace(0.0, math.tau * turns, count + 1)
-    plane = np.stack((np.cos(angle), np.sin(angle)), axis=1) * (pitch * angle / math.tau)[:, None]
-    return _in_plane(start, axis, plane, figures.get("by_m", 0.0))
+    plane: Array = np.stack((np.cos(angle), np.sin(angle)), axis=1) * (pitch * angle / math.tau)[:, None]
+    return plane
 
 
-def _raster(start: Array, about: Array, axis: str, figures: Figures) -> Array:
-    """Lines back and forth at a distance of `pitch_m`, joined by half circles, over a square of half side `radius_m`
-    round the hand. The path begins in the middle and goes to a corner first."""
-    radius, pitch = _pattern(figures)
+def _raster(radius: float, pitch: float) -> Array:
+    """Lines back and forth at a distance of the pitch, joined by half circles, over a square whose half side is the
+    radius, round the hand. The path begins in the middle and goes to a corner first."""
     lines = 2 * math.ceil(radius / pitch) + 1
     half_turn = math.ceil(math.pi / PATTERN_RAD)
     per_line = max(8, math.ceil(2.0 * radius / KNOT_M))
@@ -86,7 +92,7 @@ def _raster(start: Array, about: Array, axis: str, figures: Figures) -> Array:
             angle = np.linspace(0.0, math.pi, half_turn, endpoint=False)[1:]
             bend = np.stack((side * np.sin(angle), 1.0 - np.cos(angle)), axis=1) * 0.5 * pitch
             rows.append(bend + np.array((side * radius, y)))
-    return _in_plane(start, axis, np.concatenate(rows), figures.get("by_m", 0.0))
+    return np.concatenate(rows)
 
 
 def _bend(corners: tuple[Array, Array, Array, Array], count: int) -> Array:
@@ -95,16 +101,6 @@ def _bend(corners: tuple[Array, Array, Array, Array], count: int) -> Array:
     a, b, c, d = corners
     found: Array = (1 - t) ** 3 * a + 3 * t * (1 - t) ** 2 * b + 3 * t * t * (1 - t) * c + t**3 * d
     return found
-
-
-def _pattern(figures: Figures) -> tuple[float, float]:
-    radius, pitch = figures.get("radius_m", 0.0), figures.get("pitch_m", 0.0)
-    if not 0.0 < pitch <= radius < math.inf:  # false for nan too
-        raise _refused(
-            f"a pattern with a radius of {radius:g} m and a pitch of {pitch:g} m covers nothing",
-            "pitch_m above 0 and at most radius_m",
-        )
-    return radius, pitch
 
 
 def _in_plane(start: Array, axis: str, plane: Array, by_m: float) -> Array:
@@ -139,9 +135,10 @@ def _refused(message: str, clears: str) -> Refused:
     return Refused.because(RefusalReason.INFEASIBLE, message, clears=clears, cause=BadCurve())
 
 
-#: space of a step -> its curve
-CURVES: dict[str, Callable[[Array, Array, str, Figures], Array]] = {
-    "move_circle": _circle,
-    "move_spiral": _spiral,
-    "move_raster": _raster,
-}
+def _refuse_unknown(axis: str) -> None:
+    if axis not in AXES:
+        raise suggestions.unknown("axis", axis, AXES)
+
+
+#: space of a step -> the points of its pattern in the plane, from radius and pitch (m)
+PATTERNS: dict[str, Callable[[float, float], Array]] = {"move_spiral": _spiral, "move_raster": _raster}

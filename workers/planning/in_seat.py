@@ -14,7 +14,7 @@ import numpy as np
 from rtc.language.hands import hand_in_words
 from rtc.protocol import causes
 from rtc.protocol.advice import Advice, by_sentence, fill_in
-from rtc.protocol.messages import Step
+from rtc.protocol.messages import PathStep
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Floats
@@ -25,7 +25,7 @@ ASIDE_M, TURNED_RAD = 0.003, math.radians(1.0)  # maximum deviation of a line fr
 
 
 def refuse_other_way(
-    query: WorldQuery, arm: str, step: Step, tcp: Floats, goal: Floats | None, clears: Mapping[str, Advice]
+    query: WorldQuery, arm: str, step: PathStep, tcp: Floats, goal: Floats | None, clears: Mapping[str, Advice]
 ) -> None:
     """Refuse a motion that starts with the held object in a slot, and that does not follow the way out, or leads
     deeper than the object's place in the seat.
@@ -33,7 +33,7 @@ def refuse_other_way(
     `goal`: the tcp pose at its end, if it is a line. Straight lines of one arm are left to the collision check and to
     their stop class, but for those that should leave the seat: they may touch it. `tcp`, `goal`: world frame.
     """
-    held, leaves = query.holding(arm), step.words.leaves == "seat"
+    held, leaves = query.holding(arm), step.leaves_seat
     frame = query.in_hand(held, tcp) if held and (leaves or step.space in ("move_joint", "move_both")) else None
     seat = query.slot_at(frame) if frame is not None and query.hinge(held) is None else ""
     if not seat or frame is None:

@@ -14,12 +14,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.programs.schema import OWN
+from rtc.programs.step_kinds import CURVES
 from rtc.protocol.advice import by_person
 from rtc.protocol.causes import OtherBranch
 from rtc.protocol.messages import PlannedPath
 from rtc.protocol.outcomes import Refusal, RefusalReason, Refused, refuse_if
 from rtc.spatial.geometry import Array, Floats
-from workers.planning import curves
 from workers.planning.motion import ik, path_reuse
 from workers.planning.motion.carry import plan_carry
 from workers.planning.motion.ik import Posture
@@ -228,14 +228,14 @@ def _tested_both(request: PlanningRequest, target: Target, detours: bool, first:
 SPACES: dict[str, Callable[[PlanningRequest, Target, PlannedPath | None], Motion]] = {
     "move_joint": _timed_joint,
     "move_task": _timed_task,
-    **dict.fromkeys(curves.CURVES, _timed_curve),
+    **dict.fromkeys(CURVES, _timed_curve),
     "move_both": _timed_both,
 }
 BOTH = "move_both"  # space of the steps that move two arms
-STRAIGHT = frozenset(("move_task", *curves.CURVES))  # lines and curves of one hand
+STRAIGHT = frozenset(("move_task", *CURVES))  # lines and curves of one hand
 _TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], FreeSegment]] = {
     "move_joint": _tested_joint,
     "move_task": _tested_task,
-    **dict.fromkeys(curves.CURVES, _tested_curve),
+    **dict.fromkeys(CURVES, _tested_curve),
     "move_both": _tested_both,
 }

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import msgspec
 from msgspec.structs import replace
 
-from rtc.programs.extension_names import PLAN_AXES, SPACE_ARGS, WAY_OUT
-from rtc.protocol.messages import Step
+from rtc.programs.extension_names import PLAN_AXES, WAY_OUT
+from rtc.protocol.messages import ArmStep, BaseStep, CircleStep, MoveStep, PathStep, PatternStep, SharedStep, Step
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
@@ -22,23 +22,23 @@ HERE = "HERE"  # the pose of the hand when the step begins
 Bound = Callable[[str], Target]  # the target that a name stands for. Raises Refused
 
 
-def target_of(step: Step, query: WorldQuery, arm: str, thing: str, here: Array, bound: Bound) -> Target:
+def target_of(step: PathStep, query: WorldQuery, arm: str, thing: str, here: Array, bound: Bound) -> Target:
     """The target of a step (world frame): what its name stands for, or the tcp pose `here`, shifted, turned or drawn
     into a curve by its args.
 
     `thing`: the object of the command, which leaves its seat along WAY-OUT. Raises Refused.
     """
-    if step.to != HERE:
-        target, through = bound(step.to), step.words.through
-        return replace(target, via=tuple(map(bound, through)), around=bool(step.words.around))
+    if isinstance(step, MoveStep | SharedStep) and step.to != HERE:
+        around = isinstance(step, MoveStep) and bool(step.around)
+        return replace(bound(step.to), via=tuple(map(bound, step.through)), around=around)
     axis = axis_of(step)
     if axis not in PLAN_AXES:
         raise suggestions.unknown("axis", axis, PLAN_AXES)
-    if step.space in curves.CURVES:
-        figures = {name: value for name, value in step.figures.given().items() if name in SPACE_ARGS[step.space]}
-        about = hinge_of(step, query, arm, here, bound)
-        return Target(poses=curves.curve(step.space, here, about, axis, figures))
-    by_m, by_rad = step.figures.by_m or 0.0, step.figures.by_rad or 0.0
+    if isinstance(step, CircleStep):
+        return Target(poses=curves.circle(step, here, hinge_of(step, query, arm, here, bound), axis))
+    if isinstance(step, PatternStep):
+        return Target(poses=curves.pattern(step, here, axis))
+    by_m, by_rad = (step.by_m, step.by_rad) if isinstance(step, MoveStep) else (0.0, 0.0)
     if axis == WAY_OUT:
         return Target(pose=geometry.translate(here, by_m * query.leaves_along(thing)).tolist())
     pose = axes.shifted(here, axis, by_m) if by_m else here
@@ -48,28 +48,25 @@ def target_of(step: Step, query: WorldQuery, arm: str, thing: str, here: Array, 
 def counted_from_now(step: Step, query: WorldQuery, thing: str) -> Step:
     """The step with its turn counted from the angle that the object has now: a step that is tried again ends where it
     would have ended the first time."""
-    from_rad, by_rad = step.figures.from_rad, step.figures.by_rad
-    if from_rad is None or by_rad is None:
+    if not isinstance(step, CircleStep) or step.from_rad is None:
         return step
-    gone_rad = query.angle(thing) - from_rad
-    figures = msgspec.structs.replace(step.figures, by_rad=by_rad - gone_rad, from_rad=None)
+    gone_rad = query.angle(thing) - step.from_rad
     overrides = dict(step.overrides)
     if TURN in overrides:
-        overrides[TURN] = max(0.0, overrides[TURN] - math.copysign(gone_rad, gone_rad * by_rad))
-    return msgspec.structs.replace(step, figures=figures, overrides=overrides)
+        overrides[TURN] = max(0.0, overrides[TURN] - math.copysign(gone_rad, gone_rad * step.by_rad))
+    return msgspec.structs.replace(step, by_rad=step.by_rad - gone_rad, from_rad=None, overrides=overrides)
 
 
-def axis_of(step: Step) -> str:
-    return step.words.axis or "TOOL-Z"
+def axis_of(step: BaseStep) -> str:
+    return (step.axis if isinstance(step, ArmStep) else "") or "TOOL-Z"
 
 
-def hinge_of(step: Step, query: WorldQuery, arm: str, here: Array, bound: Bound) -> Array:
+def hinge_of(step: CircleStep, query: WorldQuery, arm: str, here: Array, bound: Bound) -> Array:
     """The pose about which the tcp turns (world frame). Raises Refused."""
-    name = step.words.about
-    if name == HERE:
+    if step.about == HERE:
         return here
-    about = bound(name).pose
+    about = bound(step.about).pose
     if about is None:
-        message = f"{name} is not a pose: nothing turns about joint values"
-        raise Refused.because(RefusalReason.PROGRAM, message, clears=f"bind a pose to {name}")
-    return query.hinge_of_tcp(arm, here, about, 1.0 if step.figures.hand_turn is None else step.figures.hand_turn)
+        message = f"{step.about} is not a pose: nothing turns about joint values"
+        raise Refused.because(RefusalReason.PROGRAM, message, clears=f"bind a pose to {step.about}")
+    return query.hinge_of_tcp(arm, here, about, step.hand_turn)

@@ -18,7 +18,7 @@ from rtc.language.hands import hand_in_words
 from rtc.model.cells.parts import Numbers
 from rtc.protocol import causes
 from rtc.protocol.advice import Advice, by_person, fill_in
-from rtc.protocol.messages import Limits, Step
+from rtc.protocol.messages import ArmStep, BaseStep, Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason, Sighting
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
@@ -217,7 +217,7 @@ def motion_time_s(query: WorldQuery, limits: Limits) -> float:
 
 
 def why_uncertain(
-    query: WorldQuery, arm: str, step: Step, clears: Mapping[str, Advice], ahead_s: float = 0.0
+    query: WorldQuery, arm: str, step: BaseStep, clears: Mapping[str, Advice], ahead_s: float = 0.0
 ) -> Refusal | None:
     """The refusal of a step for which the grasp of the held object is too uncertain; None: certain, or an empty hand.
 
@@ -244,12 +244,14 @@ def _too_wide(query: WorldQuery, spread: Spread, within: Spread, ahead_s: float)
     return exceeded(pose_spread.crept_spread(spread, ahead_s, query.cell.numbers), within)
 
 
-def needed(query: WorldQuery, step: Step) -> Spread | None:
+def needed(query: WorldQuery, step: BaseStep) -> Spread | None:
     """The maximum spread that a step accepts; None if it has no requirement."""
-    if step.words.needs:
-        within = query.cell.seat(step.words.needs).needs_within
+    if not isinstance(step, ArmStep):
+        return None
+    if step.needs:
+        within = query.cell.seat(step.needs).needs_within
         return within.spread if within is not None else None
-    metres, radians = step.figures.needs_m, step.figures.needs_rad
+    metres, radians = step.needs_m, step.needs_rad
     if metres is None and radians is None:
         return None
     return even(*(math.inf if n is None else n for n in (metres, radians)))

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, WorldChange
+from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, MoveStep, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import (
     Coupling,
@@ -115,7 +115,8 @@ def _touch_s(query: WorldQuery, arm: str, path: JointTrajectory, evaluation: Eva
     for touch_s in TOUCH_S:
         if (felt_s := touch_s(query, arm, evaluation, course)) is not None:
             return felt_s
-    beyond_m, end = evaluation.step.figures.beyond_m or 0.0, fk(path.positions[-1])
+    step, end = evaluation.step, fk(path.positions[-1])
+    beyond_m = step.beyond_m if isinstance(step, MoveStep) else 0.0
     return first_s(path.duration_s, lambda at_s: geometry.distance(tcp(at_s), end) <= beyond_m)
 
 

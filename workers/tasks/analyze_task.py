@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rtc.model.cells import parts
 from rtc.programs.schema import AnalyzerProgram
-from rtc.protocol.messages import AnalyzerInput, WorldChange
+from rtc.protocol.messages import AnalyzerInput, LookStep, WorldChange
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning.world_query import WorldQuery
@@ -58,9 +58,9 @@ class AnalyzeTask:
     @property
     def seen_as_believed(self) -> bool:
         """Whether a camera that looked for a body in another place has seen it where it is believed to be."""
-        sighting, figures = self.report.sighting, self.step.figures
-        if sighting is None or self.evaluation.body_pose is None:
+        sighting, step = self.report.sighting, self.step
+        if sighting is None or self.evaluation.body_pose is None or not isinstance(step, LookStep):
             return False
         believed = self.query.pose(self.evaluation.body)
-        near = geometry.distance(sighting.pose, believed) <= (figures.within_m or 0.0)
-        return near and geometry.angle(sighting.pose, believed) <= (figures.within_rad or 0.0)
+        near = geometry.distance(sighting.pose, believed) <= step.within_m
+        return near and geometry.angle(sighting.pose, believed) <= step.within_rad

@@ -32,7 +32,7 @@ def control_law(task: RuledTask, trajectory: Trajectory, load: Load | None) -> C
     gains = {"wn": values["laden_wn_rad_s"]} if load else {}
     step, stiffness_n_m = task.data.step, values.get("stiffness_n_m")
     axis = axis_of(step)
-    only_hand = isinstance(trajectory, HandMotion) and step.figures.stiffness_n_m is None
+    only_hand = isinstance(trajectory, HandMotion) and not step.complies
     if stiffness_n_m is None or stop_class.rigid or only_hand:
         return ControlLaw(name=stop_class.control_law, load=load, gains=gains)
     factor, share = values["spring_factor"], values.get("centre_share", 0.0)

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from rtc.programs.schema import ElaboratorProgram, ScriptFile
-from rtc.protocol.messages import SavedWorld, Script, ScriptContext, Step, StepWords
+from rtc.programs.step_kinds import step_of
+from rtc.protocol.messages import SavedWorld, Script, ScriptContext
 from rtc.protocol.sentence import ParsedCommand
 from workers.planning.world_query import WorldQuery
 
@@ -34,8 +35,7 @@ class DataSentence(NamedTuple):
             label = step.label
             for name, text in texts.items():
                 label = label.replace(name, text)
-            made = Step(do=step.do, label=label, name=step.name, expect=step.expect, words=StepWords(says=says))
-            steps.append(made)
+            steps.append(step_of(step, label=label, expect=step.expect, says=says))
         return Script(
             context=ScriptContext(verb=parsed.verb, script=file.script, object=thing, stated=dict(facts or {})),
             case=file.case,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from rtc.protocol.messages import HandStep
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array, Floats
 from rtc.world.spread import EXACT, Spread, widened
@@ -72,12 +73,11 @@ def between_fingers(task: AnalyzeTask, moved: Spread = EXACT) -> Found:
     offset = geometry.relative(tcp, geometry.compose(before, point))
     rpy = geometry.to_rpy(offset)
     measured = {CLOSING: CENTRED_M}
-    pad_m = task.step.figures.pad_m or 0.0
-    if pad_m > 0.0:
+    step = task.step.of_kind(HandStep)
+    if step.pad_m > 0.0:
         there = pose_spread.spread_at(spread, point)
-        (rpy[0], measured[ABOUT_BAR]), (rpy[2], measured[ABOUT_APPROACH]) = _askew(task, pad_m, rpy, there)
-    stiffness_n_m = task.step.figures.centre_n_m or 0.0
-    aside_m = 0.5 * task.report.wrench[1] / stiffness_n_m if stiffness_n_m > 0.0 else 0.0
+        (rpy[0], measured[ABOUT_BAR]), (rpy[2], measured[ABOUT_APPROACH]) = _askew(task, step.pad_m, rpy, there)
+    aside_m = 0.5 * task.report.wrench[1] / step.centre_n_m if step.centre_n_m > 0.0 else 0.0
     stands = geometry.compose(tcp, geometry.from_rpy([offset[0], aside_m, offset[2]], rpy))
     after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
     spread = pose_spread.spread_after_measurement(before, after, spread, point, measured)

@@ -178,9 +178,9 @@ def kept(task: RuledTask, motion: Motion, keep: Keeping) -> Motion:
     return replace(motion, timed=slower(motion.timed, excess), partner=partner)
 
 
-def goes_back(task: BindTask, target: Target) -> bool:
+def goes_back(task: BindTask, space: str, target: Target) -> bool:
     """Whether the hand goes back in a straight line against its approach direction, no farther than its own wrist."""
-    if task.data.step.space != "move_task" or target.pose is None:
+    if space != "move_task" or target.pose is None:
         return False
     here = task.query.tcp(task.arm)
     x, y, z = geometry.relative(here, target.pose)[:3].tolist()

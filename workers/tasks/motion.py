@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from rtc.protocol.messages import BoundStep, EvaluationContext, Limits
+from rtc.protocol.messages import BoundStep, EvaluationContext, Limits, MoveStep, PathStep, SharedStep
 from rtc.protocol.outcomes import StopReason, refuse_if
 from rtc.protocol.primitive_id import command_of
 from rtc.protocol.units import in_words
@@ -32,41 +32,42 @@ DETOUR_POSTURES = 21  # at which the way of the hand is measured
 
 def bind_motion(task: BindTask) -> BoundStep:
     """The step as a motion of the arm. Raises Refused."""
-    ruled = task.under(task.data.step.stop)
-    target = allowed_target(ruled)
-    keep = impact.keeping(ruled, target, touches=_may_touch(ruled, target))
-    request = planning_request(ruled, keep.speed_m_s, task.data.step.space)
-    motion = _planned(ruled, request, target, keep)
-    bound = _assembled(ruled, motion, keep)
-    return _beside_others(task, request, bound, follows=_may_wait(ruled))
+    step = task.data.step.of_kind(PathStep)
+    ruled = task.under(step.stop)
+    target = allowed_target(ruled, step)
+    keep = impact.keeping(ruled, target, touches=_may_touch(ruled, step, target))
+    request = planning_request(ruled, keep.speed_m_s, step.space)
+    motion = _planned(ruled, step, request, target, keep)
+    bound = _assembled(ruled, step, motion, keep)
+    return _beside_others(task, request, bound, follows=_may_wait(ruled, step))
 
 
-def _may_touch(task: RuledTask, target: Target) -> bool:
+def _may_touch(task: RuledTask, step: PathStep, target: Target) -> bool:
     """Whether a touch is possible on this way: on each line, curve and search, and where the stop class touches.
 
     An empty hand that goes straight back, away from what it let go, comes where its own wrist has been.
     """
-    if task.stop_class.away and not task.held and impact.goes_back(task, target):
+    if task.stop_class.away and not task.held and impact.goes_back(task, step.space, target):
         return False
-    return task.data.step.space != "move_joint" or task.stop_class.touches
+    return step.space != "move_joint" or task.stop_class.touches
 
 
-def motion_to_share(task: RuledTask) -> Motion:
+def motion_to_share(task: RuledTask, step: SharedStep) -> Motion:
     """The motion of a step that the operator shares, at the speed of its class. Raises Refused."""
     speed_m_s = task.values["speed_m_s"]
-    request = planning_request(task, speed_m_s, task.data.step.space)
-    return _planned(task, request, allowed_target(task), Keeping(speed_m_s))
+    request = planning_request(task, speed_m_s, step.space)
+    return _planned(task, step, request, allowed_target(task, step), Keeping(speed_m_s))
 
 
-def allowed_target(task: RuledTask) -> Target:
+def allowed_target(task: RuledTask, step: PathStep) -> Target:
     """Where the step goes, if the arm may go there."""
-    step, query, clears = task.data.step, task.query, task.program.clears
+    query, clears = task.query, task.program.clears
     if step.space not in segments.SPACES:
         raise unknown_in_program("space", step.space, segments.SPACES)
     refuse_if(trust.why_uncertain(query, task.arm, step, clears))
     partner = task.data.context.partner if step.space == segments.BOTH else ""
     shared_hold.refuse_alone(query, task.arm, partner, clears)
-    target = targets.target_of(task)
+    target = targets.target_of(task, step)
     in_seat.refuse_other_way(query, task.arm, step, query.tcp(task.arm), target.pose, clears)
     return target
 
@@ -89,24 +90,23 @@ def planning_request(task: RuledTask, speed_m_s: float, space: str) -> PlanningR
     request = scenes.planning_request(
         query, task.arm, scene, task.limits, pace, math.radians(values["joint_margin_deg"])
     )
-    both = task.data.step.space == segments.BOTH and context.partner
+    both = space == segments.BOTH and context.partner
     return replace(request, partner=query.model.arms[context.partner]) if both else request
 
 
-def _planned(task: RuledTask, request: PlanningRequest, target: Target, keep: Keeping) -> Motion:
+def _planned(task: RuledTask, step: PathStep, request: PlanningRequest, target: Target, keep: Keeping) -> Motion:
     """The timed motion, as slow as its force and its duration demand. Raises Refused."""
-    step = task.data.step
     motion = impact.kept(task, segments.plan_segment(request, step.space, target, step.way), keep)
-    return motion if step.figures.takes_s is None else plans.slowed_to(motion, step.figures.takes_s)
+    return motion if step.takes_s is None else plans.slowed_to(motion, step.takes_s)
 
 
-def _assembled(task: RuledTask, motion: Motion, keep: Keeping) -> BoundStep:
+def _assembled(task: RuledTask, step: PathStep, motion: Motion, keep: Keeping) -> BoundStep:
     """The bound step of a planned motion, with the part of a second arm."""
-    step, context, query = task.data.step, task.data.context, task.query
-    remarks = [*filter(None, (keep.remark, _speed_not_kept(context.limits, task.values), _detour(task, motion)))]
+    context, query = task.data.context, task.query
+    remarks = [*filter(None, (keep.remark, _speed_not_kept(context.limits, task.values), _detour(task, step, motion)))]
     evaluation = EvaluationContext(
         context=context,
-        step=msgspec.structs.replace(step, way=None),
+        step=msgspec.structs.replace(task.data.step, way=None),
         arm=task.arm,
         goal_pose=motion.goal_pose.tolist(),
         remark="; ".join(remarks),
@@ -132,10 +132,9 @@ def _speed_not_kept(limits: Limits, values: Values) -> str:
     return f"SPEED {asked} changes nothing: this step moves at {own} at most"
 
 
-def _detour(task: BindTask, motion: Motion) -> str:
+def _detour(task: BindTask, step: PathStep, motion: Motion) -> str:
     """The remark that a relative step takes the hand a much longer way through joint space; else empty."""
-    step = task.data.step
-    if step.space != "move_joint" or step.figures.by_m is None:
+    if step.space != "move_joint" or step.to != step_target.HERE:
         return ""
     postures = motion.timed.at(np.linspace(0.0, motion.timed.duration_s, DETOUR_POSTURES))[:, 0]
     places = [task.query.model.arms[task.arm].fk(joints)[:3] for joints in postures]
@@ -146,11 +145,10 @@ def _detour(task: BindTask, motion: Motion) -> str:
     return f"the hand travels {way_m:.2f} m to be {in_words(round(step_m, 3), 'm')} away"
 
 
-def _may_wait(task: RuledTask) -> bool:
+def _may_wait(task: RuledTask, step: PathStep) -> bool:
     """Whether the motion may stand on its way, and be bound again from there: it goes to a fixed place, and neither
     touches anything nor is expected to end otherwise."""
-    step = task.data.step
-    fixed = step.to != step_target.HERE and not step.words.through
+    fixed = step.to != step_target.HERE and isinstance(step, MoveStep) and not step.through
     return fixed and not task.stop_class.touches and step.expect == [StopReason.GOAL]
 
 

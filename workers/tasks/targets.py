@@ -6,7 +6,7 @@ import math
 from functools import partial
 
 from rtc.programs.extension_names import WAY_OUT
-from rtc.protocol.messages import Binding
+from rtc.protocol.messages import ArmStep, Binding, CircleStep, PathStep
 from rtc.protocol.outcomes import Refused, refuse_if
 from rtc.protocol.primitive import Vector
 from rtc.protocol.primitive_id import command_of
@@ -22,12 +22,10 @@ MIN_STEP_M = 0.001  # minimum length of a line with a defined direction
 MAX_TURN_RAD = math.radians(5.0)  # maximum rotation along a line with a constant direction in the tool frame
 
 
-def target_of(task: BindTask) -> Target:
+def target_of(task: BindTask, step: PathStep) -> Target:
     """The target of the step in the current world. Raises Refused."""
     here = task.query.tcp(task.arm)
-    return step_target.target_of(
-        task.data.step, task.query, task.arm, task.data.context.object, here, partial(_bound, task)
-    )
+    return step_target.target_of(step, task.query, task.arm, task.data.context.object, here, partial(_bound, task))
 
 
 def _bound(task: BindTask, name: str) -> Target:
@@ -74,10 +72,9 @@ def against_motion(start: list[float], motion: Motion) -> Vector | None:
 
 def turn_line(task: BindTask) -> stop_conditions.TurnLine:
     """The line about which the step turns; of a step without an axis any change of attitude counts."""
-    step, here, name = task.data.step, task.query.tcp(task.arm), task.data.step.words.about
-    axis = step_target.axis_of(step)
-    if name == step_target.HERE:
-        named = step.words.axis not in ("", WAY_OUT)
+    step, here, axis = task.data.step, task.query.tcp(task.arm), step_target.axis_of(task.data.step)
+    if not isinstance(step, CircleStep) or step.about == step_target.HERE:
+        named = isinstance(step, ArmStep) and step.axis not in ("", WAY_OUT)
         return stop_conditions.TurnLine(axes.direction(here, axis) if named else None, None)
     try:
         about = step_target.hinge_of(step, task.query, task.arm, here, partial(_bound, task))

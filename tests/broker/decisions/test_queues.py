@@ -10,7 +10,7 @@ from broker.decisions import effects as do
 from broker.decisions import events
 from broker.decisions.state import State
 from rtc.protocol import wire
-from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, Step
+from rtc.protocol.messages import BoundStep, EndReport, EvaluationContext, LookStep
 from rtc.protocol.outcomes import Sighting, StopReason
 from rtc.protocol.primitive import GoalReached, Look, Primitive, StopFunction, TagGeometry, TimeAbove
 from tests.broker.harness import CONTEXT, Harness, bound, brief, go_on, script
@@ -31,7 +31,7 @@ def look(primitive: str) -> BoundStep:
             StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(5.0)),
         ],
     )
-    evaluation = EvaluationContext(context=CONTEXT, step=Step(do="look", label="x"), body="MODULE")
+    evaluation = EvaluationContext(context=CONTEXT, step=LookStep(stop="look", label="x"), body="MODULE")
     return BoundStep(subsystem=EYES, primitive=body, evaluation=evaluation, limit_s=5.0)
 
 

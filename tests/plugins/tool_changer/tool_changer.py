@@ -100,7 +100,7 @@ def work(task: BindTask) -> BoundStep:
     evaluation = EvaluationContext(
         context=task.data.context, step=task.data.step, arm=task.arm, start_joints=task.query.joints(task.arm)
     )
-    wanted = Coupling(hand="" if task.data.step.words.effect == LAID_DOWN else hand)
+    wanted = Coupling(hand="" if task.data.step.effect == LAID_DOWN else hand)
     return assemble.of_arm(ruled, wanted, evaluation, Expected(LOCKS_S, LOCKS_S))
 
 

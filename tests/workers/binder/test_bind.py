@@ -14,7 +14,7 @@ from rtc.model.cells.cell import Cell
 from rtc.model.robot.kinematics import ArmModel
 from rtc.programs import loader
 from rtc.protocol import causes, wire
-from rtc.protocol.messages import Binding, BoundStep, Script, Step, StepFigures, StepWords, Validity, WorldChange
+from rtc.protocol.messages import Binding, BoundStep, GripStep, MoveStep, ProcedureStep, Script, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     BodyTouch,
@@ -532,7 +532,7 @@ def test_a_collision_names_both_bodies(bench):
 def test_a_module_in_its_rack_cannot_be_carried_off_sideways(bench):
     bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
     script = bench.elaborate("MOVE RIGHT-ARM BY 10 CM ALONG UP")
-    step = msgspec.structs.replace(script.steps[0], figures=StepFigures(by_m=0.1), words=StepWords(axis="Y"))
+    step = msgspec.structs.replace(script.steps[0], by_m=0.1, axis="Y")
 
     refusal = bench.bind(script, step)
 
@@ -564,14 +564,13 @@ def test_a_suspect_frame_is_bound_upon_only_by_the_command_that_doubts_it(bench)
 @pytest.mark.parametrize(
     ("step", "what", "name"),
     [
-        (Step(do="juggle", label=""), "action", "juggle"),
-        (Step(do="move", label="", to="NOWHERE", stop="move_free", space="move_task"), "binding", "NOWHERE"),
-        (Step(do="move", label="", to="STOWED", stop="move_fast", space="move_joint"), "stop class", "move_fast"),
-        (Step(do="move", label="", to="STOWED", stop="move_free", space="move_sideways"), "space", "move_sideways"),
-        (Step(do="proc", label="", name="dance"), "procedure", "dance"),
-        (Step(do="grip", label="", op="tickle"), "motion of a hand", "tickle"),
+        (MoveStep(label="", to="NOWHERE", stop="move_free", space="move_task"), "binding", "NOWHERE"),
+        (MoveStep(label="", to="STOWED", stop="move_fast", space="move_joint"), "stop class", "move_fast"),
+        (MoveStep(label="", to="STOWED", stop="move_free", space="move_sideways"), "space", "move_sideways"),
+        (ProcedureStep(label="", name="dance"), "procedure", "dance"),
+        (GripStep(label="", op="tickle"), "motion of a hand", "tickle"),
         (
-            Step(do="move", label="", who="other_arm", to="STOWED", stop="move_free", space="move_joint"),
+            MoveStep(label="", who="other_arm", to="STOWED", stop="move_free", space="move_joint"),
             "performer of steps",
             "other_arm",
         ),

@@ -42,7 +42,7 @@ def meeting(bench: Bench, sentence: str) -> list[BoundStep]:
         bound = bench.bind(script, step)
         assert isinstance(bound, BoundStep), bound
         turned = turned or step.do == "turn"
-        if (StopReason.CONTACT in step.expect and step.stop != "tug") or step.figures.press_n:
+        if (StopReason.CONTACT in step.expect and step.stop != "tug") or step.presses:
             found.append(bound)
         if not turned:
             report = bench.subsystem.perform(bound.primitive, bound)
@@ -56,7 +56,7 @@ def felt_n(bound: BoundStep) -> float:
     load_kg = made.control_law.load.mass_kg
     if not isinstance(made.trajectory, JointTrajectory):
         here, compliance = np.array(bound.evaluation.start_joints), made.control_law.compliance
-        way = geometry.rotate(model.fk(here), axis_names.AXES[bound.evaluation.step.words.axis][1])
+        way = geometry.rotate(model.fk(here), axis_names.AXES[bound.evaluation.step.axis][1])
         mass_kg = model.effective_mass_kg(here, way) + load_kg
         return mass_kg * compliance.approach_m_s / TICK_S + max(filter(None, compliance.wrench))
     path = made.trajectory

@@ -386,7 +386,10 @@ def test_a_width_that_is_not_known_is_not_built_upon(bench):
 
 
 def test_a_field_that_a_script_does_not_use_is_named_as_the_sentence_says_it(bench):
-    bench.load("elaborator", "script: retract\ncase: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: x}]")
+    bench.load(
+        "elaborator",
+        "script: retract\ncase: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: x, args: {duration_s: 1}}]",
+    )
 
     refusal = refusal_of(bench, "RETRACT RIGHT-ARM BY 2 CM")
 

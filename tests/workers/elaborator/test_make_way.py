@@ -100,7 +100,7 @@ def test_an_arm_leaves_what_it_may_touch_back_along_its_tool_before_a_way_is_sou
     assert isinstance(script, Script), script
     arm = near.model.arms["LEFT-ARM"]
     before = arm.fk(near.world.value("LEFT-ARM.joints"))
-    knots = next(step.way for step in script.steps if step.way is not None).knots
+    knots = next(step.way for step in script.steps if step.to and step.way is not None).knots
     straight, back = (geometry.relative(before, arm.fk(knot)) for knot in knots[1:3])
     assert back[2] in (pytest.approx(-by_m, abs=1e-4) for by_m in plan.BACK_M)
     assert straight[2] == pytest.approx(plan.STRAIGHT * back[2], abs=1e-4)
@@ -123,7 +123,9 @@ def test_an_arm_goes_back_first_if_a_search_fails_from_a_start_with_little_room(
         near.set_fact(key, near.world.value(key))  # exactly known
     script = near.elaborate(f"{PLACE} MAINTAIN AVOID-NEIGHBORS BY {distance_mm} MM")
     assert isinstance(script, Script) == found, script
-    assert not found or any("back by" in note for step in script.steps if step.way for note in step.way.notes)
+    assert not found or any(
+        "back by" in note for step in script.steps if step.to and step.way for note in step.way.notes
+    )
 
 
 def test_no_arm_is_sent_away_from_a_way_that_would_not_be_free_without_it(

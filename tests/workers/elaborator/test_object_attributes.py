@@ -35,7 +35,7 @@ def test_one_file_declares_an_attribute_and_a_script_that_uses_it(bench):
     stated(bench, "SET MACS-NEW SHELL 12 MM", "SET MACS-NEW GRIP 0.4")
     script = grasp(bench)
     assert script.context.script == "grasp-shell"
-    assert script.steps[0].figures.duration_s == pytest.approx(100 * 0.012 * 0.4)
+    assert script.steps[0].duration_s == pytest.approx(100 * 0.012 * 0.4)
 
 
 def test_an_object_without_the_attribute_is_grasped_by_the_other_strategies(bench):
@@ -72,7 +72,7 @@ def test_a_row_of_the_table_is_computed_from_an_attribute(bench):
     bench.load("elaborator", DECLARED + ROW)
     assert grasp(bench).where == "MACS-NEW.shell"
     stated(bench, "SET MACS-NEW SHELL 12 MM")
-    assert [step.figures.grip_n for step in grasp(bench).steps if step.op == "close"] == [pytest.approx(12.0)]
+    assert [step.grip_n for step in grasp(bench).steps if step.op == "close"] == [pytest.approx(12.0)]
 
 
 def test_a_declared_attribute_has_its_unit(bench):

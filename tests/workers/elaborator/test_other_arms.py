@@ -7,7 +7,7 @@ import pytest
 
 from rtc.model.cells.cell import Cell
 from rtc.protocol.advice import sentences_of
-from rtc.protocol.messages import WorldChange
+from rtc.protocol.messages import HandStep, WorldChange
 from rtc.protocol.outcomes import Refusal
 from rtc.world.model import World, initial_facts
 from tests.workers.conftest import CELL, Bench, record
@@ -23,9 +23,9 @@ def test_a_smaller_and_weaker_hand_opens_and_grips_as_it_can(bench: Bench) -> No
     model = CellModel(msgspec.structs.replace(CELL, arms=[arm, CELL.arms[1]]))
     script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", model)
     assert not isinstance(script, Refusal), script
-    figures = [step.figures for step in script.steps]
-    assert next(each.width_m for each in figures if each.width_m) == pytest.approx(0.056)  # 2 mm before its stops
-    assert {each.grip_n for each in figures if each.grip_n} == {25.0}
+    hands = [step for step in script.steps if isinstance(step, HandStep)]
+    assert next(each.width_m for each in hands if each.width_m) == pytest.approx(0.056)  # 2 mm before its stops
+    assert {each.grip_n for each in hands if each.grip_n} == {25.0}
 
 
 @pytest.mark.parametrize(

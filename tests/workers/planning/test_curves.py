@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from rtc.protocol import causes
+from rtc.protocol.messages import CircleStep, PatternStep
 from rtc.protocol.outcomes import RefusalReason
 from rtc.spatial import geometry
 from rtc.subsystems.motion.profiles import Follow
 from tests.workers.refusals import refusal_of
-from workers.planning.curves import curve
+from workers.planning.curves import circle, pattern
 from workers.planning.motion.path import task_curve
 from workers.planning.motion.timing import SpeedLimits, time_path
 
@@ -20,6 +21,13 @@ from workers.planning.motion.timing import SpeedLimits, time_path
 @pytest.fixture
 def start(right, home):
     return right.fk(home["RIGHT-ARM"])
+
+
+def curve(space, start, about, axis, figures):
+    head = {"label": "", "to": "HERE", "stop": "move_free", "space": space}
+    if space == "move_circle":
+        return circle(CircleStep(about="HINGE", **head, **figures), start, about, axis)
+    return pattern(PatternStep(**head, **figures), start, axis)
 
 
 def hinge(start, x=0.0, y=0.25):

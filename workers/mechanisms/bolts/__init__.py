@@ -5,6 +5,7 @@ An object of a cell is a bolt if it has a `thread`, and a driver if it has a `sp
 
 from __future__ import annotations
 
+from rtc.protocol.messages import TurnStep
 from rtc.protocol.primitive import SpindleMotion
 from workers.mechanisms.bolts import assess, bind, elaborate, predict
 from workers.mechanisms.mechanism import Mechanism
@@ -17,7 +18,7 @@ MECHANISM = Mechanism(
     anchors={"bolt": elaborate.bolt, "bolt_out": elaborate.bolt_out},
     checks=(elaborate.refuse_beyond_thread, elaborate.refuse_too_much_torque, elaborate.refuse_fastened),
     stated={"state": elaborate.stated_state},
-    actions={"spindle": bind.bind_spindle},
+    actions={TurnStep: bind.bind_spindle},
     effects={
         "turned": assess.turned,
         "tightened": assess.tightened,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rtc.model.cells import parts
-from rtc.protocol.messages import Validity, WorldChange
+from rtc.protocol.messages import TurnStep, Validity, WorldChange
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.units import figure
 from rtc.spatial import geometry, hinges
@@ -102,7 +102,7 @@ def wrong_turn(task: AnalyzeTask) -> str:
     Empty: nothing is wrong."""
     if is_unproved(task) or (task.report.reason is StopReason.SLIP and not has_come_free(task)):
         return "not_turned"
-    return "not_seated" if task.step.words.effect == "tightened" and is_before_seat(task) else ""
+    return "not_seated" if task.step.effect == "tightened" and is_before_seat(task) else ""
 
 
 def wrong_head(task: AnalyzeTask) -> str:
@@ -117,10 +117,10 @@ def nothing_wrong(_: AnalyzeTask) -> str:
 
 def left(task: AnalyzeTask) -> str | None:
     """The turns that are left of a sentence, as its amount; empty: none. None: the step turns no bolt."""
-    to_turns = task.step.figures.to_turns
-    if to_turns is None:
+    step = task.step
+    if not isinstance(step, TurnStep) or step.to_turns is None:
         return None
-    turns = abs(to_turns - task.query.turns(task.context.object) - moved_turns(task))
+    turns = abs(step.to_turns - task.query.turns(task.context.object) - moved_turns(task))
     return f"{figure(turns)} TURNS" if turns > LEAST_TURNS else ""
 
 
@@ -311,7 +311,7 @@ def in_words(task: AnalyzeTask) -> str:
     thread = task.query.thread(bolt)
     if thread is None:
         return ""
-    touched = task.step.words.effect == "head_felt"
+    touched = task.step.effect == "head_felt"
     turns = felt_turns(task) if touched else task.query.turns(bolt) + moved_turns(task)
     return f"{bolt} is {max(0.0, turns) + 0.0:.1f} of {thread.turns:g} turns out"
 

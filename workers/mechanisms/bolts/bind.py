@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from rtc.model.cells import parts
-from rtc.protocol.messages import BoundStep, EvaluationContext
+from rtc.protocol.messages import BoundStep, EvaluationContext, TurnStep
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import SpindleMotion
 from rtc.spatial import geometry
@@ -27,13 +27,14 @@ PROVABLE_TURNS = 0.01  # a smaller turn cannot be proved; what is left after a s
 
 def bind_spindle(task: BindTask) -> BoundStep:
     """Turn the bolt of the command with the driver in the hand. Raises Refused."""
-    ruled, query, bolt = task.under(task.data.step.stop), task.query, task.data.context.object
+    step = task.data.step.of_kind(TurnStep)
+    ruled, query, bolt = task.under(step.stop), task.query, task.data.context.object
     driver, thread = query.driver(task.arm), query.thread(bolt)
     if driver is None or driver.spindle is None:
         raise Refused.because(RefusalReason.STATE, f"{task.arm} holds no driver", clears="GRASP a driver with it")
     if thread is None:
         raise refused_program(f"{bolt or 'nothing'} has no thread", "a script about an object with a thread")
-    values, turns = ruled.values, _turns(task, bolt)
+    values, turns = ruled.values, _turns(task, step, bolt)
     speed_rad_s = min(values["spindle_rad_s"], driver.spindle.most_rad_s)
     motion = SpindleMotion(
         turn_rad=-math.tau * turns, speed_rad_s=speed_rad_s, torque_nm=min(values["torque_nm"], driver.spindle.most_nm)
@@ -42,30 +43,26 @@ def bind_spindle(task: BindTask) -> BoundStep:
     out = geometry.rotate(query.frame(bolt), (0.0, 0.0, thread.pitch_m))  # of the bolt, by one turn outwards
     evaluation = EvaluationContext(
         context=task.data.context,
-        step=task.data.step,
+        step=step,
         arm=task.arm,
         goal_pose=geometry.translate(here, turns * out).tolist(),
         held=task.held,
-        no_contact_is_failure=StopReason.GOAL not in task.data.step.expect,
+        no_contact_is_failure=StopReason.GOAL not in step.expect,
         start_joints=list(query.joints(task.arm)),
     )
     against = math.copysign(1.0, turns) * _axis(query.grasp(driver.name), driver)
     turn_s = math.tau * abs(turns) / speed_rad_s
-    expected = Expected(
-        turn_s, 0.0 if task.data.step.expect == [StopReason.GOAL] else turn_s
-    )  # a torque ends it before
+    expected = Expected(turn_s, 0.0 if step.expect == [StopReason.GOAL] else turn_s)  # a torque ends it before
     bound = assemble.of_arm(ruled, motion, evaluation, expected, against.tolist())
     return _with_retreat(ruled, bound, turns * out)
 
 
-def _turns(task: BindTask, bolt: str) -> float:
+def _turns(task: BindTask, step: TurnStep, bolt: str) -> float:
     """The turns that the step states, positive outwards."""
-    figures = task.data.step.figures
-    if figures.by_turns is not None:
-        return figures.by_turns
-    if figures.to_turns is None:
-        raise refused_program("a turn needs by_turns or to_turns", "one of them in `args` of the step")
-    left = figures.to_turns - task.query.turns(bolt)
+    if step.by_turns is not None:
+        return step.by_turns
+    assert step.to_turns is not None
+    left = step.to_turns - task.query.turns(bolt)
     return math.copysign(max(abs(left), PROVABLE_TURNS), left)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rtc.protocol.messages import AnswerStep, HandOverStep, TellStep
 from workers.mechanisms.facts import assess, bind, elaborate
 from workers.mechanisms.mechanism import Mechanism
 
@@ -9,7 +10,7 @@ MECHANISM = Mechanism(
     name="facts",
     states=elaborate.script,
     stated={"frame": elaborate.frame, "attitude": elaborate.attitude, "orientation": elaborate.attitude},
-    actions={"stated": bind.bind_stated_facts, "answered": bind.bind_answer},
+    actions={TellStep: bind.bind_stated_facts, AnswerStep: bind.bind_answer, HandOverStep: bind.bind_answer},
     plausible=assess.PLAUSIBLE,
     follows={"facts": assess.whole},
     impossible=assess.too_heavy,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rtc.protocol.messages import GripStep
 from rtc.protocol.primitive import HandMotion
 from workers.mechanisms.grip import assess, bind, elaborate, predict
 from workers.mechanisms.mechanism import Mechanism
@@ -18,7 +19,7 @@ MECHANISM = Mechanism(
     anchors={"grasp_point": elaborate.grasp_point},
     done=elaborate.let_go_of,
     foreseen={"verified": elaborate.verified},
-    actions={"hand": bind.bind_hand},
+    actions={GripStep: bind.bind_hand},
     procedures={"open_hand": bind.open_hand},
     effects={
         "taken": assess.taken,

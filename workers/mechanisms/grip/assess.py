@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rtc.protocol.causes import NeedUnmet
-from rtc.protocol.messages import Validity, WorldChange
+from rtc.protocol.messages import HandStep, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.spatial import geometry
 from rtc.world.spread import EXACT, Spread, even, widened
@@ -37,7 +37,7 @@ def taken(task: AnalyzeTask, validity: Validity) -> Changes:
     return [
         *shared_hold.held(arm, thing, grasp.tolist(), validity, spread),
         WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity, spread=spread),
-        *seated.its_frame(query, thing, frame, spread, task.step.figures.play_m or 0.0, validity),
+        *seated.its_frame(query, thing, frame, spread, task.step.of_kind(HandStep).play_m, validity),
     ]
 
 
@@ -78,7 +78,7 @@ def _moved_by_closing(query: WorldQuery, thing: str) -> Spread:
 
 def let_go(task: AnalyzeTask, validity: Validity) -> Changes:
     """The fingers are open; the object stays in place, in its seat if the step placed it there."""
-    thing, query, seat = task.context.object, task.query, task.step.words.seat
+    thing, query, seat = task.context.object, task.query, task.step.of_kind(HandStep).seat
     changes = shared_hold.let_go(query, task.arm, thing)
     if query.sharers(task.arm):  # another hand holds it where it is
         return changes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rtc.protocol.causes import Cause, GripForceExceeded, OpeningExceeded
-from rtc.protocol.messages import BoundStep, EvaluationContext
+from rtc.protocol.messages import BoundStep, EvaluationContext, GripStep
 from rtc.protocol.outcomes import RefusalReason, Refused, StopReason
 from rtc.protocol.primitive import HandMotion
 from rtc.protocol.units import in_words
@@ -17,8 +17,8 @@ MIN_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 
 def bind_hand(task: BindTask) -> BoundStep:
     """The hand opens or closes (`op`); a second arm that holds nothing yet is left as it is. Raises Refused."""
-    step = task.data.step
-    if step.arm and step.words.effect == HELD and not task.held:
+    step = task.data.step.of_kind(GripStep)
+    if step.arm and step.effect == HELD and not task.held:
         return BoundStep(note=f"{task.arm} holds nothing yet")
     return hand_motion(task, step.op)
 

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from rtc.model.cells import parts
-from rtc.protocol.messages import WorldChange
+from rtc.protocol.messages import CircleStep, MoveStep, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.units import figure
 from rtc.spatial import geometry, hinges
@@ -56,7 +56,8 @@ def _gone_rad(task: AnalyzeTask) -> float:
     start, end = (
         hinges.angle_of(home, hinge.axis, frame) for tcp in tcps if (frame := query.in_hand(held, tcp)) is not None
     )
-    turn = math.copysign(1.0, task.step.figures.by_rad or 0.0) * (end - start)
+    by_rad = task.step.by_rad if isinstance(task.step, CircleStep | MoveStep) else 0.0
+    turn = math.copysign(1.0, by_rad) * (end - start)
     return (turn + BACK_RAD) % math.tau - BACK_RAD
 
 

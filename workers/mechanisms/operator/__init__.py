@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rtc.protocol.messages import OperateStep, SharedStep
 from rtc.protocol.primitive import TeleopMotion
 from workers.mechanisms.mechanism import Mechanism
 from workers.mechanisms.operator import assess, bind, elaborate, predict
@@ -9,7 +10,7 @@ from workers.mechanisms.operator import assess, bind, elaborate, predict
 MECHANISM = Mechanism(
     name="operator",
     instead=elaborate.by_operator,
-    actions={"operated": bind.bind_operated},
+    actions={OperateStep: bind.bind_operated, SharedStep: bind.bind_shared},
     effects={"handed": assess.handed, "pointed": assess.pointed},
     reports={TeleopMotion: predict.of_operated},
 )

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from rtc.protocol.messages import BoundStep, EvaluationContext
+from rtc.protocol.messages import BoundStep, EvaluationContext, OperateStep, SharedStep, Step
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import TeleopMotion
 from rtc.protocol.sentence import SHARED_AXES
@@ -29,43 +29,47 @@ PRESSES = 0.5  # share of the grip force that proves a grip
 def bind_operated(task: BindTask) -> BoundStep:
     """The step as a request to the operator. Raises Refused."""
     shared_hold.refuse_alone(task.query, task.arm, "", task.program.clears)
-    ruled = task.under(task.data.step.stop)
-    values, step = ruled.values, task.data.step
-    pose = _place(task)
-    hand = _hand(ruled) if step.words.operator_has == HAND else {}
-    spindle = _spindle(ruled) if step.words.operator_has == SPINDLE else {}
-    if step.to:
-        return _shared(ruled, pose)
+    step = task.data.step.of_kind(OperateStep)
+    ruled = task.under(step.stop)
+    values, pose = ruled.values, _place(task, step.place)
+    hand = _hand(ruled) if step.operator_has == HAND else {}
+    spindle = _spindle(ruled, step.by_turns) if step.operator_has == SPINDLE else {}
     motion = TeleopMotion(
         request=_request(task),
         speed_m_s=values["speed_m_s"],
         turn_rad_s=values["turn_rad_s"],
         centre=pose[:3] if pose else [],
         radius_m=values["reach_m"] if pose else math.inf,
-        done_m=step.figures.within_m if pose else None,
+        done_m=step.within_m if pose else None,
         **hand,
         **spindle,
     )
     return _bound(ruled, motion, pose or None, [values["least_m"], values["most_m"]] if hand else None)
 
 
-def _shared(task: RuledTask, goal: list[float]) -> BoundStep:
+def bind_shared(task: BindTask) -> BoundStep:
     """The step as a way of the program, on which some axes are the operator's. Raises Refused."""
-    part, figures = task.data.context.limits.shared, task.data.step.figures
-    if part is None or figures.within_m is None:
+    shared_hold.refuse_alone(task.query, task.arm, "", task.program.clears)
+    step, part = task.data.step.of_kind(SharedStep), task.data.context.limits.shared
+    if part is None or step.within_m is None:
         raise refused_program(
             "a shared motion needs the part that the operator has, and within_m", "both in the script"
         )
-    way, axes = motion_to_share(task), SHARED_AXES[part]
+    ruled, goal = task.under(step.stop), _place(task, step.place)
+    way, axes = motion_to_share(ruled, step), SHARED_AXES[part]
     motion = TeleopMotion(
         request=_request(task),
-        speed_m_s=task.values["speed_m_s"],
-        turn_rad_s=task.values["turn_rad_s"],
+        speed_m_s=ruled.values["speed_m_s"],
+        turn_rad_s=ruled.values["turn_rad_s"],
         along=way.timed.trajectory(),
         operator_axes=axes,
-        done_m=figures.within_m,
+        done_m=step.within_m,
     )
-    return _bound(task, motion, None if PLACE & set(axes) else goal)
+    return _bound(ruled, motion, None if PLACE & set(axes) else goal)
+
+
+def _without_way(step: Step) -> Step:
+    return msgspec.structs.replace(step, way=None) if isinstance(step, SharedStep) else step
 
 
 def _request(task: BindTask) -> str:
@@ -77,7 +81,7 @@ def _bound(
 ) -> BoundStep:
     evaluation = EvaluationContext(
         context=task.data.context,
-        step=msgspec.structs.replace(task.data.step, way=None),
+        step=_without_way(task.data.step),
         arm=task.arm,
         goal_pose=goal,
         held=task.held,
@@ -87,9 +91,8 @@ def _bound(
     return assemble.of_arm(task, motion, evaluation, Expected(task.values["duration_s"]))
 
 
-def _place(task: BindTask) -> list[float]:
+def _place(task: BindTask, name: str) -> list[float]:
     """The tcp pose that the step is about; empty: none."""
-    name = task.data.step.words.place
     if not name:
         return []
     found = targets.binding(task, name)
@@ -106,9 +109,9 @@ def _hand(task: RuledTask) -> dict[str, Any]:
     return {"hand": True, "grip_n": grip_n, "done_grip_n": PRESSES * grip_n}
 
 
-def _spindle(task: RuledTask) -> dict[str, Any]:
+def _spindle(task: RuledTask, turns: float | None) -> dict[str, Any]:
     """The operator turns the spindle; its turn proves DONE. Positive turns of the step are outwards."""
-    driver, turns = task.query.driver(task.arm), task.data.step.figures.by_turns
+    driver = task.query.driver(task.arm)
     if driver is None or driver.spindle is None:
         raise Refused.because(RefusalReason.STATE, f"{task.arm} holds no driver", clears="GRASP a driver with it")
     if not turns:

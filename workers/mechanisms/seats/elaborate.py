@@ -123,5 +123,5 @@ def taken_along(steps: list[Step], candidate: TaskCandidate) -> list[Step]:
     if not inside or moving is None:
         return steps
     says = f"{held}, which is in {inside}, goes with the hand"
-    words = msgspec.structs.replace(steps[moving].words, says="; ".join(filter(None, (steps[moving].words.says, says))))
-    return [*steps[:moving], msgspec.structs.replace(steps[moving], words=words), *steps[moving + 1 :]]
+    stated = msgspec.structs.replace(steps[moving], says="; ".join(filter(None, (steps[moving].says, says))))
+    return [*steps[:moving], stated, *steps[moving + 1 :]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rtc.programs.extension_names import CAMERA
+from rtc.protocol.messages import LookStep
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import Look
 from workers.mechanisms.mechanism import Mechanism
@@ -12,7 +13,7 @@ MECHANISM = Mechanism(
     name="sight",
     candidates={CAMERA: elaborate.candidates},
     performers={CAMERA: elaborate.cameras},
-    actions={"look": bind.bind_look},
+    actions={LookStep: bind.bind_look},
     effects={"sighted": assess.sighted, "unseen": assess.unseen},
     violated={"sighted": assess.wrong_sighting},
     after_failure={"sighted": assess.after_failure},

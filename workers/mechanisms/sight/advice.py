@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rtc.language.hands import hand_in_words
 from rtc.protocol.advice import Advice, Alternative, fill_in
-from rtc.protocol.messages import WorldChange
+from rtc.protocol.messages import LookStep, WorldChange
 from workers.mechanisms.mechanism import About
 from workers.planning import in_seat, trust
 from workers.planning.lines_of_sight import hiders
@@ -29,7 +29,8 @@ def unseen(task: AnalyzeTask, about: About) -> Advice:
 
 def _uncovered(task: AnalyzeTask, body: str, about: About) -> Advice:
     """How to take away what is before a body, if a camera then sees it: a door is opened, an arm goes away."""
-    query, clears, cameras = task.query, task.program.clears, task.step.cameras
+    query, clears = task.query, task.program.clears
+    cameras = task.step.cameras if isinstance(task.step, LookStep) else []
     if query.held_by(body):
         return []
     for name in hiders(query, cameras, body)[1]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rtc.model.cells import parts
-from rtc.protocol.messages import Fact, Validity, WorldChange
+from rtc.protocol.messages import Fact, LookStep, Validity, WorldChange
 from rtc.protocol.outcomes import Sighting, StopReason
 from rtc.sensing import rest
 from rtc.spatial import geometry, hinges
@@ -74,14 +74,14 @@ def is_vague(task: AnalyzeTask) -> bool:
 def wrong_sighting(task: AnalyzeTask) -> str:
     """A body was seen beside its seat (`displaced`), on the move (`moves`), in two attitudes (`vague`), outside the
     hand that should hold it (`dropped`), or not at all (`unseen`). Empty: nothing is wrong."""
-    report, figures, holder = task.report, task.step.figures, task.context.arm
+    report, step, holder = task.report, task.step.of_kind(LookStep), task.context.arm
     vague = is_vague(task)
     if task.evaluation.body_pose is not None:
         if _is_displaced(task, task.evaluation.body_pose):
             return VAGUE if vague else "displaced"
     elif report.reason is StopReason.GOAL and report.sighting is None:
         return "unseen"
-    elif figures.at_rest and report.sighting is not None and rest.moves(report.sighting.velocity):
+    elif step.at_rest and report.sighting is not None and rest.moves(report.sighting.velocity):
         return MOVES
     elif vague and report.reason is StopReason.FOUND:
         return VAGUE
@@ -92,13 +92,13 @@ def wrong_sighting(task: AnalyzeTask) -> str:
 
 def _is_displaced(task: AnalyzeTask, place: list[float]) -> bool:
     """Whether the body was seen farther from its place in the seat than that place is unsure, and `within` more."""
-    sighting, figures, seat = task.report.sighting, task.step.figures, task.step.words.seat
+    sighting, step = task.report.sighting, task.step.of_kind(LookStep)
     if sighting is None:
         return False
-    inside = task.query.cell.seat(seat).module_frame.pose
-    unsure = pose_spread.spread_at(task.query.spread(f"{seat}.frame"), inside)
+    inside = task.query.cell.seat(step.seat).module_frame.pose
+    unsure = pose_spread.spread_at(task.query.spread(f"{step.seat}.frame"), inside)
     off = [max(0.0, abs(n) - m) for n, m in zip(pose_spread.error_of(place, sighting.pose), unsure, strict=True)]
-    return math.hypot(*off[:3]) > (figures.within_m or 0.0) or math.hypot(*off[3:]) > (figures.within_rad or 0.0)
+    return math.hypot(*off[:3]) > step.within_m or math.hypot(*off[3:]) > step.within_rad
 
 
 def after_failure(task: AnalyzeTask, _: bool) -> Changes:
@@ -147,7 +147,7 @@ def spread_of(sighting: Sighting, task: AnalyzeTask) -> list[float]:
     covariance = np.asarray(sighting.covariance).reshape(6, 6)
     own = [turn.T @ block @ turn for block in (covariance[:3, :3], covariance[3:, 3:])]
     bounds = [trust.SIGMAS * math.sqrt(max(0.0, float(n))) for block in own for n in np.diag(block)]
-    floor = even(task.step.figures.seen_m or 0.0, task.step.figures.seen_rad or 0.0)
+    floor = even(task.step.of_kind(LookStep).seen_m, task.step.of_kind(LookStep).seen_rad)
     return [*widened(bounds, floor)[:3], *(min(WIDEST_RAD, n) for n in widened(bounds, floor)[3:])]
 
 
@@ -167,7 +167,7 @@ def _doubt(task: AnalyzeTask, sighting: Sighting) -> str:
 
 def _only_watched(task: AnalyzeTask) -> bool:
     """Whether the body carries others, which the step does not place with it."""
-    return task.step.figures.play_m is None and bool(task.query.cell.mounted(task.evaluation.body))
+    return task.step.of_kind(LookStep).play_m is None and bool(task.query.cell.mounted(task.evaluation.body))
 
 
 def _is_elsewhere(task: AnalyzeTask, sighting: Sighting) -> bool:
@@ -221,16 +221,16 @@ def _in_hand(query: WorldQuery, thing: str, frame: Array, spread: list[float], v
 
 def _seated(task: AnalyzeTask, frame: Array, spread: list[float], validity: Validity) -> Changes:
     """The seat that the object is in. A step with `play_m` also locates it: it holds the object up to this play."""
-    thing, figures = task.evaluation.body, task.step.figures
+    thing, step = task.evaluation.body, task.step.of_kind(LookStep)
     if task.query.cell.object(thing).fixed or task.query.hinge(thing) is not None:
         return []
-    seat = seated.seat_at(frame, task.query, figures.seated_m or 0.0)
+    seat = seated.seat_at(frame, task.query, step.seated_m)
     if any(other != thing for other in task.query.inside(seat)):
         seat = ""
     changes = [WorldChange(key=f"{thing}.seat", value=seat, validity=validity)]
     if seat != task.query.seat(thing):
         return changes
-    return [*changes, *seated.its_frame(task.query, thing, frame, spread, figures.play_m or 0.0, validity)]
+    return [*changes, *seated.its_frame(task.query, thing, frame, spread, step.play_m or 0.0, validity)]
 
 
 def _mounted(query: WorldQuery, body: WorldChange) -> Changes:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import fmean
 
-from rtc.protocol.messages import BoundStep, EvaluationContext, PictureTime
+from rtc.protocol.messages import BoundStep, EvaluationContext, LookStep, PictureTime
 from rtc.protocol.primitive import Look, TagGeometry
 from rtc.sensing import optics
 from rtc.sensing.windows import windows
@@ -19,12 +19,12 @@ from workers.tasks.bind_task import BindTask, RuledTask, refused_program
 
 def bind_look(task: BindTask) -> BoundStep:
     """Figures of the step: `pictures`, or `duration_s` to follow the body every `every_s`. Raises Refused."""
-    ruled = task.under(task.data.step.stop)
-    cameras, body, values = _cameras(ruled), ruled.data.step.body, ruled.values
-    follows_s = values.get("duration_s")
+    step = task.data.step.of_kind(LookStep)
+    ruled = task.under(step.stop)
+    cameras, body, values, follows_s = _cameras(ruled), step.body, ruled.values, step.duration_s
     evaluation = EvaluationContext(
         context=ruled.data.context,
-        step=ruled.data.step,
+        step=step,
         predicted_s=_lasts_s(ruled, _in_turn(ruled, cameras), body) if follows_s is None else follows_s,
         body=body,
         body_pose=_place(ruled),
@@ -78,7 +78,7 @@ def _in_turn(task: RuledTask, cameras: Sequence[str]) -> list[str]:
 
 
 def _cameras(task: RuledTask) -> list[str]:
-    cameras, known = task.data.step.cameras, [camera.name for camera in task.query.cell.cameras]
+    cameras, known = task.data.step.of_kind(LookStep).cameras, [camera.name for camera in task.query.cell.cameras]
     for name in cameras or [""]:
         if name not in known:
             raise suggestions.unknown("camera", name, known)
@@ -95,5 +95,5 @@ def _tags(task: RuledTask, body: str) -> list[TagGeometry]:
 
 def _place(task: RuledTask) -> list[float] | None:
     """Where the body should be: seated in the seat that the step names; None: the step checks nothing."""
-    seat = task.data.step.words.seat
+    seat = task.data.step.of_kind(LookStep).seat
     return task.query.seated_pose(seat).tolist() if seat else None

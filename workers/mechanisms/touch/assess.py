@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rtc.protocol.messages import Validity, WorldChange
+from rtc.protocol.messages import MoveStep, Validity, WorldChange
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
 from workers.planning import pose_spread
@@ -45,14 +45,13 @@ def touched(task: AnalyzeTask) -> Found:
     """
     trip = task.report.trip_pose or task.report.tcp_pose
     end, way = _search(task)
-    figures = task.step.figures
-    later_m = float(np.dot(trip[:3] - end, way)) + (figures.beyond_m or 0.0)
+    step = task.step.of_kind(MoveStep)
+    later_m = float(np.dot(trip[:3] - end, way)) + step.beyond_m
     before, spread = task.object_frame
     after = geometry.translate(before, later_m * way)
     point = task.point.frame.pose
     axis = int(np.argmax(np.abs(geometry.rotate(geometry.inverse(geometry.compose(before, point)), way))))
-    lever_m = figures.lever_m or 0.0
-    half_width = (figures.felt_m or 0.0) + lever_m * pose_spread.unsure_across(spread, point, axis)
+    half_width = step.felt_m + step.lever_m * pose_spread.unsure_across(spread, point, axis)
     return after, pose_spread.spread_after_measurement(before, after, spread, point, {axis: half_width})
 
 
@@ -63,8 +62,8 @@ def tilted(task: AnalyzeTask) -> Found:
     """
     trip = task.report.trip_pose or task.report.tcp_pose
     end, way = _search(task)
-    figures = task.step.figures
-    later_m, apart_m = float(np.dot(trip[:3] - end, way)) + (figures.beyond_m or 0.0), figures.apart_m or 0.0
+    step = task.step.of_kind(MoveStep)
+    later_m, apart_m = float(np.dot(trip[:3] - end, way)) + step.beyond_m, step.apart_m
     before, spread = task.object_frame
     point = task.point.frame.pose
     there = geometry.inverse(geometry.compose(before, point))
@@ -76,14 +75,14 @@ def tilted(task: AnalyzeTask) -> Found:
     turn[axis] = math.copysign(later_m / apart_m, later_m / apart_m * float(about[axis]))
     turned = geometry.compose(geometry.compose(before, pivot), geometry.from_rpy([0.0, 0.0, 0.0], turn))
     after = geometry.normalise(geometry.compose(turned, geometry.inverse(pivot)))
-    measured = {3 + axis: (figures.tilt_m or 0.0) / abs(apart_m)}
+    measured = {3 + axis: step.tilt_m / abs(apart_m)}
     return after, pose_spread.spread_after_measurement(before, after, spread, pivot, measured)
 
 
 def beyond(task: AnalyzeTask) -> Found:
     """A search ended without contact: the object is assumed `aside_m` farther along it."""
     _, way = _search(task)
-    return _shifted(task, (task.step.figures.aside_m or 0.0) * way)
+    return _shifted(task, task.step.of_kind(MoveStep).aside_m * way)
 
 
 def beside(task: AnalyzeTask) -> Found | None:
@@ -92,7 +91,7 @@ def beside(task: AnalyzeTask) -> Found | None:
     if not wrench or not trip or abs(wrench[3]) < NO_TORQUE_NM:
         return None
     # A force on the finger at +y causes a torque about -x.
-    side = -math.copysign(task.step.figures.aside_m or 0.0, wrench[3])
+    side = -math.copysign(task.step.of_kind(MoveStep).aside_m, wrench[3])
     return _shifted(task, geometry.rotate(trip, [0.0, side, 0.0]))
 
 

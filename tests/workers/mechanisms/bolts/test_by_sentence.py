@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from rtc.model.cells.cell import Cell
 from rtc.protocol.advice import sentences_of
-from rtc.protocol.messages import Assessment, Script, Validity, WorldChange
+from rtc.protocol.messages import Assessment, LookStep, Script, Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.spatial import geometry, hinges
 from rtc.wording.advice import in_one_line
@@ -104,7 +104,7 @@ def test_a_camera_looks_for_a_driver_that_is_not_known_well(bench: Bench, within
     known_poorly(bench, within_m)
     script = bench.elaborate(DRIVER)
     assert isinstance(script, Script)
-    assert (script.steps[0].cameras == ["CAMERA-7"]) == looks
+    assert (isinstance(first := script.steps[0], LookStep) and first.cameras == ["CAMERA-7"]) == looks
 
 
 @pytest.mark.parametrize(("within_m", "refused"), [(0.0149, False), (0.015, True)])
@@ -126,7 +126,7 @@ def test_a_driver_that_a_bolt_may_have_turned_is_seen_before_it_is_put_back(
     bench.world = bench.world.overlay(turned)
     script = bench.elaborate("PLACE POWER-DRIVER ON TOOL-RACK WITH RIGHT-ARM")
     assert isinstance(script, Script), script
-    assert bool(script.steps[0].cameras) == looks
+    assert isinstance(script.steps[0], LookStep) == looks
 
 
 def known_poorly(bench: Bench, within_m: float) -> None:

@@ -133,8 +133,8 @@ def test_a_new_attribute_is_kept_as_it_is_stated(bench, sentence, key, value):
     state(bench, sentence)
     assert bench.world.value(f"MACS-NEW.{key}") == (pytest.approx(value) if isinstance(value, list) else value)
     script = bench.elaborate(sentence)  # and again, now that it is known
-    assert all("no program uses it" in step.words.says for step in script.steps)  # the result states it
-    assert not any(step.words.says for step in bench.elaborate("SET MACS-NEW MASS 2 KG").steps)
+    assert all("no program uses it" in step.says for step in script.steps)  # the result states it
+    assert not any(step.says for step in bench.elaborate("SET MACS-NEW MASS 2 KG").steps)
     state(bench, sentence)
 
 

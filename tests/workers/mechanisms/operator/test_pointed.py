@@ -19,7 +19,7 @@ def pointed(bench, of_hand: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, l
     """Frame and spread of the module after DONE. `of_hand`: its tcp, in the axes of the true grasp point."""
     bench.unsurveyed()
     script = bench.elaborate(ASKED)
-    (step,) = [step for step in script.steps if step.words.effect == "pointed"]
+    (step,) = [step for step in script.steps if step.effect == "pointed"]
     bound = bench.bind(script, step)
     assert isinstance(bound, BoundStep), bound
     point = bench.model.cell.object("MACS-NEW").grasp_point("HANDLE-A").frame.pose

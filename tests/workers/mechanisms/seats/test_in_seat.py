@@ -63,7 +63,7 @@ def test_two_arms_do_not_press_a_module_deeper_into_its_seat(both_in_the_bay):
 def test_two_arms_do_not_turn_a_module_in_its_seat(both_in_the_bay):
     script = both_in_the_bay.elaborate("MOVE BOTH-ARMS BY 5 CM ALONG BACK")
     step = script.steps[0]
-    step = msgspec.structs.replace(step, figures=msgspec.structs.replace(step.figures, by_rad=0.1))
+    step = msgspec.structs.replace(step, by_rad=0.1)
 
     refused = both_in_the_bay.bind(script, step)
 

@@ -246,7 +246,7 @@ def test_the_number_of_a_command_does_not_make_its_way_long() -> None:
     def length_m() -> float:
         script = bench.elaborate("MOVE RIGHT-ARM TO CLEAR-POINT-1 MAINTAIN POSE-DURING-MOTION LEVEL")
         assert isinstance(script, Script), script
-        knots = next(step.way.knots for step in script.steps if step.way is not None)
+        knots = next(step.way.knots for step in script.steps if step.to and step.way is not None)
         places = [bench.model.arms["RIGHT-ARM"].fk(q)[:3] for q in knots]
         return sum(math.dist(here, there) for here, there in itertools.pairwise(places))
 
