@@ -14,7 +14,7 @@ import math
 import numbers
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -102,12 +102,15 @@ def _problems(row: Any, name: str, earlier: Sequence[Mechanism]) -> Iterator[str
                     yield f"{word} in its {table} is one of the mechanism {other.name}"
     for table in WORDS:
         for word in getattr(row, table):
-            if words_of_packages.owner(word) != name:
+            if not isinstance(word, str) or words_of_packages.owner(word) != name:
                 yield f"{word} in its {table} does not begin with {name}."
     for table in OF_EFFECTS:
         for word in getattr(row, table):
             if word not in row.effects:
                 yield f"{word} in its {table} is none of its effects"
+    for word, figures in checked(row.reads, Mapping[str, Collection[str]]).items():
+        if word not in row.actions:
+            yield f"{word} reads {', '.join(figures)}, and is none of its actions"
     for field in OURS:
         if getattr(row, field):
             yield f"{field} is no field for a package"
