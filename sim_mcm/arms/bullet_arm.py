@@ -182,6 +182,7 @@ class BulletArm:
         self.mount(hand)
         if before:  # it stays where it is, and the jaws of the coupler are still closed on it
             world.lay_down(before, self._couplers.place(before, self._sample.joints))
+            world.catch()  # before gravity has moved it
             half = 0.5 * self._couplers.point(before).width_m
             self._put([*self._sample.joints, half, half])
             self._hand.hold(2.0 * half)
@@ -443,7 +444,7 @@ class BulletCell:
         for arm in self._all:
             arm.others = [other for other in self._all if other is not arm]
         self._detents = Detents(self.world, self.bolts.fasten)
-        self.world.let_go = self._detents.let_go
+        self.world.let_go, self.world.catch = self._detents.let_go, self._detents.look
         if seed := physics_seed():
             self._perturb(seed)
         self._settle()

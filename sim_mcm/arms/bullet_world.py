@@ -91,7 +91,9 @@ class PhysicsWorld:
         self._weights: dict[str, tuple[Any, ...]] = {}  # of objects without a body: pybullet's dynamics that they had
         #: hands in couplers, which are parts of their arms: name -> where it is
         self.coupled: dict[str, Callable[[], Array]] = {}
-        self.let_go: Callable[[str], None] = lambda name: None  # of the catches of seats
+        # Of the catches of seats: they let go of an object, or catch what rests in a seat.
+        self.let_go: Callable[[str], None] = lambda name: None
+        self.catch: Callable[[], None] = lambda: None
         self.free = {thing.name for thing in cell.objects if not thing.fixed and thing.hinge is None}
         self.threaded = {thing.name for thing in cell.objects if thing.thread is not None}
         self.movable = {thing.name for thing in cell.objects if not thing.fixed}

@@ -39,7 +39,13 @@ def with_partner(task: RuledTask, bound: BoundStep, motion: Timed) -> BoundStep:
     )
     gains = {"wn": values["laden_wn_rad_s"]}
     law = ControlLaw(name="impedance", gains=gains, load=_half(query.load(context.partner)), compliance=compliance)
-    partner = Partner(performer=context.partner, trajectory=motion.trajectory(), control_law=law, stop_functions=stops)
+    partner = Partner(
+        performer=context.partner,
+        trajectory=motion.trajectory(),
+        control_law=law,
+        stop_functions=stops,
+        hand=task.query.hand_planned_with(context.partner),
+    )
     leads = msgspec.structs.replace(made.control_law, load=_half(made.control_law.load))
     whole = msgspec.structs.replace(made, control_law=leads, partner=partner)
     return msgspec.structs.replace(bound, primitive=whole)

@@ -110,7 +110,7 @@ def _cell(path: Path) -> tuple[list[Finding], Cell | None]:
 
 def _read_twice(cell: Cell, folders: list[Path]) -> Iterator[Finding]:
     """What planning and physics read differently in the URDF of each arm."""
-    for urdf in dict.fromkeys(arm.urdf for arm in cell.arms):
+    for urdf in dict.fromkeys(one.urdf for arm in cell.arms for one in arm.with_each_hand):
         texts = {name: text for name, text in cell.texts.items() if name.endswith(hulls.SUFFIX)}
         file = _beside(folders, urdf)
         for where, problem, expected in two_readers.differences(cell.texts[urdf], texts, shapes=True):
@@ -204,28 +204,38 @@ def _models(path: Path, plain: Any, text: bytes, folders: list[Path]) -> Iterato
     for n, arm in enumerate(arms if isinstance(arms, list) else []):
         if not isinstance(arm, dict):
             continue
-        urdf, srdf = (_beside(folders, str(arm.get(key, ""))) for key in ("urdf", "srdf"))
-        for key, file in (("urdf", urdf), ("srdf", srdf)):
-            if key in arm and not file.is_file():
-                yield _at(
-                    path, text, f"arms[{n}].{key}", f"there is no file {file}", expected="a file beside the cell's"
-                )
-        if urdf.is_file() and urdf not in seen:
-            seen.add(urdf)
-            yield from of_urdf(urdf, in_cell=True)
-            if srdf.is_file():
-                yield from _srdf(srdf, urdf)
+        for place, part in _with_hands(f"arms[{n}]", arm):
+            urdf, srdf = (_beside(folders, str(part.get(key, ""))) for key in ("urdf", "srdf"))
+            for key, file in (("urdf", urdf), ("srdf", srdf)):
+                if key in part and not file.is_file():
+                    problem = f"there is no file {file}"
+                    yield _at(path, text, f"{place}.{key}", problem, expected="a file beside the cell's")
+            if urdf.is_file() and urdf not in seen:
+                seen.add(urdf)
+                yield from of_urdf(urdf, in_cell=True)
+                if srdf.is_file():
+                    yield from _srdf(srdf, urdf)
         try:
             spec = msgspec.convert(arm, Arm)
-            both = {spec.urdf: urdf, spec.srdf: srdf}
-            texts = {name: file.read_text(encoding="utf-8") for name, file in both.items() if file.is_file()}
+            models = {one.urdf for one in spec.with_each_hand}
+            every = {name: _beside(folders, name) for name in models | {one.srdf for one in spec.with_each_hand}}
+            texts = {name: file.read_text(encoding="utf-8") for name, file in every.items() if file.is_file()}
         except (msgspec.ValidationError, ValueError, OSError):
             continue  # reported above
-        if {spec.urdf, spec.srdf} <= set(texts) and not _wrong_values(texts[spec.urdf]):
-            named = model_checks.hulls(texts[spec.urdf])
+        if every.keys() == texts.keys() and not any(_wrong_values(texts[name]) for name in models):
+            named = [file for name in sorted(models) for file in model_checks.hulls(texts[name])]
             beside = {file: "" for file in named if _beside(folders, file).is_file()}
             for where, problem in model_checks.problems([spec], texts | beside):
                 yield _at(path, text, where.replace("arms[0]", f"arms[{n}]", 1), problem)
+
+
+def _with_hands(place: str, arm: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """An arm of a plain cell, and each of its hands, with their places."""
+    yield place, arm
+    hands = arm.get("hands")
+    for m, hand in enumerate(hands if isinstance(hands, list) else []):
+        if isinstance(hand, dict):
+            yield f"{place}.hands[{m}]", hand
 
 
 def _wrong_values(urdf: str) -> bool:
@@ -419,6 +429,16 @@ Place = tuple[str, str, str, str]  # where, problem, severity, expected
 
 
 def _geometry(cell: Cell) -> Iterator[Place]:
+    """An arm must be sound with each of its hands; a place or an object needs one with which it is reached."""
+    hands = [(arm.name, hand.name) for arm in cell.arms for hand in arm.hands]
+    every = [list(_fitted_geometry(cell.with_hands(dict(one)))) for one in ([], *([pair] for pair in hands))]
+    arms = dict.fromkeys(row for rows in every for row in rows if row[0].startswith("arms"))
+    everywhere = set.intersection(*({row[0] for row in rows} for rows in every))
+    yield from arms
+    yield from (row for row in every[0] if row[0] in everywhere and row not in arms)
+
+
+def _fitted_geometry(cell: Cell) -> Iterator[Place]:
     try:
         world = CollisionWorld(cell)
         models = {arm.name: ArmModel.of(cell, arm.name) for arm in cell.arms}

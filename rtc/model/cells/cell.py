@@ -201,9 +201,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
 
 def _models(arms: Sequence[Arm]) -> Iterator[tuple[int, Arm]]:
     """Each arm with its number, and again with each of its hands."""
-    for n, arm in enumerate(arms):
-        yield n, arm
-        yield from ((n, arm.with_hand(hand.name)) for hand in arm.hands)
+    return ((n, fitted) for n, arm in enumerate(arms) for fitted in arm.with_each_hand)
 
 
 def file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:

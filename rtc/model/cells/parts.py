@@ -183,6 +183,11 @@ class Arm(CellPart, frozen=True, kw_only=True):
         )
 
     @property
+    def with_each_hand(self) -> list[Arm]:
+        """The arm without a hand, then with each of its hands."""
+        return [self, *(self.with_hand(hand.name) for hand in self.hands)]
+
+    @property
     def home_rad(self) -> list[float]:
         """rad, and m for a joint that slides."""
         return _si(self.home_deg)

@@ -42,7 +42,7 @@ class StartAfter(Strict, frozen=True, kw_only=True, omit_defaults=True):
         return next((path_s for at_s, path_s in reversed(self.further) if at_s < own_s), self.path_s)
 
 
-class Partner(Strict, frozen=True, kw_only=True):
+class Partner(Strict, frozen=True, kw_only=True, omit_defaults=True):
     """The part of a second arm in one primitive: both arms start in the same tick, and a stop of one stops the other.
 
     Two arms that hold one object form a closed chain: one leads, the other complies (impedance)."""
@@ -51,6 +51,7 @@ class Partner(Strict, frozen=True, kw_only=True):
     trajectory: JointTrajectory
     control_law: ControlLaw
     stop_functions: list[StopFunction]
+    hand: str | None = None  # as that of a primitive
 
 
 class Primitive(Strict, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):

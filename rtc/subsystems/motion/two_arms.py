@@ -35,6 +35,7 @@ class Pairs:
             trajectory=part.trajectory,
             stop_functions=part.stop_functions,
             control_law=part.control_law,
+            hand=part.hand,
         )
         leading, complying = self._executors[primitive.performer], self._executors[part.performer]
         (answer,) = complying.accept(second, now_s)

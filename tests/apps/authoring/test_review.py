@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import msgspec
 import pytest
 import yaml
 
@@ -13,6 +14,7 @@ from rtc.apps.authoring.robot_file import RobotFile
 from rtc.model.cells.cell import CELLS
 from rtc.protocol.outcomes import ProgramError
 from tests.apps.authoring.conftest import DATA
+from tests.plugins.tool_changer.cells import with_hands
 
 
 @pytest.fixture
@@ -123,6 +125,19 @@ def test_fingers_close_on_two_sides_as_wide_as_stated(copy, yaw_deg, width_m, pr
     copy.write_text(yaml.safe_dump(plain))
     finding = found(copy).get("$.objects[1].grasp_points[0]")
     assert (finding.problem if finding else "") == problem
+
+
+def test_an_arm_is_checked_with_each_of_its_hands(tmp_path):
+    cell = with_hands()
+    for name, text in cell.texts.items():
+        (tmp_path / name).write_text(text)
+    file = tmp_path / "cell.yaml"
+    file.write_bytes(msgspec.structs.replace(cell, texts={}).encode())
+    assert found(file) == {}
+    spoil(tmp_path / "HAND-B.urdf", ('<mass value="0.6"/>', '<mass value="-1"/>'))
+    assert {"link palm"} == set(found(file))
+    (tmp_path / "HAND-A.urdf").unlink()
+    assert "$.arms[0].hands[0].urdf" in found(file)
 
 
 def test_a_posture_that_the_motors_cannot_hold_is_an_error(copy):

@@ -65,7 +65,7 @@ def _coupler(puma: str) -> str:
 def _with(puma: str, name: str) -> str:
     wide_m, long_m, tcp_m, body_kg, opening_m, _, _ = FIGURES[name]
     boxes = _box(0.05, 0.05, 0.015, 0.0075) + _box(0.02, 0.044, 0.027, 0.0285) + _box(0.05, wide_m, 0.028, 0.056)
-    mass_kg = COUPLER_KG + 2 * JAW_KG + body_kg
+    mass_kg = round(COUPLER_KG + 2 * JAW_KG + body_kg, 3)
     at = (COUPLER_KG * 0.0075 + 2 * JAW_KG * 0.028 + body_kg * 0.056) / mass_kg
     return _urdf(puma, _link("palm", mass_kg, at, boxes, 6e-4), LENGTH_M, long_m, 0.5 * opening_m, FINGER_KG, tcp_m)
 

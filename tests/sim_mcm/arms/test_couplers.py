@@ -130,6 +130,24 @@ def test_a_motion_that_was_planned_with_another_hand_is_refused(bench_at, make):
     assert (report.reason, report.hand) == (StopReason.REFUSED, HAND)
 
 
+def test_a_second_arm_that_was_planned_with_another_hand_is_refused(bench_at, make):
+    bench = bench_at(at(HAND))
+    paths = {
+        name: make.joint_path(arm.read().joints, arm.read().joints, 1.0) for name, arm in bench.simulation.arms.items()
+    }
+    second = p.Partner(
+        performer=ARM,
+        trajectory=paths[ARM],
+        control_law=p.ControlLaw(),
+        stop_functions=make.complete(),
+        hand=HAND,
+    )
+
+    report = bench.perform(make.primitive(paths["LEFT-ARM"], performer="LEFT-ARM", partner=second))
+
+    assert report.reason is StopReason.REFUSED
+
+
 def test_a_halt_before_the_coupler_locks_leaves_all_as_it_was(bench_at, make):
     bench = bench_at(at(HAND))
     order = p.Primitive(
@@ -190,3 +208,18 @@ def test_an_arm_without_a_coupler_locks_nothing(bench_at):
     report = bench.perform(wanted)
 
     assert (report.reason, report.hand) == (StopReason.REFUSED, None)
+
+
+@pytest.mark.physics
+def test_under_gravity_the_wrist_feels_no_weight_of_its_hand_and_the_rack_bears_it(make) -> None:
+    simulation = placed(BulletCell(msgspec.structs.replace(CELL, gravity_m_s2=(0.0, 0.0, -9.81))), at(HAND))
+    bench = make.Bench(simulation)
+    bench.tick(200)
+    before = simulation.truth()["poses"][HAND]
+
+    for hand in (HAND, ""):
+        assert couple(bench, hand, len(hand), planned_with="" if hand else HAND).hand == hand
+        bench.tick(300)
+        force = np.linalg.norm(simulation.arms[ARM].read().wrench[:3])
+        assert force < 0.1 * 9.81 * CELL.object(HAND).mass_kg
+        assert geometry.distance(simulation.truth()["poses"][HAND], before) < REACHED_M
