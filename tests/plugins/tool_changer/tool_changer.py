@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-
 from rtc.protocol.messages import BoundStep, EvaluationContext, Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, Refused
 from rtc.protocol.primitive import Coupling
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
-from rtc.world.model import location
 from workers.conditions.prediction import Expected
 from workers.mechanisms.mechanism import Mechanism
 from workers.planning.world_query import WorldQuery
@@ -149,17 +146,6 @@ def in_doubt(task: AnalyzeTask, retried: bool) -> Changes:
     return [WorldChange(key=f"{hand}.{name}", keep_value=True, validity=Validity.SUSPECT) for name in ("frame", "seat")]
 
 
-def contradictions(
-    changes: Sequence[WorldChange], query: WorldQuery, after: WorldQuery, values: Mapping[str, float]
-) -> Iterator[tuple[str, str]]:
-    """A hand is at one place: in a coupler, or where a user states it."""
-    has = {after.hand(arm.name): arm.name for arm in after.cell.arms if after.trusts(f"{arm.name}.hand")}
-    for change in changes:
-        hand = location(change.key)
-        if hand in has and change.key.endswith((".frame", ".seat")) and change.value:
-            yield change.key, f"{hand} is in the coupler of {has[hand]}"
-
-
 MECHANISM = Mechanism(
     name="tool_changer",
     arms=arms,
@@ -174,5 +160,4 @@ MECHANISM = Mechanism(
     },
     violated={"tool_changer.taken": not_taken, LAID_DOWN: adrift},
     after_failure={"tool_changer.taken": in_doubt, LAID_DOWN: in_doubt},
-    contradictions=(contradictions,),
 )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
+import pytest
 
 from rtc.protocol.messages import Limits, Validity, WorldChange
 from rtc.world.model import World, initial_facts
 from tests.plugins.tool_changer.cells import FIGURES, OUT_M, with_hands
 from tests.workers.conftest import MODEL
+from workers.mechanisms.facts import assess
 from workers.planning import scenes
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -62,3 +64,13 @@ def test_the_hand_in_the_coupler_is_no_obstacle_in_its_rack() -> None:
 
     assert HAND in hits("")
     assert HAND not in hits(HAND)
+
+
+@pytest.mark.parametrize(("validity", "refused"), [(Validity.VALID, True), (Validity.SUSPECT, False)])
+def test_a_hand_in_a_coupler_lies_nowhere_else(validity: Validity, refused: bool) -> None:
+    stated = [WorldChange(key=f"{HAND}.seat", value=f"{HAND}-RACK")]
+    before = query(HAND, validity)
+
+    found = [key for key, _ in assess.hands(stated, before, before.after(stated), {})]
+
+    assert found == ([f"{HAND}.seat"] if refused else [])

@@ -14,5 +14,5 @@ MECHANISM = Mechanism(
     plausible=assess.PLAUSIBLE,
     follows={"facts": assess.whole},
     impossible=assess.too_heavy,
-    contradictions=(assess.postures, assess.spreads, assess.names, assess.mounts),
+    contradictions=(assess.postures, assess.spreads, assess.names, assess.mounts, assess.hands),
 )

@@ -120,6 +120,16 @@ def names(changes: Sequence[WorldChange], query: WorldQuery, _: WorldQuery, __: 
             yield change.key, f"{change.key} is {change.value!s:.40}, and there is no such {kind}; there are {there}"
 
 
+def hands(changes: Sequence[WorldChange], _: WorldQuery, after: WorldQuery, __: Values) -> Problems:
+    """A hand is at one place: in the coupler of an arm, or where it is stated."""
+    arms = [arm.name for arm in after.cell.arms if arm.hands and after.trusts(f"{arm.name}.hand")]
+    in_coupler = {after.hand(arm): arm for arm in arms if after.hand(arm)}
+    for change in changes:
+        thing, _dot, attribute = change.key.rpartition(".")
+        if thing in in_coupler and attribute in ("frame", "seat") and change.value and not change.keep_value:
+            yield change.key, f"{thing} is in the coupler of {in_coupler[thing]}"
+
+
 # --- all facts at once -----------------------------------------------------------------------------------
 
 
