@@ -297,6 +297,12 @@ def test_a_clearance_is_planned_and_watched_but_not_beside_what_the_command_is_a
     assert len(conditions(grasp, ClearanceBelow)[0].except_near) == 2  # the module and its rack
 
 
+def test_what_the_operator_moves_by_hand_keeps_its_distance_from_its_seat_too(bench) -> None:
+    assert bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").succeeded
+    (watched,) = conditions(bound(bench, "GIVE RIGHT-ARM TO OPERATOR", 1), ClearanceBelow)
+    assert watched.except_near == []
+
+
 @pytest.mark.parametrize("words", [" LEVEL", ""])
 def test_an_attitude_is_kept_all_the_way(bench, words) -> None:
     primitive = bound(bench, f"{TO} MAINTAIN POSE-DURING-MOTION{words}")
