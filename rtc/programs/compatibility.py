@@ -17,6 +17,9 @@ def row_of(step: ScriptStep | Step) -> str:
     return step.stop or "-".join(filter(None, (step.do, step.op)))
 
 
+PLAIN = ScriptStep(do="let")
+
+
 def computes(step: ScriptStep, binder: BinderProgram) -> bool:
     """Whether a step yields bindings, without motion."""
     return bool({step.do, binder.procedures.get(step.name, "")} & {*binder.computes})
@@ -46,7 +49,11 @@ def _step(placed: PlacedStep, binder: BinderProgram, analyzer: AnalyzerProgram) 
         yield from known("motion of the hand", step.op, binder.hand, f"{place}.op")
     if kind is ProcedureStep:
         yield from known("procedure", step.name, binder.procedures, f"{place}.name")
-    if not computes(step, binder):
+    if computes(step, binder):
+        for part in ("args", "words", "keep", "expect"):
+            if getattr(step, part) != getattr(PLAIN, part):
+                yield f"{place}.{part}", f"a step that moves nothing does not read {part}: leave it out"
+    else:
         yield from known("row of the analyzer's outcomes", row_of(step), analyzer.outcomes, place)
     lacks = sorted(OF_OPERATOR - analyzer.outcomes.get(row_of(step), {}).keys())
     if step.do == "operate" and row_of(step) in analyzer.outcomes and lacks:

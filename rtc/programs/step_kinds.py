@@ -49,6 +49,8 @@ WRITTEN = (
     *COLUMNS,
 )
 
+#: word -> its values
+CHOICES = {"until": ("ends", "watched"), "operator_has": ("hand", "spindle"), "leaves": ("seat",)}
 #: effect of success, or of a failure (`missed`) -> the kinds of steps that can have it
 EFFECTS: dict[str, tuple[type[BaseStep], ...]] = {
     **dict.fromkeys(("felt", "tilted", "passed", "landed"), (m.MoveStep,)),
@@ -150,6 +152,8 @@ def problems(step: ScriptStep, place: str) -> Problems:
     for word in step.words:
         if word not in words_of(kind):
             yield f"{place}.words.{word}", unknown("word that acts", word, words_of(kind))
+        elif step.words[word] not in CHOICES.get(word, (step.words[word],)):
+            yield f"{place}.words.{word}", unknown(f"value of {word}", step.words[word], CHOICES[word])
     for name in (field.name for field in fields if field.required and field.name not in ("label", "action")):
         if not (getattr(step, name, None) or name in step.words or name in step.args):
             yield place, f"a step {what} needs {name}"

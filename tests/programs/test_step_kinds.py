@@ -96,6 +96,13 @@ def problems(step: str) -> list[str]:
         ("do: operate, stop: operated, words: {operator_has: spindle}", ""),
         ("do: operate, stop: operated, to: GP, space: move_joint", ""),
         ("do: juggle", "do"),
+        # words without a meaning, and what a step without motion does not read
+        (f"{MOVE}, words: {{leaves: slot}}", "words.leaves"),
+        (f"{MOVE}, words: {{until: end}}", "words.until"),
+        ("do: operate, stop: operated, words: {operator_has: feet}", "words.operator_has"),
+        ("do: proc, name: grasp_plan, args: {width_m: 0.05}", "args"),
+        ("do: let, name: A, value: '1', keep: {B: report.pose}", "keep"),
+        ("do: let, name: A, value: '1', words: {effect: still_held}", "words.effect"),
     ],
 )
 def test_what_a_kind_of_step_does_not_read_is_refused_with_its_place(step: str, place: str) -> None:
