@@ -11,7 +11,7 @@ from rtc.model.cells.parts import Numbers
 #: elaborator: conditions of the world that a script may require
 NEEDS = (
     *("hand_empty", "object_free", "other_handle", "object_held", "object_seated", "object_hinged"),
-    *("seat_free", "width_known", "partner_empty", "object_in_target", "driver_held"),
+    *("seat_free", "width_known", "partner_empty", "object_in_target", "driver_held", "plug_fits", "in_socket"),
 )
 #: elaborator: anchors of plan lines
 ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge", "meeting", "here", "bolt", "bolt_out")
@@ -35,6 +35,7 @@ FIGURES = (
     "threaded",  # 1: the object has a thread; 0: it has none
     *("out_turns", "thread_turns"),  # by how many turns a bolt is out, and by how many it is loose
     "thread_m",  # length of its thread
+    *("contacts_m", "holds_n"),  # where a plug meets the contacts of its socket, and what its latch bears
     *("hinge_rad", "hinge_least_rad", "hinge_most_rad"),  # its angle, and its stops
     "hinge_lever_m",  # from the hinge to the grasp point in the hand
     "hinge_push",  # sign of the turn with which that point moves away from the hand
@@ -62,7 +63,7 @@ PLACEHOLDERS = (
 FAILURE_PLACEHOLDERS = (
     *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
     *("width", "wanted", "off", "or_load", "or_mass", "excess", "grip", "speed", "short", "jam"),
-    *("camera", "turned", "progress", "until"),
+    *("camera", "turned", "progress", "until", "mated"),
 )
 #: performers of steps
 CAMERA = "camera"

@@ -58,7 +58,7 @@ EFFECTS: dict[str, tuple[type[BaseStep], ...]] = {
     **dict.fromkeys(("still_held", "verified"), (ArmStep,)),
     **dict.fromkeys(("sighted", "unseen"), (LookStep,)),
     **dict.fromkeys(("turned", "tightened", "free"), (m.TurnStep, m.OperateStep)),
-    "head_felt": (m.MoveStep,),
+    **dict.fromkeys(("head_felt", "clicked", "latched", "demated"), (m.MoveStep,)),
     "handed": (m.HandOverStep,),
     "pointed": (m.OperateStep,),
 }

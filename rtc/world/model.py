@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MOVED = frozenset(
     {
         *("joints", "hand_width", "hand_force", "holding", "frame", "seat", "held_by", "grasp", "angle"),
-        *("turns", "state", "hand"),
+        *("turns", "state", "hand", "mating"),
     }
 )
 #: those of a held object that change with the motion of its hand

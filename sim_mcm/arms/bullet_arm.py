@@ -45,6 +45,7 @@ from sim_mcm.arms.hand_weight import HandWeight, PadTwist
 from sim_mcm.arms.joint_torques import JointTorques
 from sim_mcm.arms.kinematic_arm import displaced, home_on, moves_along
 from sim_mcm.arms.servo import Servo
+from sim_mcm.arms.sockets import ConnectorSockets
 
 FINGER_FRICTION = 1.0
 SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
@@ -445,6 +446,7 @@ class BulletCell:
             arm.others = [other for other in self._all if other is not arm]
         self._detents = Detents(self.world, self.bolts.fasten)
         self.world.let_go, self.world.catch = self._detents.let_go, self._detents.look
+        self._sockets = ConnectorSockets(self.world)
         if seed := physics_seed():
             self._perturb(seed)
         self._settle()
@@ -472,6 +474,7 @@ class BulletCell:
         for arm in self._all:
             arm.drive()
         self.bolts.step()
+        self._sockets.step()
         self.world.step()
         self.world.look_for_contacts()
         self._detents.step()
@@ -516,6 +519,7 @@ class BulletCell:
                 body.home = home_on(self.cell, thing, state.poses[thing.mounted_on])
             self.world.lay_down(name, state.poses[name])
         self.bolts.look()
+        self._sockets.forget()
         self._detents.look()
         self._settle()
 

@@ -1,4 +1,4 @@
-"""Forces of a seat on a carried object: bottom and catch (the kinematic counterpart of `detents`).
+"""Forces of a seat on a carried object: bottom, catch and contacts (the kinematic counterpart of `detents`).
 
 An object that rests within `CATCHES_M` of its seated place is caught. Pulled out along the seat's axis, it resists with
 the seat's `detent_n` for `BREAKS_M`. Pressed beyond its place, it meets the bottom. Side walls are left out.
@@ -16,6 +16,7 @@ from rtc.model.cells import cell as cells
 from rtc.model.cells import parts
 from rtc.spatial import geometry
 from rtc.spatial.geometry import Array
+from sim_mcm.arms.contacts import ASIDE_M, Contacts, out_m
 
 BREAKS_M = CATCHES_M = 0.004
 BOTTOM_M = 0.001  # play between a seated object and the bottom
@@ -38,11 +39,14 @@ class Seats:
         self._jammed: list[parts.Seat] = []
         self._wedged: dict[str, tuple[str, Array]] = {}  # object -> jammed seat, point where it was wedged
         self._cell = cell
+        self._sockets = [(seat, seat.mating, Contacts(seat.mating)) for seat in self._seats if seat.mating]
+        self._plugs = {thing.name: thing.plug for thing in cell.objects if thing.plug is not None}
 
     def away_m(self, pose: Array) -> float:
         """Distance (m) that an object at this pose can move without an effect of any seat."""
         places = [self._place(seat) for seat in self._seats + self._jammed]
         effect_m = WEDGES_M if self._jammed else 2 * CATCHES_M
+        effect_m = max([effect_m, *(mating.depth_m + ASIDE_M for _, mating, _ in self._sockets)])
         return min((geometry.distance(pose, place) for place in places), default=math.inf) - effect_m
 
     def jam(self, seat: str, jammed: bool) -> None:
@@ -61,6 +65,10 @@ class Seats:
             if (depth_m := float(np.linalg.norm(off))) > PULLED_M:
                 yield Felt(-off / depth_m, depth_m)
             return
+        for seat, mating, contacts in self._sockets if thing in self._plugs else ():
+            out = geometry.rotate(self._poses[seat.name], seat.way_out)
+            if mating.connector == self._plugs[thing] and (at_m := out_m(self._place(seat), out, pose)) is not None:
+                yield Felt(contacts.push_n(thing, at_m) * out, 0.0)
         at = self._caught.get(thing)
         if at is not None and math.dist(pose[:3], at) > BREAKS_M:
             del self._caught[thing]

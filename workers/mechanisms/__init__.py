@@ -6,7 +6,19 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from workers.mechanisms import bolts, facts, grip, hinges, installed_rows, operator, seats, sight, touch, two_arms
+from workers.mechanisms import (
+    bolts,
+    connectors,
+    facts,
+    grip,
+    hinges,
+    installed_rows,
+    operator,
+    seats,
+    sight,
+    touch,
+    two_arms,
+)
 from workers.mechanisms.mechanism import Mechanism
 
 MECHANISMS: tuple[Mechanism, ...] = (
@@ -15,6 +27,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     grip.MECHANISM,
     seats.MECHANISM,
     bolts.MECHANISM,
+    connectors.MECHANISM,
     touch.MECHANISM,
     sight.MECHANISM,
     operator.MECHANISM,

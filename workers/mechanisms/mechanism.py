@@ -41,6 +41,7 @@ Contradiction = Callable[
     [Sequence[WorldChange], WorldQuery, WorldQuery, Mapping[str, float]], Iterable[tuple[str, str]]
 ]
 About = Callable[[WorldQuery, str], Texts]  # texts about a body
+Felt = Callable[[WorldQuery, EvaluationContext, EndReport], EndReport]
 Report = Callable[[WorldQuery, Primitive, EvaluationContext, StopReason], EndReport]
 
 
@@ -117,6 +118,8 @@ class Mechanism:
     #: when a path reaches its goal before its end (s); None: it does not
     reached_s: Callable[[WorldQuery, Primitive], float | None] | None = None
     reports: Mapping[type, Report] = field(default_factory=dict)
+    #: effect of a step -> its predicted report, with the forces that an arm feels on its way
+    feels: Mapping[str, Felt] = field(default_factory=dict)
     #: advice: row of `clears` for a motion of this arm that a body blocks (empty: not of it); texts about a body
     way: Callable[[Refusal, WorldQuery, str, str], str] | None = None
     about: About | None = None

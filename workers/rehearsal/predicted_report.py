@@ -30,6 +30,7 @@ from workers.tasks.report import Course, at_rest, curve, first_s, predicate_of, 
 BEYOND = 1.05  # what trips a stop function, as a multiple of its limit
 
 TOUCH_S, REACHED_S = each(lambda mechanism: mechanism.touch_s), each(lambda mechanism: mechanism.reached_s)
+FEELS = joined(lambda mechanism: mechanism.feels)
 
 
 def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopReason | None = None) -> EndReport:
@@ -41,7 +42,7 @@ def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopRe
     ends = reason or evaluation.step.expect[0]  # the likely one comes first
     report = REPORTS[type(made.trajectory)](query, made, evaluation, ends)
     measured, limit = tripped(made, ends)
-    return replaced(
+    report = replaced(
         report,
         at_s=now_s + report.duration_s,
         measured=measured,
@@ -49,6 +50,8 @@ def end_report(query: WorldQuery, bound: BoundStep, now_s: float, reason: StopRe
         peak_force_n=measured or 0.0 if isinstance(predicate_of(made, ends), ForceAbove) else 0.0,
         peak_torque_nm=measured or 0.0 if isinstance(predicate_of(made, ends), TorqueAbove) else 0.0,
     )
+    feels = FEELS.get(evaluation.step.effect)
+    return feels(query, evaluation, report) if feels is not None and ends is StopReason.GOAL else report
 
 
 def tripped(made: Primitive, reason: StopReason) -> tuple[float | None, float | None]:

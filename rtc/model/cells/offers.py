@@ -12,7 +12,7 @@ Listing = Callable[[], list[str]]
 #: verbs of a hand: the name of a graspable object follows the verb or the hand
 HANDLING = {
     *("GRASP", "APPROACH", "RELEASE", "LIFT", "PUSH", "PULL", "PLACE", "INSERT", "EXTRACT", "ALIGN"),
-    *("CARRY", "HANDOFF"),
+    *("CARRY", "HANDOFF", "MATE", "DEMATE"),
 }
 LOOKING = {"LOCATE", "TRACK", "VERIFY"}
 #: last word typed -> kind of the names that may follow it
@@ -86,7 +86,7 @@ class CellNames:
         if last in NAME_KIND_AFTER:
             return NAME_KIND_AFTER[last]
         if last == "TO":
-            return "seats" if verb == "ALIGN" else "places"
+            return "seats" if verb in ("ALIGN", "MATE") else "places"
         if last in self._points:  # an object: one of its grasp points may follow
             return self._points[last]
         if last == "AT":

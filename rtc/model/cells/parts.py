@@ -230,6 +230,45 @@ class GraspPoint(CellPart, frozen=True, kw_only=True):
     planner: str = ""  # the grasp planner that has added it when the cell was read; empty: the file has it
 
 
+class Mating(CellPart, frozen=True, kw_only=True):
+    """What a plug feels on its way into the socket of a connector: contacts that rub, then a latch. Distances are from
+    the mated place, along the `way_out` of the seat. Its `detent_n` is the force with which the latch lets go."""
+
+    connector: Name  # plugs of this name fit
+    depth_m: Positive  # from here on the contacts rub, evenly more up to ...
+    rub_n: NotNegative  # ... this at the mated place
+    latch_m: Positive  # from here on the latch resists, evenly more up to ...
+    latch_n: NotNegative  # ... this ...
+    click_m: Positive  # ... here; then evenly less, up to the mated place
+    holds_n: Positive  # what the latch bears at least; `detent_n` pulls it open
+
+    def __post_init__(self) -> None:
+        if not self.click_m < self.latch_m <= self.depth_m:
+            raise ValueError(
+                "click_m < latch_m <= depth_m: contacts meet before the latch, and the latch before it clicks"
+            )
+
+    def rubs_n(self, out_m: float) -> float:
+        """Greatest friction of the contacts, this far from the mated place."""
+        return self.rub_n * min(1.0, max(0.0, 1.0 - out_m / self.depth_m))
+
+    def latches_n(self, out_m: float) -> float:
+        """Force of the latch against the way in."""
+        if out_m >= self.click_m:
+            return self.latch_n * max(0.0, (self.latch_m - out_m) / (self.latch_m - self.click_m))
+        return self.latch_n * max(0.0, out_m / self.click_m)
+
+    @property
+    def most_n(self) -> float:
+        """Greatest force against the way in."""
+        return self.latch_n + self.rubs_n(self.click_m)
+
+    @property
+    def gives_way_n_m(self) -> float:
+        """By how much the force of the latch falls on the way from the click to the mated place."""
+        return self.latch_n / self.click_m
+
+
 class Seat(CellPart, frozen=True, kw_only=True):
     """A fixed place for a module, such as a rack or bay. Shapes are in the seat's own axes."""
 
@@ -242,9 +281,18 @@ class Seat(CellPart, frozen=True, kw_only=True):
     detent_n: NotNegative = 0.0  # holding force of the catch; 0: no catch
     detent_nm: Positive | None = None  # torque with which it holds the attitude; None: `detent_n` at a lever of 1 m
     needs_within: KnownWithin | None = None  # maximum spread of a held module for insertion
+    mating: Mating | None = None  # the seat is the socket of a connector
     bolts: list[Name] = []  # objects with a thread: a module in the seat is fastened until all are turned out
     mounted_on: Name | None = None  # a fixed object: where that is, the seat goes with it
     shapes: list[AnyShape] = []
+
+    def __post_init__(self) -> None:
+        if self.mating is not None and not (
+            self.mating.depth_m <= self.depth_m and self.mating.holds_n < self.detent_n
+        ):
+            raise ValueError(
+                "a socket needs mating.depth_m of at most its depth_m, and mating.holds_n below its detent_n"
+            )
 
 
 class Hinge(CellPart, frozen=True, kw_only=True):
@@ -292,6 +340,7 @@ class Object(CellPart, frozen=True, kw_only=True):
     hinge: Hinge | None = None  # a door or lid: it turns about it, and goes nowhere else
     spindle: Spindle | None = None  # a driver
     thread: Thread | None = None  # a bolt; it is fixed but for its thread
+    plug: Name | None = None  # the connector whose plug it is
     mass_kg: Positive = 1.0
     # About the origin; None: from the shapes. Of an object with a hinge: about its centre of mass.
     inertia_kg_m2: tuple[Positive, Positive, Positive] | None = None
