@@ -228,7 +228,7 @@ def test_space_halts_a_motion_while_the_page_is_busy(page: Page):
     page.ask("setTimeout(() => { const end = performance.now() + 200; while (performance.now() < end); }, 0) && 0")
     page.press(" ")
     page.wait(f"{LAST_HALT}?.result.moving.includes('RIGHT-ARM') && {LAST_HALT}.result.confirmed")
-    assert page.ask(f"{LAST_HALT}.result.latency_s") > 0.0  # `test_floods` judges the whole time of such an answer
+    assert page.ask(f"{LAST_HALT}.result.latency_s") > 0.0  # `test_floods` judges how long it is
     page.wait("document.querySelector('#halt-report.good') !== null")
     page.wait(ENDED.format(text=SLOW, kind="halted"))
 
