@@ -30,7 +30,7 @@ NOTHING: Windows = {}
 GREY = np.full((480, 640, 3), 128, np.uint8)
 PERIOD_S = 0.1  # of a picture: those of several cameras come one after the other
 WINDOW_S = 0.01  # of one window of a picture: 5 to 15 ms were measured (decision 0150)
-START_S = 1.0  # of what draws, before the first picture
+START_S = 0.35  # of what draws, before the first picture: 0.31 to 0.35 s in six clusters
 
 
 class Ideal:
