@@ -24,6 +24,8 @@ FILLED = {
     **dict.fromkeys(("body", "before"), "DOOR-2"),
     **{
         "bolt": "BOLT-1",
+        "plug": "PLUG-1",
+        "socket": "SOCKET-1",
         "place": "CLEAR-POINT-1",
         "camera": "RAIL-CAMERA",
         "point": "HANDLE-A",
