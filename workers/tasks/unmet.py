@@ -30,7 +30,8 @@ def let_go(rows: Mapping[str, Advice], query: WorldQuery, thing: str) -> Advice:
     if not exists or query.hinge(thing) is not None or seat_at(query.frame(thing), query, IN_SEAT_M):
         return fill_in(rows.get("let_go", []), {"held": thing})
     taken = {query.seat(known.name) for known in query.cell.objects if known.name != thing}
-    free = [seat.name for seat in query.cell.seats if seat.name not in taken and _reaches(query, thing, seat.name)]
+    open_to_place = [seat.name for seat in query.cell.seats if seat.mating is None and seat.name not in taken]
+    free = [seat for seat in open_to_place if _reaches(query, thing, seat)]
     row = "let_go_in_air" if free else "let_go"
     return fill_in(rows.get(row, []), {"held": thing, "free": free})
 

@@ -215,12 +215,17 @@ def _first(parts: Sequence[Camera | Place | Seat | Region], otherwise: str) -> s
     return parts[0].name if parts else otherwise
 
 
+def _racks(cell: Cell) -> list[Seat]:
+    """The seats that PLACE fills: a socket is filled by MATE."""
+    return [seat for seat in cell.seats if seat.mating is None]
+
+
 #: kind -> function that reads it from a cell, and an example sentence for that cell
 KINDS: dict[str, tuple[Callable[[Cell], list[NameEntry]], Callable[[Cell], str]]] = {
     "arms": (_arms, lambda cell: f"STOW {_arm(cell)}"),
     "objects": (_objects, lambda cell: f"GRASP {_thing(cell)} WITH {_arm(cell)}"),
     "grasp-points": (_grasp_points, lambda cell: f"GRASP {_thing(cell)} {_point(cell)} WITH {_arm(cell)}"),
-    "seats": (_seats, lambda cell: f"PLACE {_thing(cell)} ON {_first(cell.seats, 'SEAT')}"),
+    "seats": (_seats, lambda cell: f"PLACE {_thing(cell)} ON {_first(_racks(cell), 'SEAT')}"),
     "places": (_places, lambda cell: f"MOVE {_arm(cell)} TO {_first(cell.places, 'PLACE')}"),
     "regions": (
         _regions,

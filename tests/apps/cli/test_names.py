@@ -23,7 +23,7 @@ def test_all_names_of_the_cell_are_listed(cell: Cell) -> None:
     assert {"HANDLE-A", "HANDLE-B", "LEVEL", "TOOL-Z", "UP"} <= listed
 
 
-@pytest.mark.parametrize("name", ["swapout", "panda", "gantry", "servicing"])
+@pytest.mark.parametrize("name", ["swapout", "panda", "gantry", "servicing", "connectors"])
 def test_the_examples_are_sentences_with_a_name_of_their_kind(name: str) -> None:
     cell = Cell.load(name)
     for kind, (read, example) in KINDS.items():
@@ -31,6 +31,12 @@ def test_the_examples_are_sentences_with_a_name_of_their_kind(name: str) -> None
         assert isinstance(parse(default_grammar(), sentence), ParsedCommand), sentence
         listed = {name for row in read(cell) for name in (row.name, *row.also)}
         assert not listed or listed & set(sentence.split()), kind
+
+
+def test_the_example_of_a_seat_names_none_that_place_does_not_fill() -> None:
+    cell = Cell.load("connectors")
+    named = set(KINDS["seats"][1](cell).split())
+    assert {seat.name for seat in cell.seats if seat.mating is None} & named
 
 
 def test_what_no_program_can_grasp_is_marked() -> None:

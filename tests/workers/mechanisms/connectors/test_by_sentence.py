@@ -78,6 +78,15 @@ def test_a_force_limit_below_that_of_the_latch_is_refused_and_one_above_it_is_no
     assert paper.test(f"{MATE} MAINTAIN FORCE-LIMIT {refusal.cause.value_n + 1.0:.0f} N").refusal is None
 
 
+def test_a_plug_is_not_advised_to_be_placed_on_a_socket() -> None:
+    paper = OnPaper(MODEL)
+    for sentence in (TAKEN[0], f"LIFT {PLUG} BY 5 CM"):  # in its stand still, in no place to be let go of
+        assert paper.test(sentence).refusal is None
+    advised = sentences_of(refusal_of(paper, f"RELEASE {PLUG}").clears)
+    assert advised
+    assert f"PLACE {PLUG} ON {SOCKET}" not in advised
+
+
 @pytest.mark.parametrize("sentence", [f"LIFT {PLUG} BY 5 CM", "MOVE RIGHT-ARM BY 5 CM ALONG UP", MATE])
 def test_a_mated_plug_is_only_pulled_out(paper: OnPaper, sentence: str) -> None:
     assert paper.test(MATE).refusal is None
