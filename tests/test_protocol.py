@@ -71,7 +71,7 @@ def context() -> Iterator[zmq.Context[zmq.Socket[bytes]]]:
 @pytest.fixture
 def front(context: zmq.Context[zmq.Socket[bytes]], run_dir: Path) -> Bare:
     front = Bare(context, run_dir, "front.sock")
-    front.send(type="ClientHello", client="bare", protocol=5)
+    front.send(type="ClientHello", client="bare", protocol=6)
     assert front.recv()["type"] == "Welcome"
     return front
 
@@ -124,7 +124,7 @@ def test_another_version_is_declined_with_both_and_listed(
 
 def test_messages_in_one_array(front: Bare) -> None:
     """Announced by the ability `arrays`, the answers may come in arrays too; each is a message like any other."""
-    front.send(type="ClientHello", client="bare", protocol=5, abilities=["arrays"])
+    front.send(type="ClientHello", client="bare", protocol=6, abilities=["arrays"])
     assert front.recv()["abilities"] == ["arrays"]
     sentences = [
         {"type": "CommandText", "request": str(n), "text": "STOW LEFT-LEG", "progress": False} for n in range(1, 4)

@@ -76,8 +76,7 @@ class Gateway:
 
     # --- the loop -------------------------------------------------------------------------------------
 
-    def run(self) -> None:
-        guard = MemoryGuard()
+    def run(self, guard: MemoryGuard) -> None:
         while not self._me.stopping:
             self.run_once()
             if guard.alarm(now_s()):
@@ -301,7 +300,7 @@ def live(run_dir: Path, fd: int = -1) -> None:
             raise SystemExit(str(error)) from None
         process.freeze_heap()
         me.ready()
-        gateway.run()
+        gateway.run(MemoryGuard())
 
 
 if __name__ == "__main__":

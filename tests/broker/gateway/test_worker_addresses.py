@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from rtc.protocol import wire
 from rtc.protocol.roles import Role
 from rtc.protocol.versions import VERSION
 from rtc.runtime.keys import KeyFile, KeyRing
+from rtc.runtime.memory_guard import MemoryGuard
 from rtc.runtime.process import Process
 from rtc.runtime.settings import Settings
 from tests.processes.test_gateway import free_ports
@@ -66,6 +68,9 @@ class Worker:
         return self.recv()
 
 
+NO_LIMIT = MemoryGuard(math.inf)  # what other tests have left in this process is no sign of a flood
+
+
 class Cluster:
     """A gateway, and the socket of its broker."""
 
@@ -83,7 +88,7 @@ class Cluster:
     def start_gateway(self) -> None:
         self._process = Process("gate", Path(self.settings.run_dir))
         self._gateway = Gateway(self._process, self.settings, self.ring)
-        self._thread = threading.Thread(target=self._gateway.run)
+        self._thread = threading.Thread(target=self._gateway.run, args=(NO_LIMIT,))
         self._thread.start()
 
     def stop_gateway(self) -> None:
