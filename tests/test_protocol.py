@@ -110,16 +110,16 @@ def test_another_version_is_declined_with_both_and_listed(
     context: zmq.Context[zmq.Socket[bytes]], run_dir: Path, front: Bare
 ) -> None:
     other = Bare(context, run_dir, "front.sock")
-    other.send(type="ClientHello", client="from-the-future", protocol=6)
+    other.send(type="ClientHello", client="from-the-future", protocol=7)
     other.send(type="CommandText", request="1", text="STOW LEFT-ARM")
     refusals = [other.recv(), other.recv()]
     assert [declined["request"] for declined in refusals] == ["", "1"]
     for declined in refusals:
         assert (declined["type"], declined["refusal"]["reason"]) == ("Declined", "version")
-        assert {"5", "6"} <= set(declined["refusal"]["message"].split())
+        assert {"6", "7"} <= set(declined["refusal"]["message"].split())
     front.send(type="StatusQuery", request="s")
     status = front.recv_until("StatusReply")[-1]["status"]
-    assert [(row["name"], row["protocol"]) for row in status["refused"]] == [("from-the-future", 6)]
+    assert [(row["name"], row["protocol"]) for row in status["refused"]] == [("from-the-future", 7)]
 
 
 def test_messages_in_one_array(front: Bare) -> None:
