@@ -16,8 +16,11 @@ from rtc.runtime import process, time_limit
 from rtc.runtime.environment import physics_seed
 from tests.plugins.toy_packages import install  # noqa: F401
 
-# Under `nohup` children would inherit an ignored SIGHUP, and tests of its handling would fail.
+# Under `nohup`, or behind `&` of a script, children would inherit an ignored SIGHUP or SIGINT, and tests of their
+# handling would fail.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # How long an example takes says nothing on a machine that runs other tests as well.
 settings.register_profile("random", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 # Every run has the same examples, so that a failure is repeatable. Others: pytest --hypothesis-profile=random
